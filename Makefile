@@ -1,0 +1,53 @@
+# Every job of the project, the same here and in CI. A new machine needs python3 (3.11 or later) with venv, make and git.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+UV_VERSION := 0.13.8
+UV := .tools/bin/uv
+RUN := .venv/bin
+PYTHON_DIRS := client services deploy demos tests tools
+export UV_PYTHON_DOWNLOADS := never
+
+.PHONY: help setup demo test check format stubs sync-client bench clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
+
+setup: .make/synced  ## bring every tool and dependency into .venv, as locked
+
+$(UV):
+	$(PYTHON) -m venv .tools
+	.tools/bin/pip install --quiet uv==$(UV_VERSION)
+
+.make/synced: $(UV) uv.lock pyproject.toml $(wildcard */pyproject.toml */*/pyproject.toml)
+	$(UV) sync --quiet --frozen --python $(PYTHON)
+	@mkdir -p .make && touch $@
+
+demo: setup  ## the TV watcher: a real film through a real cluster, with a picture at the end
+	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
+
+test: setup  ## the whole test suite
+	$(RUN)/pytest
+
+check: setup  ## lint, types, import rules, protobuf rules, freshness of generated files
+	$(RUN)/ruff check $(PYTHON_DIRS)
+	$(RUN)/ruff format --check $(PYTHON_DIRS)
+	$(RUN)/python tools/generate.py --check
+	$(RUN)/mypy
+	$(RUN)/lint-imports
+	cd proto && ../$(RUN)/buf lint
+	$(RUN)/python tools/breaking.py
+
+format: setup  ## put the code into the project's form
+	$(RUN)/ruff check --fix $(PYTHON_DIRS)
+	$(RUN)/ruff format $(PYTHON_DIRS)
+
+stubs: setup  ## generate the protobuf stubs and the synchronous client again
+	$(RUN)/python tools/generate.py
+
+bench: setup  ## items per second and latency beside bare gRPC
+	$(RUN)/python -m tests.benchmarks.hot_path
+
+clean:  ## forget everything that was made
+	rm -rf .venv .tools .make out

@@ -1,0 +1,81 @@
+"""The one interface between the directory and the log that replicates it.
+
+Everything above this file sees bytes in, bytes out, and never the library below it, so that another
+replicated log can take its place (paper, section 4.3: "standard consensus techniques").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+class StateMachine(Protocol):
+    """What the log drives. Every method is called on the log's own thread; none may raise or block."""
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
+
+        Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal.
+        """
+
+    def snapshot(self) -> bytes:
+        """The whole state, encoded, as of the last applied command."""
+
+    def restore(self, snapshot: bytes) -> None:
+        """Replace the whole state with an earlier `snapshot()`, of this or another replica."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Member:
+    """One replica: its id (opaque, never reused) and the address of its gRPC port, `host:port`."""
+
+    member_id: str
+    address: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplicationStatus:
+    """What a replica believes of the log at this moment; it may be stale.
+
+    `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader.
+    """
+
+    self_id: str
+    leader_id: str | None
+    is_leader: bool
+    tenure: int
+    term: int
+    applied_index: int
+    members: Sequence[Member]
+
+
+class Unavailable(Exception):
+    """No majority answered in time and the command was certainly not taken into the log: safe to try again."""
+
+
+class Ambiguous(Exception):
+    """The command may or may not be applied: try again with the same operation id, never report it as failed."""
+
+
+class ReplicatedLog(Protocol):
+    """A replica of the log, used from the asyncio loop that it was started on."""
+
+    async def propose(self, command: bytes, *, timeout: float) -> bytes:
+        """Replicate `command` (64 KiB at most) and return what `apply` gave for it, `timeout` seconds at most.
+
+        Raises Unavailable or Ambiguous. Works on every replica: a follower passes it on to the leader.
+        """
+
+    async def confirm_read(self, *, timeout: float) -> int:
+        """Return an applied index that holds every write acknowledged before this call began.
+
+        After it, this replica's own state answers linearizably. Raises Unavailable.
+        """
+
+    def status(self) -> ReplicationStatus:
+        """This replica's present view; never blocks."""
+
+    async def close(self) -> None:
+        """Stop taking part, with everything acknowledged on stable storage."""
