@@ -1,0 +1,1 @@
+"""Generated from proto/stampede_rt/v1."""

@@ -1,0 +1,121 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class OnFull(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    ON_FULL_UNSPECIFIED: _ClassVar[OnFull]
+    ON_FULL_DROP_OLDEST: _ClassVar[OnFull]
+    ON_FULL_BLOCK: _ClassVar[OnFull]
+    ON_FULL_REJECT: _ClassVar[OnFull]
+ON_FULL_UNSPECIFIED: OnFull
+ON_FULL_DROP_OLDEST: OnFull
+ON_FULL_BLOCK: OnFull
+ON_FULL_REJECT: OnFull
+
+class RetentionPolicy(_message.Message):
+    __slots__ = ("max_age_nanos", "max_items", "max_bytes", "consumers")
+    MAX_AGE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    MAX_ITEMS_FIELD_NUMBER: _ClassVar[int]
+    MAX_BYTES_FIELD_NUMBER: _ClassVar[int]
+    CONSUMERS_FIELD_NUMBER: _ClassVar[int]
+    max_age_nanos: int
+    max_items: int
+    max_bytes: int
+    consumers: int
+    def __init__(self, max_age_nanos: _Optional[int] = ..., max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., consumers: _Optional[int] = ...) -> None: ...
+
+class ChannelSpec(_message.Message):
+    __slots__ = ("retention", "on_full", "max_future_nanos", "content_type", "max_item_bytes")
+    RETENTION_FIELD_NUMBER: _ClassVar[int]
+    ON_FULL_FIELD_NUMBER: _ClassVar[int]
+    MAX_FUTURE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    CONTENT_TYPE_FIELD_NUMBER: _ClassVar[int]
+    MAX_ITEM_BYTES_FIELD_NUMBER: _ClassVar[int]
+    retention: RetentionPolicy
+    on_full: OnFull
+    max_future_nanos: int
+    content_type: str
+    max_item_bytes: int
+    def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ...) -> None: ...
+
+class ChannelRecord(_message.Message):
+    __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
+    PROXY_HOST_IDS_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    name: str
+    host_id: bytes
+    epoch: int
+    incarnation: int
+    spec: ChannelSpec
+    spec_version: int
+    proxy_host_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class ChannelCounters(_message.Message):
+    __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed")
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    HELD_FIELD_NUMBER: _ClassVar[int]
+    COLLECTED_BY_AGE_FIELD_NUMBER: _ClassVar[int]
+    COLLECTED_BY_COUNT_FIELD_NUMBER: _ClassVar[int]
+    COLLECTED_BY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    COLLECTED_BY_CONSUMPTION_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_TOO_OLD_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_IN_FUTURE_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_TOO_LARGE_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_FULL_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_BYTES_FIELD_NUMBER: _ClassVar[int]
+    HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    DELIVERED_BYTES_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_MALFORMED_FIELD_NUMBER: _ClassVar[int]
+    accepted: int
+    held: int
+    collected_by_age: int
+    collected_by_count: int
+    collected_by_bytes: int
+    collected_by_consumption: int
+    rejected_too_old: int
+    rejected_in_future: int
+    rejected_too_large: int
+    rejected_full: int
+    accepted_bytes: int
+    held_bytes: int
+    delivered_bytes: int
+    rejected_malformed: int
+    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ...) -> None: ...
+
+class ChannelStatus(_message.Message):
+    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano")
+    RECORD_FIELD_NUMBER: _ClassVar[int]
+    COUNTERS_FIELD_NUMBER: _ClassVar[int]
+    NEWEST_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    OLDEST_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    FRONTIER_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    ADVANCE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    SUBSCRIPTIONS_FIELD_NUMBER: _ClassVar[int]
+    WAITING_GETS_FIELD_NUMBER: _ClassVar[int]
+    WAITING_PUTS_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    record: ChannelRecord
+    counters: ChannelCounters
+    newest_unix_nano: int
+    oldest_unix_nano: int
+    frontier_unix_nano: int
+    advance_unix_nano: int
+    subscriptions: int
+    waiting_gets: int
+    waiting_puts: int
+    host_time_unix_nano: int
+    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...

@@ -1,0 +1,267 @@
+from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import error_pb2 as _error_pb2
+from stampede_rt.v1 import item_pb2 as _item_pb2
+from stampede_rt.v1 import time_pb2 as _time_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class SubscribeMode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SUBSCRIBE_MODE_UNSPECIFIED: _ClassVar[SubscribeMode]
+    SUBSCRIBE_MODE_ALL: _ClassVar[SubscribeMode]
+    SUBSCRIBE_MODE_NEWEST: _ClassVar[SubscribeMode]
+SUBSCRIBE_MODE_UNSPECIFIED: SubscribeMode
+SUBSCRIBE_MODE_ALL: SubscribeMode
+SUBSCRIBE_MODE_NEWEST: SubscribeMode
+
+class PutRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch", "producer_id", "puts")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    PUTS_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    producer_id: int
+    puts: _containers.RepeatedCompositeFieldContainer[PutRun]
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[PutRun, _Mapping]]] = ...) -> None: ...
+
+class PutRun(_message.Message):
+    __slots__ = ("first_number", "wait_nanos", "run")
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    first_number: int
+    wait_nanos: int
+    run: _item_pb2.ItemRun
+    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ...) -> None: ...
+
+class PutResponse(_message.Message):
+    __slots__ = ("acks",)
+    ACKS_FIELD_NUMBER: _ClassVar[int]
+    acks: _containers.RepeatedCompositeFieldContainer[PutAck]
+    def __init__(self, acks: _Optional[_Iterable[_Union[PutAck, _Mapping]]] = ...) -> None: ...
+
+class PutAck(_message.Message):
+    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "rejections", "error", "host_time_unix_nano", "incarnation")
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ITEMS_FIELD_NUMBER: _ClassVar[int]
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    STAMPED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    REJECTIONS_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    first_number: int
+    items: int
+    first_seq: int
+    stamped_unix_nano: int
+    rejections: _containers.RepeatedCompositeFieldContainer[PutRejection]
+    error: _error_pb2.Error
+    host_time_unix_nano: int
+    incarnation: int
+    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., rejections: _Optional[_Iterable[_Union[PutRejection, _Mapping]]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., host_time_unix_nano: _Optional[int] = ..., incarnation: _Optional[int] = ...) -> None: ...
+
+class PutRejection(_message.Message):
+    __slots__ = ("index", "error")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    error: _error_pb2.Error
+    def __init__(self, index: _Optional[int] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
+
+class GetRequest(_message.Message):
+    __slots__ = ("call_id", "cancel", "channel_id", "epoch", "interval", "match", "limit", "newest_first", "after", "newer_than", "without_payloads", "wait_nanos", "complete", "group_id", "cut_floor_unix_nano", "stale_ok", "least_seq")
+    CALL_ID_FIELD_NUMBER: _ClassVar[int]
+    CANCEL_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    INTERVAL_FIELD_NUMBER: _ClassVar[int]
+    MATCH_FIELD_NUMBER: _ClassVar[int]
+    LIMIT_FIELD_NUMBER: _ClassVar[int]
+    NEWEST_FIRST_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    NEWER_THAN_FIELD_NUMBER: _ClassVar[int]
+    WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
+    WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
+    COMPLETE_FIELD_NUMBER: _ClassVar[int]
+    GROUP_ID_FIELD_NUMBER: _ClassVar[int]
+    CUT_FLOOR_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    LEAST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    call_id: int
+    cancel: bool
+    channel_id: bytes
+    epoch: int
+    interval: _time_pb2.Interval
+    match: _time_pb2.Match
+    limit: int
+    newest_first: bool
+    after: _item_pb2.ItemPosition
+    newer_than: _item_pb2.ItemPosition
+    without_payloads: bool
+    wait_nanos: int
+    complete: bool
+    group_id: bytes
+    cut_floor_unix_nano: int
+    stale_ok: bool
+    least_seq: int
+    def __init__(self, call_id: _Optional[int] = ..., cancel: bool = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., interval: _Optional[_Union[_time_pb2.Interval, _Mapping]] = ..., match: _Optional[_Union[_time_pb2.Match, str]] = ..., limit: _Optional[int] = ..., newest_first: bool = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., newer_than: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., wait_nanos: _Optional[int] = ..., complete: bool = ..., group_id: _Optional[bytes] = ..., cut_floor_unix_nano: _Optional[int] = ..., stale_ok: bool = ..., least_seq: _Optional[int] = ...) -> None: ...
+
+class GetResponse(_message.Message):
+    __slots__ = ("call_id", "runs", "summary", "error")
+    CALL_ID_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    SUMMARY_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    call_id: int
+    runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
+    summary: GetSummary
+    error: _error_pb2.Error
+    def __init__(self, call_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., summary: _Optional[_Union[GetSummary, _Mapping]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
+
+class GetSummary(_message.Message):
+    __slots__ = ("interval", "complete", "truncated", "more", "reason", "detail", "incarnation", "cut_unix_nano", "host_time_unix_nano")
+    INTERVAL_FIELD_NUMBER: _ClassVar[int]
+    COMPLETE_FIELD_NUMBER: _ClassVar[int]
+    TRUNCATED_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    DETAIL_FIELD_NUMBER: _ClassVar[int]
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    interval: _time_pb2.ResolvedInterval
+    complete: bool
+    truncated: bool
+    more: bool
+    reason: _error_pb2.AbsenceReason
+    detail: str
+    incarnation: int
+    cut_unix_nano: int
+    host_time_unix_nano: int
+    def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
+
+class SubscribeRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "without_payloads", "group_id", "stale_ok")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    START_FIELD_NUMBER: _ClassVar[int]
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
+    GROUP_ID_FIELD_NUMBER: _ClassVar[int]
+    STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    mode: SubscribeMode
+    start: _time_pb2.Bound
+    after: _item_pb2.ItemPosition
+    without_payloads: bool
+    group_id: bytes
+    stale_ok: bool
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ...) -> None: ...
+
+class SubscribeResponse(_message.Message):
+    __slots__ = ("opened", "gap", "runs", "progress")
+    OPENED_FIELD_NUMBER: _ClassVar[int]
+    GAP_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    opened: SubscriptionOpened
+    gap: SubscriptionGap
+    runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
+    progress: SubscriptionProgress
+    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ...) -> None: ...
+
+class SubscriptionOpened(_message.Message):
+    __slots__ = ("incarnation", "next_seq")
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    incarnation: int
+    next_seq: int
+    def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ...) -> None: ...
+
+class SubscriptionGap(_message.Message):
+    __slots__ = ("first_seq", "last_seq", "items", "reason", "detail")
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    LAST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    ITEMS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    DETAIL_FIELD_NUMBER: _ClassVar[int]
+    first_seq: int
+    last_seq: int
+    items: int
+    reason: _error_pb2.AbsenceReason
+    detail: str
+    def __init__(self, first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., items: _Optional[int] = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ...) -> None: ...
+
+class SubscriptionProgress(_message.Message):
+    __slots__ = ("next_seq", "skipped", "dropped", "advance_unix_nano", "host_time_unix_nano")
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    SKIPPED_FIELD_NUMBER: _ClassVar[int]
+    DROPPED_FIELD_NUMBER: _ClassVar[int]
+    ADVANCE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    next_seq: int
+    skipped: int
+    dropped: int
+    advance_unix_nano: int
+    host_time_unix_nano: int
+    def __init__(self, next_seq: _Optional[int] = ..., skipped: _Optional[int] = ..., dropped: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
+
+class AdvanceRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch", "time_unix_nano")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    time_unix_nano: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., time_unix_nano: _Optional[int] = ...) -> None: ...
+
+class AdvanceResponse(_message.Message):
+    __slots__ = ("advance_unix_nano",)
+    ADVANCE_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    advance_unix_nano: int
+    def __init__(self, advance_unix_nano: _Optional[int] = ...) -> None: ...
+
+class ConsumeRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch", "consumer_id", "seqs", "incarnation")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    CONSUMER_ID_FIELD_NUMBER: _ClassVar[int]
+    SEQS_FIELD_NUMBER: _ClassVar[int]
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    consumer_id: int
+    seqs: _containers.RepeatedScalarFieldContainer[int]
+    incarnation: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., consumer_id: _Optional[int] = ..., seqs: _Optional[_Iterable[int]] = ..., incarnation: _Optional[int] = ...) -> None: ...
+
+class ConsumeResponse(_message.Message):
+    __slots__ = ("consumed",)
+    CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    consumed: int
+    def __init__(self, consumed: _Optional[int] = ...) -> None: ...
+
+class GetChannelStatusRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
+
+class GetChannelStatusResponse(_message.Message):
+    __slots__ = ("status",)
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    status: _channel_pb2.ChannelStatus
+    def __init__(self, status: _Optional[_Union[_channel_pb2.ChannelStatus, _Mapping]] = ...) -> None: ...

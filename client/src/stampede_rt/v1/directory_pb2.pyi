@@ -1,0 +1,72 @@
+from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class ChangeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CHANGE_KIND_UNSPECIFIED: _ClassVar[ChangeKind]
+    CHANGE_KIND_ADDED: _ClassVar[ChangeKind]
+    CHANGE_KIND_UPDATED: _ClassVar[ChangeKind]
+    CHANGE_KIND_REMOVED: _ClassVar[ChangeKind]
+CHANGE_KIND_UNSPECIFIED: ChangeKind
+CHANGE_KIND_ADDED: ChangeKind
+CHANGE_KIND_UPDATED: ChangeKind
+CHANGE_KIND_REMOVED: ChangeKind
+
+class Endpoint(_message.Message):
+    __slots__ = ("target", "zone")
+    TARGET_FIELD_NUMBER: _ClassVar[int]
+    ZONE_FIELD_NUMBER: _ClassVar[int]
+    target: str
+    zone: str
+    def __init__(self, target: _Optional[str] = ..., zone: _Optional[str] = ...) -> None: ...
+
+class HostRecord(_message.Message):
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    ALIVE_FIELD_NUMBER: _ClassVar[int]
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    name: str
+    gatekeepers: _containers.RepeatedCompositeFieldContainer[Endpoint]
+    boot_incarnation: int
+    alive: bool
+    channels: int
+    version: str
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ...) -> None: ...
+
+class SupernodeRecord(_message.Message):
+    __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos")
+    SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
+    ENDPOINT_FIELD_NUMBER: _ClassVar[int]
+    IS_LEADER_FIELD_NUMBER: _ClassVar[int]
+    HEALTHY_FIELD_NUMBER: _ClassVar[int]
+    ROUND_TRIP_NANOS_FIELD_NUMBER: _ClassVar[int]
+    supernode_id: str
+    endpoint: Endpoint
+    is_leader: bool
+    healthy: bool
+    round_trip_nanos: int
+    def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[Endpoint, _Mapping]] = ..., is_leader: bool = ..., healthy: bool = ..., round_trip_nanos: _Optional[int] = ...) -> None: ...
+
+class DirectoryChange(_message.Message):
+    __slots__ = ("index", "kind", "channel", "host")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    kind: ChangeKind
+    channel: _channel_pb2.ChannelRecord
+    host: HostRecord
+    def __init__(self, index: _Optional[int] = ..., kind: _Optional[_Union[ChangeKind, str]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., host: _Optional[_Union[HostRecord, _Mapping]] = ...) -> None: ...

@@ -1,0 +1,116 @@
+from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class Transport(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TRANSPORT_UNSPECIFIED: _ClassVar[Transport]
+    TRANSPORT_GRPC: _ClassVar[Transport]
+    TRANSPORT_SHARED_MEMORY: _ClassVar[Transport]
+TRANSPORT_UNSPECIFIED: Transport
+TRANSPORT_GRPC: Transport
+TRANSPORT_SHARED_MEMORY: Transport
+
+class GatekeeperServicePingRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class GatekeeperServicePingResponse(_message.Message):
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version")
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    LEASE_HELD_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    time_unix_nano: int
+    host_id: bytes
+    name: str
+    lease_held: bool
+    version: str
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ...) -> None: ...
+
+class DataEndpoint(_message.Message):
+    __slots__ = ("transport", "target")
+    TRANSPORT_FIELD_NUMBER: _ClassVar[int]
+    TARGET_FIELD_NUMBER: _ClassVar[int]
+    transport: Transport
+    target: str
+    def __init__(self, transport: _Optional[_Union[Transport, str]] = ..., target: _Optional[str] = ...) -> None: ...
+
+class BindChannelRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch", "spec_version", "transports", "machine")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
+    TRANSPORTS_FIELD_NUMBER: _ClassVar[int]
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    spec_version: int
+    transports: _containers.RepeatedScalarFieldContainer[Transport]
+    machine: str
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec_version: _Optional[int] = ..., transports: _Optional[_Iterable[_Union[Transport, str]]] = ..., machine: _Optional[str] = ...) -> None: ...
+
+class BindChannelResponse(_message.Message):
+    __slots__ = ("endpoints", "channel")
+    ENDPOINTS_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    endpoints: _containers.RepeatedCompositeFieldContainer[DataEndpoint]
+    channel: _channel_pb2.ChannelRecord
+    def __init__(self, endpoints: _Optional[_Iterable[_Union[DataEndpoint, _Mapping]]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+
+class DropChannelRequest(_message.Message):
+    __slots__ = ("request_id", "channel_id", "epoch")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    channel_id: bytes
+    epoch: int
+    def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ...) -> None: ...
+
+class DropChannelResponse(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ConfigureChannelRequest(_message.Message):
+    __slots__ = ("request_id", "channel_id", "epoch", "spec")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    channel_id: bytes
+    epoch: int
+    spec: _channel_pb2.ChannelSpec
+    def __init__(self, request_id: _Optional[bytes] = ..., channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ...) -> None: ...
+
+class ConfigureChannelResponse(_message.Message):
+    __slots__ = ("channel",)
+    CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    channel: _channel_pb2.ChannelRecord
+    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+
+class ListHostedChannelsRequest(_message.Message):
+    __slots__ = ("name_glob", "page_size", "page_token")
+    NAME_GLOB_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    name_glob: str
+    page_size: int
+    page_token: str
+    def __init__(self, name_glob: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListHostedChannelsResponse(_message.Message):
+    __slots__ = ("channels", "next_page_token")
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelStatus]
+    next_page_token: str
+    def __init__(self, channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelStatus, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...

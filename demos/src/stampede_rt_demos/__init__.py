@@ -1,0 +1,1 @@
+"""Stampede RT: demonstrations on real media."""

@@ -1,0 +1,1 @@
+"""Stampede RT: the whole system on one machine."""

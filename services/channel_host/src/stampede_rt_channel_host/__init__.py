@@ -1,0 +1,1 @@
+"""Stampede RT: the service that stores channels (paper, section 4.1)."""

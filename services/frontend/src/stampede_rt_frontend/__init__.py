@@ -1,0 +1,1 @@
+"""Stampede RT: where clients start (paper, section 4)."""

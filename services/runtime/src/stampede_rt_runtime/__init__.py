@@ -1,0 +1,1 @@
+"""Stampede RT: what all services share."""

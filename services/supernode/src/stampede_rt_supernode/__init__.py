@@ -1,0 +1,1 @@
+"""Stampede RT: one replica of the directory (paper, section 4.3)."""

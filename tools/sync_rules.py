@@ -1,0 +1,30 @@
+"""How the asynchronous client's source becomes the synchronous one's."""
+
+from __future__ import annotations
+
+import re
+
+HEADER = "# Generated from ../_async by tools/generate.py; do not edit.\n"
+
+WORDS = {
+    "AsyncIterator": "Iterator",
+    "AsyncGenerator": "Generator",
+    "AsyncContextManager": "ContextManager",
+    "__aenter__": "__enter__",
+    "__aexit__": "__exit__",
+    "__aiter__": "__iter__",
+    "__anext__": "__next__",
+    "StopAsyncIteration": "StopIteration",
+    "asynccontextmanager": "contextmanager",
+    "aclose": "close",
+    "_async": "_sync",
+    "grpc_async": "grpc_sync",
+}
+
+
+def synchronous(source: str) -> str:
+    """Take `async` and `await` out of `source` and put the synchronous names in. Works on tokens, not on strings."""
+    source = re.sub(r"\b(async|await) +", "", source)
+    for word, replacement in WORDS.items():
+        source = re.sub(rf"(?<![A-Za-z0-9_]){re.escape(word)}(?![A-Za-z0-9_])", replacement, source)
+    return HEADER + source
