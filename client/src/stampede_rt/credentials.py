@@ -1,0 +1,41 @@
+"""Where the shared secret of a cluster without certificates lies, and how calls carry it."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from stampede_rt.errors import PermissionDenied
+
+
+def secret_file() -> Path:
+    """`$STAMPEDE_SECRET_FILE`, else `stampede/secret` below `$XDG_CONFIG_HOME` or `~/.config`."""
+    named = os.environ.get("STAMPEDE_SECRET_FILE")
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CONFIG_HOME") or str(Path.home() / ".config")
+    return Path(base) / "stampede" / "secret"
+
+
+def read_secret(path: Path | None = None) -> str | None:
+    """The secret in `path` (default: `secret_file()`), or None if there is no such file.
+
+    Raises PermissionDenied if the file cannot be read, or if another user may read it.
+    """
+    path = path or secret_file()
+    try:
+        mode = path.stat().st_mode
+        text = path.read_text().strip()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise PermissionDenied(f"the secret file {path} cannot be read: {error.strerror}") from error
+    if stat.S_IMODE(mode) & 0o007:
+        raise PermissionDenied(f"the secret file {path} can be read by every user; run: chmod 600 {path}")
+    return text
+
+
+def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:
+    """The metadata that a call brings along; none without a secret."""
+    return (("authorization", f"Bearer {secret}"),) if secret else ()

@@ -1,0 +1,132 @@
+"""The one table from errors to gRPC status codes, and their form on the wire (`proto/stampede_rt/v1/error.proto`).
+
+`google.rpc.Status` and `google.rpc.ErrorInfo` are written and read field by field: their Python stubs are a
+distribution of their own, which the base client does not need.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NoReturn
+
+import grpc
+
+from stampede_rt.errors import DeadlineExceeded, PermissionDenied, StampedeError, Unavailable, error_for
+from stampede_rt.v1 import error_pb2, rpc_status_pb2
+
+DOMAIN = "stampede-rt"
+DETAILS_KEY = "grpc-status-details-bin"
+_ERROR_INFO_URL = "type.googleapis.com/google.rpc.ErrorInfo"
+_PREFIX = "ERROR_REASON_"
+
+_CODES: dict[str, grpc.StatusCode] = {
+    "INVALID_ARGUMENT": grpc.StatusCode.INVALID_ARGUMENT,
+    "INVALID_INTERVAL": grpc.StatusCode.INVALID_ARGUMENT,
+    "INVALID_NAME": grpc.StatusCode.INVALID_ARGUMENT,
+    "MALFORMED_RUN": grpc.StatusCode.INVALID_ARGUMENT,
+    "ITEM_TOO_LARGE": grpc.StatusCode.INVALID_ARGUMENT,
+    "CHANNEL_NOT_FOUND": grpc.StatusCode.NOT_FOUND,
+    "HOST_NOT_FOUND": grpc.StatusCode.NOT_FOUND,
+    "GROUP_NOT_FOUND": grpc.StatusCode.NOT_FOUND,
+    "QUEUE_NOT_FOUND": grpc.StatusCode.NOT_FOUND,
+    "CHANNEL_EXISTS": grpc.StatusCode.ALREADY_EXISTS,
+    "HOST_EXISTS": grpc.StatusCode.ALREADY_EXISTS,
+    "GROUP_EXISTS": grpc.StatusCode.ALREADY_EXISTS,
+    "QUEUE_EXISTS": grpc.StatusCode.ALREADY_EXISTS,
+    "PEER_EXISTS": grpc.StatusCode.ALREADY_EXISTS,
+    "NO_HOST": grpc.StatusCode.UNAVAILABLE,
+    "NO_QUORUM": grpc.StatusCode.UNAVAILABLE,
+    "AMBIGUOUS": grpc.StatusCode.UNAVAILABLE,
+    "SHUTTING_DOWN": grpc.StatusCode.UNAVAILABLE,
+    "WRONG_EPOCH": grpc.StatusCode.FAILED_PRECONDITION,
+    "NOT_HERE": grpc.StatusCode.FAILED_PRECONDITION,
+    "MOVED": grpc.StatusCode.FAILED_PRECONDITION,
+    "TOO_OLD": grpc.StatusCode.FAILED_PRECONDITION,
+    "IN_FUTURE": grpc.StatusCode.FAILED_PRECONDITION,
+    "LEASE_EXPIRED": grpc.StatusCode.FAILED_PRECONDITION,
+    "NOT_LEADER": grpc.StatusCode.FAILED_PRECONDITION,
+    "VERSION_MISMATCH": grpc.StatusCode.FAILED_PRECONDITION,
+    "CHANNEL_FULL": grpc.StatusCode.RESOURCE_EXHAUSTED,
+    "OVERLOADED": grpc.StatusCode.RESOURCE_EXHAUSTED,
+    "INCARNATION_LOST": grpc.StatusCode.DATA_LOSS,
+    "UNAUTHENTICATED": grpc.StatusCode.UNAUTHENTICATED,
+    "PERMISSION_DENIED": grpc.StatusCode.PERMISSION_DENIED,
+    "WATCH_RESTART": grpc.StatusCode.OUT_OF_RANGE,
+    "DEADLINE_EXCEEDED": grpc.StatusCode.DEADLINE_EXCEEDED,
+    "INTERNAL": grpc.StatusCode.INTERNAL,
+}
+
+
+def code_for(reason: str) -> grpc.StatusCode:
+    """The gRPC status code of a reason; an unknown one is INTERNAL."""
+    return _CODES.get(reason, grpc.StatusCode.INTERNAL)
+
+
+def encode_status(error: StampedeError) -> bytes:
+    """`error` as an encoded google.rpc.Status with one ErrorInfo."""
+    info = rpc_status_pb2.ErrorInfo(reason=error.reason, domain=DOMAIN, metadata=error.metadata)
+    number, _ = code_for(error.reason).value
+    status = rpc_status_pb2.Status(code=number, message=error.message)
+    status.details.add(type_url=_ERROR_INFO_URL, value=info.SerializeToString())
+    return status.SerializeToString()
+
+
+async def abort(context: Any, error: StampedeError) -> NoReturn:
+    """End an RPC of a grpc.aio server with `error`. Never returns."""
+    await context.abort(code_for(error.reason), error.message, ((DETAILS_KEY, encode_status(error)),))
+    raise AssertionError("abort returned")
+
+
+def to_error_message(error: StampedeError) -> error_pb2.Error:
+    """`error` in the form that travels inside streams."""
+    reason = error_pb2.ErrorReason.Value(_PREFIX + error.reason)
+    return error_pb2.Error(reason=reason, message=error.message, metadata=error.metadata)
+
+
+def from_error_message(message: error_pb2.Error) -> StampedeError:
+    """The exception that an Error inside a stream stands for."""
+    try:
+        reason = error_pb2.ErrorReason.Name(message.reason).removeprefix(_PREFIX)
+    except ValueError:  # a newer server's reason
+        reason = "INTERNAL"
+    return error_for(reason, message.message, dict(message.metadata))
+
+
+def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
+    """The exception that a failed RPC to `peer` (an address, for the message) stands for."""
+    for key, value in _trailers(error):
+        if key == DETAILS_KEY and isinstance(value, bytes):
+            found = _from_status(value)
+            if found is not None:
+                return found
+    return _from_code(error, peer)
+
+
+def _trailers(error: grpc.RpcError) -> Iterable[tuple[str, str | bytes]]:
+    trailers = error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
+    return trailers or ()
+
+
+def _from_status(encoded: bytes) -> StampedeError | None:
+    status = rpc_status_pb2.Status.FromString(encoded)
+    for detail in status.details:
+        if detail.type_url == _ERROR_INFO_URL:
+            info = rpc_status_pb2.ErrorInfo.FromString(detail.value)
+            return error_for(info.reason, status.message, dict(info.metadata))
+    return None
+
+
+def _from_code(error: grpc.RpcError, peer: str) -> StampedeError:
+    code = error.code() if hasattr(error, "code") else grpc.StatusCode.UNKNOWN
+    details = (error.details() if hasattr(error, "details") else None) or "no details"
+    if code is grpc.StatusCode.UNAVAILABLE:
+        return Unavailable(f"{peer} cannot be reached ({details}); is it running, and is the address right?")
+    if code is grpc.StatusCode.DEADLINE_EXCEEDED:
+        return DeadlineExceeded(f"{peer} did not answer in time; it may be overloaded or stopped")
+    if code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED):
+        return PermissionDenied(f"{peer} refused this caller: {details}")
+    if code is grpc.StatusCode.CANCELLED:
+        return Unavailable(f"the call to {peer} was cancelled: {details}")
+    if code is grpc.StatusCode.RESOURCE_EXHAUSTED:
+        return error_for("OVERLOADED", f"{peer} refused the call: {details}; send less at once, or later")
+    return StampedeError(f"{peer} failed with {code.name}: {details}")
