@@ -79,8 +79,7 @@ async def abort(context: Any, error: StampedeError) -> NoReturn:
 
 def to_error_message(error: StampedeError) -> error_pb2.Error:
     """`error` in the form that travels inside streams."""
-    reason = error_pb2.ErrorReason.Value(_PREFIX + error.reason)
-    return error_pb2.Error(reason=reason, message=error.message, metadata=error.metadata)
+    return error_pb2.Error(reason=_PREFIX + error.reason, message=error.message, metadata=error.metadata)
 
 
 def from_error_message(message: error_pb2.Error) -> StampedeError:
@@ -103,7 +102,9 @@ def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
 
 
 def _trailers(error: grpc.RpcError) -> Iterable[tuple[str, str | bytes]]:
-    trailers = error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
+    trailers: Iterable[tuple[str, str | bytes]] | None = (
+        error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
+    )
     return trailers or ()
 
 

@@ -1,0 +1,235 @@
+"""Instants, durations, bounds and intervals (paper, sections 3.1 and 3.2). Pure.
+
+Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. Time is continuous, only the
+written bounds are whole nanoseconds: `(10, 11)` is not empty, `[10, 10)` is.
+"""
+
+from __future__ import annotations
+
+import operator
+import re
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from decimal import Decimal
+from enum import Enum
+
+from stampede_rt.errors import InvalidArgument, InvalidInterval
+
+MIN_INSTANT = -(2**63)
+MAX_INSTANT = 2**63 - 1
+
+_UNITS_NANOS = {
+    "ns": 1,
+    "us": 1_000,
+    "ms": 1_000_000,
+    "s": 1_000_000_000,
+    "m": 60_000_000_000,
+    "h": 3_600_000_000_000,
+    "d": 86_400_000_000_000,
+}
+_DURATION = re.compile(r"([+-]?\d+(?:\.\d+)?) ?(ns|us|ms|s|m|h|d)")
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+DurationLike = str | timedelta
+InstantLike = int | datetime
+
+
+def parse_duration(value: DurationLike, what: str = "a duration") -> int:
+    """Nanoseconds of `"30ms"`, `"1.5 s"` or a timedelta. Units: ns, us, ms, s, m, h, d.
+
+    Bare numbers are refused: `max_age=10` would be ten nanoseconds beside `timeout=1.0` seconds.
+    """
+    if isinstance(value, timedelta):
+        return (value.days * 86_400 + value.seconds) * 1_000_000_000 + value.microseconds * 1_000
+    if not isinstance(value, str):
+        raise InvalidArgument(f'{what} is {value!r}; write it with its unit, such as "30ms", or as a timedelta')
+    match = _DURATION.fullmatch(value.strip())
+    if match is None:
+        raise InvalidArgument(f'{what} is {value!r}; write a number and one of ns, us, ms, s, m, h, d, such as "30ms"')
+    nanos = Decimal(match[1]) * _UNITS_NANOS[match[2]]
+    if nanos != nanos.to_integral_value():
+        raise InvalidArgument(f"{what} is {value!r}, which is no whole number of nanoseconds")
+    return clamp(int(nanos))
+
+
+def parse_item_duration(value: DurationLike | int | None) -> int | None:
+    """Nanoseconds of an item's duration; unlike policies it may be an int, so that `duration=item.duration` works."""
+    if value is None:
+        return None
+    nanos = value if type(value) is int else parse_duration(_no_bool(value), "an item's duration")
+    if not 0 <= nanos <= MAX_INSTANT:
+        raise InvalidArgument(f"an item's duration is {value!r}; it is 0 or more, and less than 292 years")
+    return nanos
+
+
+def parse_instant(value: InstantLike, what: str = "a time") -> int:
+    """Nanoseconds since the epoch of an int or a timezone-aware datetime; floats and naive datetimes are refused."""
+    if isinstance(value, datetime):
+        if value.utcoffset() is None:
+            raise InvalidArgument(f"{what} is {value!r} without a timezone; give it one, such as datetime.now(UTC)")
+        return parse_duration(value - _EPOCH)
+    if isinstance(value, bool | float | str):
+        raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with timezone")
+    try:
+        instant = operator.index(value)
+    except TypeError:
+        raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch, or a datetime") from None
+    if not MIN_INSTANT <= instant <= MAX_INSTANT:
+        raise InvalidArgument(f"{what} is {value!r}, which does not fit into 64 bits of nanoseconds")
+    return instant
+
+
+def _no_bool(value: DurationLike | int) -> DurationLike:
+    return value if isinstance(value, str | timedelta) else str(value)
+
+
+def format_duration(nanos: int) -> str:
+    """`nanos` as people write it: "1.5 s", "30 ms"."""
+    for unit in ("d", "h", "m", "s", "ms", "us"):
+        if abs(nanos) >= _UNITS_NANOS[unit]:
+            return f"{round(nanos / _UNITS_NANOS[unit], 3):g} {unit}"
+    return f"{nanos} ns"
+
+
+def format_instant(instant: int) -> str:
+    """`instant` as ISO 8601 in UTC with nanoseconds, or as plain nanoseconds outside the calendar's years."""
+    seconds, nanos = divmod(instant, 1_000_000_000)
+    try:
+        return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanos:09d}Z"
+    except OverflowError:
+        return f"{instant} ns"
+
+
+def clamp(instant: int) -> int:
+    """`instant` held within int64."""
+    return max(MIN_INSTANT, min(MAX_INSTANT, instant))
+
+
+class MetaTime(Enum):
+    """A time that the channel's host resolves when it performs the read (paper, section 3.2)."""
+
+    NOW = "now"
+    NEWEST = "newest"
+    OLDEST = "oldest"
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """An anchor plus an offset: a meta-time, or (with `meta` None) the instant `offset` itself."""
+
+    meta: MetaTime | None
+    offset: int = 0
+
+    def __add__(self, offset: DurationLike) -> Bound:
+        return replace(self, offset=clamp(self.offset + parse_duration(offset, "an offset")))
+
+    def __sub__(self, offset: DurationLike) -> Bound:
+        return replace(self, offset=clamp(self.offset - parse_duration(offset, "an offset")))
+
+    def __str__(self) -> str:
+        if self.meta is None:
+            return format_instant(self.offset)
+        if not self.offset:
+            return self.meta.value
+        return f"{self.meta.value} {'+' if self.offset > 0 else '-'} {format_duration(abs(self.offset))}"
+
+
+NOW = Bound(MetaTime.NOW)
+NEWEST = Bound(MetaTime.NEWEST)
+OLDEST = Bound(MetaTime.OLDEST)
+
+BoundLike = Bound | InstantLike
+
+
+def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
+    """A bound as it is, or a concrete one from an instant."""
+    return value if isinstance(value, Bound) else Bound(None, parse_instant(value, what))
+
+
+def last(duration: DurationLike) -> tuple[Bound, Bound]:
+    """The two bounds of "the last `duration`", up to now: `channel.get(*last("30s"))`."""
+    return NOW - duration, NOW
+
+
+@dataclass(frozen=True, slots=True)
+class ResolvedInterval:
+    """A set of instants between two concrete bounds."""
+
+    start: int
+    end: int
+    start_exclusive: bool = False
+    end_exclusive: bool = False
+
+    @property
+    def is_empty(self) -> bool:
+        """No instant lies inside."""
+        return self.start > self.end or (self.start == self.end and (self.start_exclusive or self.end_exclusive))
+
+    def __contains__(self, instant: int) -> bool:
+        above = instant > self.start or (instant == self.start and not self.start_exclusive)
+        return above and (instant < self.end or (instant == self.end and not self.end_exclusive))
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """Two bounds, each inclusive or exclusive, that a host resolves together."""
+
+    start: Bound
+    end: Bound
+    start_exclusive: bool = False
+    end_exclusive: bool = False
+
+    def __post_init__(self) -> None:
+        if self.start.meta is None and self.end.meta is None and self.start.offset > self.end.offset:
+            raise InvalidInterval(
+                f"the interval starts at {self.start} ({self.start.offset}), after its end at {self.end} "
+                f"({self.end.offset}); swap the two"
+            )
+
+    @property
+    def needs_items(self) -> bool:
+        """An end hangs on the newest or the oldest item: it cannot be resolved while the channel is empty."""
+        return not {self.start.meta, self.end.meta}.isdisjoint({MetaTime.NEWEST, MetaTime.OLDEST})
+
+    def resolve(self, *, now: int, newest: int | None, oldest: int | None) -> ResolvedInterval | None:
+        """Both ends at once, or None if they hang on items and there are none."""
+        if self.needs_items and (newest is None or oldest is None):
+            return None
+        anchors = {None: 0, MetaTime.NOW: now, MetaTime.NEWEST: newest or 0, MetaTime.OLDEST: oldest or 0}
+        return ResolvedInterval(
+            clamp(anchors[self.start.meta] + self.start.offset),
+            clamp(anchors[self.end.meta] + self.end.offset),
+            self.start_exclusive,
+            self.end_exclusive,
+        )
+
+
+_BOUNDS = {"[]": (False, False), "[)": (False, True), "(]": (True, False), "()": (True, True)}
+
+
+def parse_interval(start: BoundLike, end: BoundLike, bounds: str = "[]") -> Interval:
+    """The interval between `start` and `end`; `bounds` is one of "[]", "[)", "(]", "()".
+
+    Raises InvalidInterval if both ends are concrete and the wrong way round.
+    """
+    if bounds not in _BOUNDS:
+        raise InvalidArgument(f'bounds is {bounds!r}; write one of "[]", "[)", "(]", "()"')
+    return Interval(
+        parse_bound(start, "the interval's start"), parse_bound(end, "the interval's end"), *_BOUNDS[bounds]
+    )
+
+
+class Match(Enum):
+    """Which items an interval selects (paper, section 3.2)."""
+
+    SPAN = "span"
+    WHOLE = "whole"
+    START = "start"
+
+
+def parse_match(value: str | Match) -> Match:
+    """A Match by its name."""
+    try:
+        return Match(value)
+    except ValueError:
+        raise InvalidArgument(f'match is {value!r}; write one of "span", "whole", "start"') from None

@@ -1,0 +1,63 @@
+from stampede_rt.v1 import channel_service_pb2 as _channel_service_pb2
+from stampede_rt.v1 import error_pb2 as _error_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class RawPutRequest(_message.Message):
+    __slots__ = ("channel_id", "epoch", "producer_id", "puts")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    PUTS_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    producer_id: int
+    puts: _containers.RepeatedCompositeFieldContainer[RawPutRun]
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[RawPutRun, _Mapping]]] = ...) -> None: ...
+
+class RawPutRun(_message.Message):
+    __slots__ = ("first_number", "wait_nanos", "run")
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    first_number: int
+    wait_nanos: int
+    run: bytes
+    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[bytes] = ...) -> None: ...
+
+class RawDeliveredRun(_message.Message):
+    __slots__ = ("run", "next_time_unix_nano")
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    NEXT_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    run: bytes
+    next_time_unix_nano: int
+    def __init__(self, run: _Optional[bytes] = ..., next_time_unix_nano: _Optional[int] = ...) -> None: ...
+
+class RawGetResponse(_message.Message):
+    __slots__ = ("call_id", "runs", "summary", "error")
+    CALL_ID_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    SUMMARY_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    call_id: int
+    runs: _containers.RepeatedCompositeFieldContainer[RawDeliveredRun]
+    summary: _channel_service_pb2.GetSummary
+    error: _error_pb2.Error
+    def __init__(self, call_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ..., summary: _Optional[_Union[_channel_service_pb2.GetSummary, _Mapping]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ...) -> None: ...
+
+class RawSubscribeResponse(_message.Message):
+    __slots__ = ("opened", "gap", "runs", "progress")
+    OPENED_FIELD_NUMBER: _ClassVar[int]
+    GAP_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    opened: _channel_service_pb2.SubscriptionOpened
+    gap: _channel_service_pb2.SubscriptionGap
+    runs: _containers.RepeatedCompositeFieldContainer[RawDeliveredRun]
+    progress: _channel_service_pb2.SubscriptionProgress
+    def __init__(self, opened: _Optional[_Union[_channel_service_pb2.SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[_channel_service_pb2.SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[RawDeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[_channel_service_pb2.SubscriptionProgress, _Mapping]] = ...) -> None: ...
