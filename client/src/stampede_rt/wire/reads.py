@@ -1,0 +1,108 @@
+"""Bounds, intervals, positions and answers of reads, to and from their protobuf form (`time.proto`, `item.proto`)."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import Item, Reason
+from stampede_rt.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
+from stampede_rt.v1 import channel_service_pb2, error_pb2, item_pb2, time_pb2
+
+_TO_META = {
+    MetaTime.NOW: time_pb2.META_TIME_NOW,
+    MetaTime.NEWEST: time_pb2.META_TIME_NEWEST,
+    MetaTime.OLDEST: time_pb2.META_TIME_OLDEST,
+}
+_FROM_META = {value: key for key, value in _TO_META.items()}
+_TO_MATCH = {Match.SPAN: time_pb2.MATCH_SPAN, Match.WHOLE: time_pb2.MATCH_WHOLE, Match.START: time_pb2.MATCH_START}
+_FROM_MATCH = {value: key for key, value in _TO_MATCH.items()} | {time_pb2.MATCH_UNSPECIFIED: Match.SPAN}
+_REASON_PREFIX = "ABSENCE_REASON_"
+
+
+def bound_to_message(bound: Bound, *, exclusive: bool = False) -> time_pb2.Bound:
+    """One end of an interval."""
+    if bound.meta is None:
+        return time_pb2.Bound(instant_unix_nano=bound.offset, exclusive=exclusive)
+    return time_pb2.Bound(meta_time=_TO_META[bound.meta], offset_nanos=bound.offset, exclusive=exclusive)
+
+
+def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
+    """One end of an interval. Raises InvalidArgument, naming `what`, if it has no anchor."""
+    anchor = message.WhichOneof("anchor")
+    if anchor == "instant_unix_nano":
+        return Bound(None, message.instant_unix_nano + message.offset_nanos)
+    if anchor is None or message.meta_time not in _FROM_META:
+        raise InvalidArgument(f"{what} has no anchor; set instant_unix_nano or a meta_time")
+    return Bound(_FROM_META[message.meta_time], message.offset_nanos)
+
+
+def interval_to_message(interval: Interval) -> time_pb2.Interval:
+    """Both ends."""
+    return time_pb2.Interval(
+        start=bound_to_message(interval.start, exclusive=interval.start_exclusive),
+        end=bound_to_message(interval.end, exclusive=interval.end_exclusive),
+    )
+
+
+def interval_from_message(message: time_pb2.Interval) -> Interval:
+    """Both ends. Raises InvalidArgument, InvalidInterval."""
+    return Interval(
+        bound_from_message(message.start, "the interval's start"),
+        bound_from_message(message.end, "the interval's end"),
+        message.start.exclusive,
+        message.end.exclusive,
+    )
+
+
+def match_to_message(match: Match) -> time_pb2.Match:
+    """Which items an interval selects."""
+    return _TO_MATCH[match]
+
+
+def match_from_message(match: int) -> Match:
+    """Which items an interval selects. Raises InvalidArgument for a number that is none."""
+    try:
+        return _FROM_MATCH[match]  # type: ignore[index]
+    except KeyError:
+        raise InvalidArgument(f"match is {match}; use a value of stampede_rt.v1.Match") from None
+
+
+def position_of(after: Item | int) -> item_pb2.ItemPosition:
+    """The place of an item, or the one behind every item of an instant."""
+    if isinstance(after, Item):
+        return item_pb2.ItemPosition(time_unix_nano=after.time, seq=after.seq, incarnation=after.incarnation)
+    return item_pb2.ItemPosition(time_unix_nano=after)
+
+
+def resolved_to_message(interval: ResolvedInterval) -> time_pb2.ResolvedInterval:
+    """The interval as a host resolved it."""
+    return time_pb2.ResolvedInterval(
+        start_unix_nano=interval.start,
+        end_unix_nano=interval.end,
+        start_exclusive=interval.start_exclusive,
+        end_exclusive=interval.end_exclusive,
+    )
+
+
+def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterval:
+    """The interval as a host resolved it."""
+    return ResolvedInterval(
+        message.start_unix_nano, message.end_unix_nano, message.start_exclusive, message.end_exclusive
+    )
+
+
+def reason_to_message(reason: Reason | None) -> error_pb2.AbsenceReason:
+    """Why an answer is empty or partial; its detail travels beside it."""
+    return error_pb2.AbsenceReason.Value(_REASON_PREFIX + (reason.value if reason else "UNSPECIFIED"))
+
+
+def reason_from_message(reason: int, detail: str) -> Reason | None:
+    """Why an answer is empty or partial; None if nothing is missing."""
+    if reason == error_pb2.ABSENCE_REASON_UNSPECIFIED:
+        return None
+    name = error_pb2.AbsenceReason.Name(reason)  # type: ignore[arg-type]
+    return Reason(name.removeprefix(_REASON_PREFIX), detail)
+
+
+def summary_reason(summary: channel_service_pb2.GetSummary) -> Reason | None:
+    """Why a get's answer is empty or partial."""
+    return reason_from_message(summary.reason, summary.detail)

@@ -1,0 +1,123 @@
+"""Channels, policies, hosts and counters, to and from their protobuf form (`channel.proto`, `directory.proto`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Policy, SupernodeInfo
+from stampede_rt.v1 import channel_pb2, directory_pb2
+
+_ON_FULL = {
+    "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
+    "block": channel_pb2.ON_FULL_BLOCK,
+    "reject": channel_pb2.ON_FULL_REJECT,
+}
+_FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
+_CHANGES = {
+    directory_pb2.CHANGE_KIND_ADDED: "added",
+    directory_pb2.CHANGE_KIND_UPDATED: "updated",
+    directory_pb2.CHANGE_KIND_REMOVED: "removed",
+}
+COLLECTED_CAUSES = ("age", "count", "bytes", "consumption")
+REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed")
+
+
+def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
+    """A set-up; what was never stated stays unset."""
+    retention = channel_pb2.RetentionPolicy(
+        max_age_nanos=policy.max_age_nanos,
+        max_items=policy.max_items,
+        max_bytes=policy.max_bytes,
+        consumers=policy.consumers,
+    )
+    return channel_pb2.ChannelSpec(
+        retention=retention,
+        on_full=_ON_FULL[policy.on_full] if policy.on_full else channel_pb2.ON_FULL_UNSPECIFIED,
+        max_future_nanos=policy.max_future_nanos,
+        content_type=policy.content_type,
+        max_item_bytes=policy.max_item_bytes,
+    )
+
+
+def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
+    """A set-up; what was never stated is None."""
+    retention = spec.retention
+    return Policy(
+        max_age_nanos=retention.max_age_nanos if retention.HasField("max_age_nanos") else None,
+        max_items=retention.max_items if retention.HasField("max_items") else None,
+        max_bytes=retention.max_bytes if retention.HasField("max_bytes") else None,
+        consumers=retention.consumers if retention.HasField("consumers") else None,
+        on_full=_FROM_ON_FULL.get(spec.on_full),
+        max_future_nanos=spec.max_future_nanos if spec.HasField("max_future_nanos") else None,
+        content_type=spec.content_type if spec.HasField("content_type") else None,
+        max_item_bytes=spec.max_item_bytes if spec.HasField("max_item_bytes") else None,
+    )
+
+
+def host_info(record: directory_pb2.HostRecord) -> HostInfo:
+    """A host as callers see it."""
+    return HostInfo(
+        host_id=record.host_id,
+        name=record.name,
+        endpoints=tuple(endpoint.target for endpoint in record.gatekeepers),
+        alive=record.alive,
+        channels=record.channels,
+        version=record.version,
+    )
+
+
+def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelInfo:
+    """A channel as callers see it; `host` is its owner, None if the directory does not know it any more."""
+    return ChannelInfo(
+        channel_id=record.channel_id,
+        name=record.name,
+        host_id=record.host_id,
+        host=host.name if host else "",
+        host_alive=bool(host and host.alive),
+        epoch=record.epoch,
+        incarnation=record.incarnation,
+        policy=policy_from_spec(record.spec),
+        spec_version=record.spec_version,
+    )
+
+
+def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
+    """A supernode as callers see it."""
+    return SupernodeInfo(
+        supernode_id=record.supernode_id,
+        endpoint=record.endpoint.target,
+        is_leader=record.is_leader,
+        healthy=record.healthy,
+    )
+
+
+def channel_stats(status: channel_pb2.ChannelStatus) -> ChannelStats:
+    """A channel's counters as callers see them."""
+    counters = status.counters
+    return ChannelStats(
+        accepted=counters.accepted,
+        held=counters.held,
+        collected={cause: getattr(counters, f"collected_by_{cause}") for cause in COLLECTED_CAUSES},
+        rejected={reason: getattr(counters, f"rejected_{reason}") for reason in REJECTED_REASONS},
+        accepted_bytes=counters.accepted_bytes,
+        held_bytes=counters.held_bytes,
+        delivered_bytes=counters.delivered_bytes,
+        newest=status.newest_unix_nano if status.HasField("newest_unix_nano") else None,
+        oldest=status.oldest_unix_nano if status.HasField("oldest_unix_nano") else None,
+        frontier=status.frontier_unix_nano if status.HasField("frontier_unix_nano") else None,
+        advance=status.advance_unix_nano if status.HasField("advance_unix_nano") else None,
+        subscriptions=status.subscriptions,
+        waiting_gets=status.waiting_gets,
+        waiting_puts=status.waiting_puts,
+        incarnation=status.record.incarnation,
+        host_time=status.host_time_unix_nano,
+        policy=policy_from_spec(status.record.spec),
+    )
+
+
+def change(message: directory_pb2.DirectoryChange, hosts: Mapping[bytes, directory_pb2.HostRecord]) -> Change:
+    """One change of the directory; `hosts` are those known so far, to name a channel's owner."""
+    if message.WhichOneof("subject") == "host":
+        return Change(index=message.index, kind=_CHANGES[message.kind], subject=host_info(message.host))
+    info = channel_info(message.channel, hosts.get(message.channel.host_id))
+    return Change(index=message.index, kind=_CHANGES[message.kind], subject=info)

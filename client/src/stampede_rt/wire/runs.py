@@ -1,0 +1,239 @@
+"""Item runs: columns that a producer encodes once and a host stores and sends as they are (`item.proto`).
+
+A host appends the fields it owns to the producer's bytes: in protobuf the last scalar wins and repeated fields
+concatenate, so the result is a valid run again.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+
+from google.protobuf.message import DecodeError
+from google.protobuf.unknown_fields import UnknownFieldSet
+
+from stampede_rt.errors import ItemTooLarge, MalformedRun
+from stampede_rt.model import Item
+from stampede_rt.v1 import item_pb2
+
+RUN_ITEMS_MAX = 256
+RUN_BYTES_MAX = 64 * 1024
+ITEM_BYTES_MAX = 16 * 1024 * 1024
+CONTENT_TYPE_BYTES_MAX = 255
+ATTRIBUTES_BYTES_MAX = 16 * 1024
+ABSENT = -1
+
+_FIRST_SEQ = struct.Struct("<BQ")
+_FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
+_TIMES_TAG = 1 << 3 | 2  # field 1, packed
+
+
+@dataclass(frozen=True, slots=True)
+class RunColumns:
+    """What a host needs to know of a producer's run. All columns have the same length; -1 marks no duration."""
+
+    times: Sequence[int] | None
+    durations: Sequence[int] | None
+    lengths: Sequence[int]
+
+
+def encode_run(
+    payloads: Sequence[bytes],
+    *,
+    times: Sequence[int] | None,
+    durations: Sequence[int] | None = None,
+    content_type: str = "",
+    attributes: Mapping[str, str] | None = None,
+) -> bytes:
+    """The bytes of a run, as its producer sends it. `times` None: the host stamps the run on acceptance."""
+    return item_pb2.ItemRun(
+        time_unix_nano=times,
+        duration_nanos=durations,
+        payload_length_bytes=[len(payload) for payload in payloads],
+        content_type=content_type,
+        attributes=attributes,
+        payloads=payloads[0] if len(payloads) == 1 else b"".join(payloads),
+    ).SerializeToString()
+
+
+def parse_run(raw: bytes) -> RunColumns:
+    """Check a producer's run and give its columns. Raises MalformedRun, ItemTooLarge."""
+    try:
+        run = item_pb2.ItemRun.FromString(raw)
+    except DecodeError as error:
+        raise MalformedRun("the run is no valid ItemRun message; encode it from item.proto") from error
+    times, durations, lengths = list(run.time_unix_nano), list(run.duration_nanos), list(run.payload_length_bytes)
+    _check_columns(run, times, durations, lengths)
+    return RunColumns(times or None, durations or None, lengths)
+
+
+def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int], lengths: list[int]) -> None:
+    items = len(lengths)
+    total = sum(lengths)
+    if not items:
+        raise MalformedRun("the run holds no items; payload_length_bytes has one entry for each")
+    if len(times) not in (0, items) or len(durations) not in (0, items):
+        raise MalformedRun(
+            f"the run's columns disagree: {items} lengths, {len(times)} times, {len(durations)} durations; "
+            "a column has one entry for each item or is left out"
+        )
+    if total != len(run.payloads):
+        raise MalformedRun(f"the run's lengths add up to {total} bytes, but its payloads are {len(run.payloads)}")
+    if items > RUN_ITEMS_MAX or (items > 1 and total > RUN_BYTES_MAX):
+        raise MalformedRun(
+            f"the run holds {items} items and {total} bytes; a run of several items ends at {RUN_ITEMS_MAX} items "
+            f"and {RUN_BYTES_MAX} bytes: split it"
+        )
+    if durations and min(durations) < ABSENT:
+        raise MalformedRun(f"the run holds a duration of {min(durations)} ns; it is 0 or more, or -1 for none")
+    if total > ITEM_BYTES_MAX:
+        raise ItemTooLarge(f"the item has {total} bytes; one item has {ITEM_BYTES_MAX} at most: split it")
+    _check_labels(run)
+
+
+def _check_labels(run: item_pb2.ItemRun) -> None:
+    if run.first_seq or len(UnknownFieldSet(run)):
+        raise MalformedRun("the run sets first_seq or fields that item.proto does not have; leave them out")
+    if len(run.content_type.encode()) > CONTENT_TYPE_BYTES_MAX:
+        raise MalformedRun(f"the run's content type is longer than {CONTENT_TYPE_BYTES_MAX} bytes")
+    if run.attributes and attributes_length_bytes(run.attributes) > ATTRIBUTES_BYTES_MAX:
+        raise MalformedRun(f"the run's attributes are longer than {ATTRIBUTES_BYTES_MAX} bytes in all")
+
+
+def attributes_length_bytes(attributes: Mapping[str, str]) -> int:
+    """The length of all keys and values, encoded."""
+    return sum(len(key.encode()) + len(value.encode()) for key, value in attributes.items())
+
+
+def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = None) -> bytes:
+    """A producer's run with the fields that the host owns appended: `first_seq`, and the times if it had none."""
+    seq = _FIRST_SEQ.pack(_FIRST_SEQ_TAG, first_seq)
+    if stamped_times is None:
+        return raw + seq
+    column = struct.pack(f"<{len(stamped_times)}q", *stamped_times)
+    return b"".join((raw, bytes((_TIMES_TAG,)), _varint(len(column)), column, seq))
+
+
+def _varint(value: int) -> bytes:
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
+    """A producer's run with only the items at `indexes`: what remains when a host refuses the others."""
+    run = item_pb2.ItemRun.FromString(raw)
+    offsets = [0, *accumulate(run.payload_length_bytes)]
+    return encode_run(
+        [run.payloads[offsets[i] : offsets[i + 1]] for i in indexes],
+        times=[run.time_unix_nano[i] for i in indexes] if run.time_unix_nano else None,
+        durations=[run.duration_nanos[i] for i in indexes] if run.duration_nanos else None,
+        content_type=run.content_type,
+        attributes=dict(run.attributes),
+    )
+
+
+def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
+    """The items from place `lo` up to, not including, `hi` of a sealed run, as a run of its own."""
+    run = item_pb2.ItemRun.FromString(sealed)
+    whole = lo == 0 and hi == len(run.payload_length_bytes)
+    if whole and without_payloads:
+        run.ClearField("payloads")
+        return run.SerializeToString()
+    if whole:
+        return sealed
+    start, end = sum(run.payload_length_bytes[:lo]), sum(run.payload_length_bytes[:hi])
+    return item_pb2.ItemRun(
+        time_unix_nano=run.time_unix_nano[lo:hi],
+        duration_nanos=run.duration_nanos[lo:hi],
+        payload_length_bytes=run.payload_length_bytes[lo:hi],
+        content_type=run.content_type,
+        attributes=run.attributes,
+        payloads=b"" if without_payloads else run.payloads[start:end],
+        first_seq=run.first_seq + lo,
+    ).SerializeToString()
+
+
+class ItemDecoder:
+    """Turns delivered runs into Items, for one channel and incarnation."""
+
+    def __init__(self, *, incarnation: int, content_type: str, payloads: bool) -> None:
+        self._incarnation = incarnation
+        self._content_type = content_type
+        self._payloads = payloads
+
+    def decode(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
+        """The items of runs that follow each other in time, such as a get's whole answer."""
+        if not delivered:
+            return []
+        last = delivered[-1]
+        next_time = last.next_time_unix_nano if last.HasField("next_time_unix_nano") else None
+        if len(delivered) == 1 and len(last.run.payload_length_bytes) == 1:
+            return [self._single(last.run, next_time)]
+        times = [time for one in delivered for time in one.run.time_unix_nano]
+        durations = [duration for one in delivered for duration in _durations(one.run)]
+        ends = iter(_ends(times, durations, next_time))
+        return [item for one in delivered for item in self._items(one.run, ends)]
+
+    def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
+        """The items of runs that each stand alone, such as a subscription's."""
+        return [item for one in delivered for item in self.decode((one,))]
+
+    def _items(self, run: item_pb2.ItemRun, ends: Iterator[int | None]) -> Iterator[Item]:
+        lengths, make = run.payload_length_bytes, Item._make
+        seqs = range(run.first_seq, run.first_seq + len(lengths))
+        attributes, kind, incarnation = dict(run.attributes), run.content_type or self._content_type, self._incarnation
+        columns = zip(run.time_unix_nano, _durations(run), seqs, self._split(run), lengths, strict=True)
+        for time, duration, seq, payload, length in columns:
+            given = None if duration < 0 else duration
+            yield make((time, next(ends), given, seq, payload, attributes, kind, length, incarnation))
+
+    def _split(self, run: item_pb2.ItemRun) -> Sequence[bytes | None]:
+        if not self._payloads:
+            return (None,) * len(run.payload_length_bytes)
+        payloads = run.payloads
+        return [payloads[a:b] for a, b in pairwise(accumulate(run.payload_length_bytes, initial=0))]
+
+    def _single(self, run: item_pb2.ItemRun, next_time: int | None) -> Item:
+        time = run.time_unix_nano[0]
+        duration = run.duration_nanos[0] if run.duration_nanos else ABSENT
+        return Item(
+            time,
+            _end(time, duration, next_time),
+            None if duration < 0 else duration,
+            run.first_seq,
+            run.payloads if self._payloads else None,
+            dict(run.attributes) if run.attributes else {},
+            run.content_type or self._content_type,
+            run.payload_length_bytes[0],
+            self._incarnation,
+        )
+
+
+def _durations(run: item_pb2.ItemRun) -> Sequence[int]:
+    return run.duration_nanos or (ABSENT,) * len(run.payload_length_bytes)
+
+
+def _end(time: int, duration: int, next_time: int | None) -> int | None:
+    if duration < 0:
+        return next_time
+    own = time + duration
+    return own if next_time is None or own < next_time else next_time
+
+
+def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None) -> list[int | None]:
+    """Each item's end. In a run that is not ascending (a subscription's late items) only later neighbours bound."""
+    ends: list[int | None] = []
+    following, bucket = next_time, None
+    for time, duration in zip(reversed(times), reversed(durations), strict=True):
+        if bucket is not None and bucket > time:
+            following = bucket
+        bucket = time
+        ends.append(_end(time, duration, following if following is None or following > time else None))
+    ends.reverse()
+    return ends
