@@ -1,0 +1,108 @@
+"""The shared secret of a cluster without certificates: making its file, and asking every caller for it."""
+
+from __future__ import annotations
+
+import hmac
+import os
+import secrets
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import grpc
+
+from stampede_rt.credentials import read_secret, secret_file
+from stampede_rt.errors import PermissionDenied
+from stampede_rt.status import abort
+
+_OPEN_METHODS = frozenset({"/grpc.health.v1.Health/Check"})
+_SCHEME = "Bearer "
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Secret:
+    """The secret and where it lies. Never logged: `repr` leaves the text out."""
+
+    text: str = field(repr=False)
+    path: Path
+
+
+def load_secret(path: Path | None) -> Secret | None:
+    """The secret in `path`, which must exist, or else in the user's default file, which may be absent (None).
+
+    Raises PermissionDenied if the file is missing, empty, or may be read by others.
+    """
+    place = path or secret_file()
+    text = read_secret(place)
+    if text is None:
+        if path is None and "STAMPEDE_SECRET_FILE" not in os.environ:
+            return None
+        raise PermissionDenied(f"there is no secret file {place}; make one with `stampede dev`, or name another")
+    if not text:
+        raise PermissionDenied(f"the secret file {place} is empty; remove it, and `stampede dev` makes a new one")
+    return Secret(text=text, path=place)
+
+
+def make_secret_file(path: Path | None = None) -> Secret:
+    """The secret in `path` (default: the user's file), made first if there is none.
+
+    The file appears whole, with mode 0600, or not at all; of several makers at once one wins and all return its
+    secret. Raises PermissionDenied if the file is empty or may be read by others, OSError if it cannot be written.
+    """
+    place = path or secret_file()
+    if not place.exists():
+        _create(place)
+    found = load_secret(place)
+    assert found is not None, "an explicit path never gives None"
+    return found
+
+
+def _create(place: Path) -> None:
+    place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(descriptor, "w") as file:
+            file.write(secrets.token_urlsafe(32) + "\n")
+        os.link(draft, place)  # unlike rename, refuses to replace: the first maker wins
+    except FileExistsError:
+        pass  # another process made it meanwhile; its secret is the one
+    finally:
+        draft.unlink()
+
+
+class SecretInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
+    """Refuses every call that does not bring the secret, except the health check, which load balancers make."""
+
+    def __init__(self, secret: Secret) -> None:
+        self._expected = (_SCHEME + secret.text).encode()
+        self._refusal: grpc.RpcMethodHandler[Any, Any] = grpc.stream_stream_rpc_method_handler(_refuse)
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[grpc.RpcMethodHandler[Any, Any] | None]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> grpc.RpcMethodHandler[Any, Any] | None:
+        """The method's handler, or one that refuses."""
+        if handler_call_details.method in _OPEN_METHODS or self._brings_secret(handler_call_details):
+            return await continuation(handler_call_details)
+        return self._refusal
+
+    def _brings_secret(self, details: grpc.HandlerCallDetails) -> bool:
+        for key, value in details.invocation_metadata:
+            if key == "authorization":
+                given = value if isinstance(value, bytes) else value.encode()
+                return hmac.compare_digest(given, self._expected)
+        return False
+
+
+async def _refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -> None:
+    """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes."""
+    brought = any(key == "authorization" for key, _ in context.invocation_metadata() or ())
+    what = "the secret that the call brought is another one than the service's" if brought else "the call has no secret"
+    remedy = (
+        "clients and services look for it in the file that --secret-file or $STAMPEDE_SECRET_FILE names, else in "
+        "$XDG_CONFIG_HOME/stampede/secret, else in ~/.config/stampede/secret: bring the service's file there"
+    )
+    await abort(context, PermissionDenied(f"{what}; {remedy}", reason="UNAUTHENTICATED"))

@@ -1,0 +1,78 @@
+"""Outgoing connections of services: the same limits as incoming ones, and the secret with every call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+
+from stampede_rt.credentials import call_metadata
+from stampede_rt_runtime.auth import Secret
+from stampede_rt_runtime.limits import Limits
+
+
+def dial(target: str, *, secret: Secret | None, limits: Limits | None = None) -> grpc.aio.Channel:
+    """A channel to `target` that brings `secret` with every call. Connects lazily; the caller closes it.
+
+    gRPC's call credentials need TLS, and its interceptors cost a task per call; so the channel itself adds the secret.
+    """
+    options = (limits or Limits()).channel_options()
+    channel = grpc.aio.insecure_channel(target, options=options)
+    metadata = call_metadata(secret.text if secret else None)
+    return _AuthorizedChannel(channel, metadata) if metadata else channel
+
+
+class _AuthorizedChannel(grpc.aio.Channel):
+    """A channel that adds metadata to every call, and is otherwise the one it was given."""
+
+    def __init__(self, inner: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> None:
+        self._inner = inner
+        self._metadata = metadata
+
+    async def __aenter__(self) -> _AuthorizedChannel:
+        await self._inner.__aenter__()
+        return self
+
+    async def __aexit__(self, *exc_info: Any) -> None:
+        await self._inner.__aexit__(*exc_info)
+
+    async def close(self, grace: float | None = None) -> None:
+        """Close the connection; calls under way have `grace` seconds."""
+        await self._inner.close(grace)
+
+    def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
+        """The state of the connection."""
+        return self._inner.get_state(try_to_connect)
+
+    async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
+        """Return when the state is another one."""
+        await self._inner.wait_for_state_change(last_observed_state)
+
+    async def channel_ready(self) -> None:
+        """Return when the connection stands."""
+        await self._inner.channel_ready()
+
+    def unary_unary(self, *args: Any, **kwargs: Any) -> Any:
+        """A callable for one request and one response."""
+        return self._authorized(self._inner.unary_unary(*args, **kwargs))
+
+    def unary_stream(self, *args: Any, **kwargs: Any) -> Any:
+        """A callable for one request and a stream of responses."""
+        return self._authorized(self._inner.unary_stream(*args, **kwargs))
+
+    def stream_unary(self, *args: Any, **kwargs: Any) -> Any:
+        """A callable for a stream of requests and one response."""
+        return self._authorized(self._inner.stream_unary(*args, **kwargs))
+
+    def stream_stream(self, *args: Any, **kwargs: Any) -> Any:
+        """A callable for streams both ways."""
+        return self._authorized(self._inner.stream_stream(*args, **kwargs))
+
+    def _authorized(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        added = self._metadata
+
+        def with_secret(*args: Any, metadata: Any = None, **kwargs: Any) -> Any:
+            return call(*args, metadata=(*metadata, *added) if metadata else added, **kwargs)
+
+        return with_secret

@@ -1,0 +1,53 @@
+"""The bounds of every gRPC connection, the same on both sides (a server that allows less than a client sends hangs up).
+
+Names and meanings of the options: grpc_types.h of gRPC core.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Option = tuple[str, int | str]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """`concurrent_rpcs_max` counts open streams, too; a call beyond it gets RESOURCE_EXHAUSTED."""
+
+    message_bytes_max: int = 20 * 2**20
+    metadata_bytes_max: int = 16 * 2**10
+    concurrent_rpcs_max: int = 4096
+    keepalive_millis: int = 20_000
+    keepalive_timeout_millis: int = 10_000
+    reconnect_millis_max: int = 1_000
+
+    def server_options(self) -> list[Option]:
+        """For `grpc.aio.server`. Without so_reuseport=0 a second server would share the port in silence."""
+        return [
+            *self._shared(),
+            ("grpc.so_reuseport", 0),
+            ("grpc.http2.min_ping_interval_without_data_ms", self.keepalive_millis // 2),
+        ]
+
+    def channel_options(self) -> list[Option]:
+        """For channels. Reconnects soon: a service that was restarted is found again within about a second."""
+        return [
+            *self._shared(),
+            ("grpc.initial_reconnect_backoff_ms", 100),
+            ("grpc.min_reconnect_backoff_ms", 100),
+            ("grpc.max_reconnect_backoff_ms", self.reconnect_millis_max),
+            ("grpc.use_local_subchannel_pool", 1),
+            ("grpc.enable_http_proxy", 0),
+        ]
+
+    def _shared(self) -> list[Option]:
+        return [
+            ("grpc.max_send_message_length", self.message_bytes_max),
+            ("grpc.max_receive_message_length", self.message_bytes_max),
+            ("grpc.max_metadata_size", self.metadata_bytes_max),
+            ("grpc.absolute_max_metadata_size", 2 * self.metadata_bytes_max),
+            ("grpc.keepalive_time_ms", self.keepalive_millis),
+            ("grpc.keepalive_timeout_ms", self.keepalive_timeout_millis),
+            ("grpc.keepalive_permit_without_calls", 1),
+            ("grpc.http2.max_pings_without_data", 0),
+        ]

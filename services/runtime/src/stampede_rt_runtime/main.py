@@ -1,0 +1,104 @@
+"""The beginning and the end of every service process: settings in, exit code out, never a traceback for a mistake."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import sys
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_runtime.auth import Secret, load_secret
+from stampede_rt_runtime.listen import CannotListen, NotAllowed
+from stampede_rt_runtime.logs import LEVELS, set_up_logging
+from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
+
+logger = logging.getLogger(__name__)
+
+EXIT_FAILED = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServiceSettings:
+    """What every service can be told; each has its own `listen` beside it."""
+
+    secret_file: Path | None = field(
+        default=None,
+        metadata=setting(
+            metavar="FILE",
+            help="the shared secret; without it: stampede/secret in the user's config folder, if that is there",
+        ),
+    )
+    allow_insecure_anywhere: bool = field(
+        default=False,
+        metadata=setting(help="listen beyond this machine without encryption; all the network can read along"),
+    )
+    log_level: str = field(default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="what is logged"))
+
+    def load_secret(self) -> Secret | None:
+        """The secret, or None if none is set up. Reads a file. Raises PermissionDenied."""
+        return load_secret(self.secret_file)
+
+
+S = TypeVar("S", bound=ServiceSettings)
+
+
+def run_service(
+    cls: type[S], service: str, argv: Sequence[str] | None, serve: Callable[[S], Awaitable[int | None]]
+) -> int:
+    """Load the settings, run `serve` to its end on a new event loop, and return the process's exit code.
+
+    `argv` is without the program's name; None: that of the process. `serve` returns an exit code, None being 0.
+    Exit code 2: the settings cannot be used; 1: the service could not start or go on. Both with one line on stderr.
+    """
+    try:
+        words = sys.argv[1:] if argv is None else argv
+        settings = load_settings(cls, service=service, argv=words, environ=os.environ)
+    except HelpRequested as asked:
+        sys.stdout.write(str(asked))
+        return 0
+    except SettingsError as error:
+        return _complain(service, error, EXIT_BAD_SETTINGS)
+    set_up_logging(settings.log_level)
+    try:
+        return run_loop(serve(settings)) or 0
+    except NotAllowed as error:
+        return _complain(service, error, EXIT_BAD_SETTINGS)
+    except (CannotListen, StampedeError) as error:
+        return _complain(service, error, EXIT_FAILED)
+    except KeyboardInterrupt:  # before the service had its own way to stop
+        return 130
+
+
+def _complain(service: str, error: Exception, code: int) -> int:
+    sys.stderr.write(f"stampede {service}: {error}\n")
+    return code
+
+
+R = TypeVar("R")
+
+
+def run_loop(work: Awaitable[R]) -> R:
+    """Run `work` to its end on a new event loop, uvloop's if it is installed."""
+
+    async def whole() -> R:
+        return await work
+
+    try:
+        import uvloop
+    except ImportError:
+        factory = asyncio.new_event_loop
+    else:
+        factory = uvloop.new_event_loop
+    with asyncio.Runner(loop_factory=factory) as runner:
+        return runner.run(whole())
+
+
+def announce(line: str) -> None:
+    """Print the ready line on stdout, at once: whoever started the process waits for it."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()

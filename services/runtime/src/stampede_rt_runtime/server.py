@@ -1,0 +1,129 @@
+"""A gRPC server as every service runs it: bounded, asking for the secret, with health, and stopping in order."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import grpc
+from grpc_health.v1 import health, health_pb2, health_pb2_grpc
+
+from stampede_rt_runtime.auth import Secret, SecretInterceptor
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.listen import CannotListen, check_listen
+from stampede_rt_runtime.values import Address
+
+logger = logging.getLogger(__name__)
+
+DRAIN_SECONDS = 2.0
+_STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+class ServiceServer:
+    """One listening server. Order of use: make, register servicers on `.grpc`, `start`, then `run` or `stop`.
+
+    Must be made on the event loop that serves. Without a secret every caller is let in.
+    """
+
+    def __init__(self, *, secret: Secret | None, limits: Limits | None = None) -> None:
+        limits = limits or Limits()
+        self.grpc: grpc.aio.Server = grpc.aio.server(
+            interceptors=[SecretInterceptor(secret)] if secret else [],
+            options=limits.server_options(),
+            maximum_concurrent_rpcs=limits.concurrent_rpcs_max,
+        )
+        self.address = ""
+        self.stopping = asyncio.Event()
+        self._health = health.aio.HealthServicer()
+        health_pb2_grpc.add_HealthServicer_to_server(self._health, self.grpc)
+
+    async def start(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
+        """Listen at `listen`, and return the address with the port that was bound. Raises CannotListen.
+
+        Health answers NOT_SERVING until `set_serving` is called.
+        """
+        await self.set_serving(False)
+        place = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere)
+        try:
+            port = self.grpc.add_insecure_port(str(place))
+        except RuntimeError as error:  # another process was faster than the check before
+            raise CannotListen(f"{place} cannot be listened at: {error}") from error
+        if port == 0:
+            raise CannotListen(f"{place} cannot be listened at")
+        await self.grpc.start()
+        self.address = str(Address(place.host, port))
+        return self.address
+
+    async def set_serving(self, serving: bool) -> None:
+        """What the standard health service says from now on."""
+        status = health_pb2.HealthCheckResponse.SERVING if serving else health_pb2.HealthCheckResponse.NOT_SERVING
+        await self._health.set(health.OVERALL_HEALTH, status)
+
+    async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
+        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal cuts it short."""
+        with _signals_set(self.stopping):
+            await self.stopping.wait()
+        logger.info("stopping", extra={"address": self.address})
+        hurry = asyncio.Event()
+        with _signals_set(hurry):
+            drain = asyncio.create_task(self.stop(end_streams))
+            cut = asyncio.create_task(hurry.wait())
+            await asyncio.wait({drain, cut}, return_when=asyncio.FIRST_COMPLETED)
+            cut.cancel()
+            if not drain.done():
+                await self.grpc.stop(None)
+            await drain
+
+    async def stop(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
+        """Health NOT_SERVING; `end_streams` tells open streams to finish; calls may end; then everything is closed.
+
+        Takes 2 * DRAIN_SECONDS at most. Idempotent.
+        """
+        self.stopping.set()
+        await self._health.enter_graceful_shutdown()
+        if end_streams is not None:
+            await _bounded(end_streams())
+        await self.grpc.stop(DRAIN_SECONDS)
+
+
+async def _bounded(work: Awaitable[Any]) -> None:
+    try:
+        await asyncio.wait_for(work, DRAIN_SECONDS)
+    except TimeoutError:
+        logger.warning("streams did not end in time; they are cut", extra={"seconds": DRAIN_SECONDS})
+
+
+@contextlib.contextmanager
+def _signals_set(event: asyncio.Event) -> Any:
+    """While entered, the stop signals set `event`."""
+    loop = asyncio.get_running_loop()
+    for number in _STOP_SIGNALS:
+        loop.add_signal_handler(number, event.set)
+    try:
+        yield
+    finally:
+        for number in _STOP_SIGNALS:
+            loop.remove_signal_handler(number)
+
+
+@contextlib.asynccontextmanager
+async def serving(
+    register: Callable[[grpc.aio.Server], Any],
+    *,
+    listen: str = "localhost:0",
+    secret: Secret | None = None,
+    limits: Limits | None = None,
+) -> AsyncIterator[ServiceServer]:
+    """A started server for as long as the block lasts, loopback only; for tests and for servers inside a client."""
+    server = ServiceServer(secret=secret, limits=limits)
+    register(server.grpc)
+    await server.start(listen)
+    await server.set_serving(True)
+    try:
+        yield server
+    finally:
+        await server.stop()

@@ -1,0 +1,231 @@
+"""Settings of a service: one frozen dataclass, filled from flags, then the environment, then a file, then defaults.
+
+A field `lease_ttl_nanos: int = field(default=5 * 10**9, metadata=setting(help="...", parse=parse_duration))` of the
+service `supernode` is the flag `--lease-ttl 5s`, the variable `STAMPEDE_SUPERNODE_LEASE_TTL` or `STAMPEDE_LEASE_TTL`,
+and `lease-ttl = "5s"` in the TOML file that `--config` (or `STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names, at
+its top or, preferred, in its table `[supernode]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import difflib
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_args, get_type_hints
+
+from stampede_rt.timeline import format_duration
+from stampede_rt_runtime.values import parse_bool, parse_duration, parse_int
+
+EXIT_BAD_SETTINGS = 2
+
+
+class SettingsError(Exception):
+    """A setting cannot be used; the text names it, where it came from, its value, and what is allowed."""
+
+
+class HelpRequested(Exception):
+    """`--help` was given; the text is the help."""
+
+
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+S = TypeVar("S", bound=_Dataclass)
+
+
+def setting(
+    *,
+    help: str,
+    parse: Callable[[str], Any] | None = None,
+    metavar: str | None = None,
+    choices: Sequence[str] = (),
+    minimum: int | None = None,
+    maximum: int | None = None,
+) -> dict[str, Any]:
+    """The metadata of a field of a settings dataclass. A field without a default must be given.
+
+    `parse` takes the text and raises ValueError with what is allowed; left out, the field's type decides among str,
+    int, bool and Path. `minimum` and `maximum`, both allowed, are checked after parsing.
+    """
+    return {
+        "help": help,
+        "parse": parse,
+        "metavar": metavar,
+        "choices": tuple(choices),
+        "minimum": minimum,
+        "maximum": maximum,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    """One setting, with its names in the three sources."""
+
+    field: Field[Any]
+    hint: Any
+    service: str
+
+    @property
+    def name(self) -> str:
+        return self.field.name.removesuffix("_nanos").replace("_", "-")
+
+    @property
+    def flag(self) -> str:
+        return f"--{self.name}"
+
+    @property
+    def variables(self) -> tuple[str, str]:
+        """The environment variables, the one that wins first."""
+        upper = self.name.replace("-", "_").upper()
+        return (f"STAMPEDE_{self.service.replace('-', '_').upper()}_{upper}", f"STAMPEDE_{upper}")
+
+    @property
+    def required(self) -> bool:
+        return self.field.default is MISSING
+
+    def takes(self, kind: type) -> bool:
+        """Whether the field is a `kind`, or a `kind | None`."""
+        return self.hint is kind or kind in get_args(self.hint)
+
+    def read(self, text: str, source: str) -> Any:
+        """The value that `text` stands for. Raises SettingsError."""
+        try:
+            value = self._parse(text)
+            self._check(value)
+        except ValueError as error:
+            raise SettingsError(f"{source}: {text!r} cannot be used; allowed: {error}") from None
+        return value
+
+    def _parse(self, text: str) -> Any:
+        parse = self.field.metadata.get("parse")
+        if parse is not None:
+            return parse(text)
+        if self.takes(bool):
+            return parse_bool(text)
+        if self.takes(int):
+            return parse_int(text)
+        return Path(text).expanduser() if self.takes(Path) else text
+
+    def _check(self, value: Any) -> None:
+        choices = self.field.metadata.get("choices") or ()
+        low, high = self.field.metadata.get("minimum"), self.field.metadata.get("maximum")
+        if choices and value not in choices:
+            raise ValueError(", ".join(choices))
+        if isinstance(value, int) and ((low is not None and value < low) or (high is not None and value > high)):
+            raise ValueError(self._range(low, high))
+
+    def _range(self, low: int | None, high: int | None) -> str:
+        if high is None:
+            return f"{self._shown(low)} or more"
+        return f"{self._shown(high)} or less" if low is None else f"{self._shown(low)} to {self._shown(high)}"
+
+    def _shown(self, value: Any) -> str:
+        if self.field.metadata.get("parse") is parse_duration and isinstance(value, int):
+            return format_duration(value)
+        return ",".join(value) if isinstance(value, tuple) else str(value)
+
+    def help(self) -> str:
+        """The help text with the default and the variable, for argparse."""
+        default, choices = self.field.default, self.field.metadata["choices"]
+        allowed = f" ({', '.join(choices)})" if choices else ""
+        shown = "required" if self.required else f"default: {self._shown(default)}"
+        shown = "default: none" if default is None or default == () or default == "" else shown
+        shown = "default: no" if default is False else "default: yes" if default is True else shown
+        return f"{self.field.metadata['help']}{allowed} [{shown}; ${self.variables[1]}]".replace("%", "%%")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Raises instead of printing and exiting."""
+
+    def error(self, message: str) -> NoReturn:
+        raise SettingsError(message)
+
+
+def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: Mapping[str, str]) -> S:
+    """The settings of `service`. Raises SettingsError, or HelpRequested if `argv` asks for help.
+
+    ValueErrors of `cls.__post_init__` become SettingsErrors: it checks what concerns several settings at once.
+    """
+    hints = get_type_hints(cls)
+    known = [_Setting(field, hints[field.name], service) for field in dataclasses.fields(cls)]
+    flags = _read_flags(cls, known, service, argv)
+    file = _read_file(known, service, flags.get("config"), environ)
+    values = {s.field.name: value for s in known if (value := _pick(s, flags, environ, file)) is not MISSING}
+    try:
+        return cls(**values)
+    except ValueError as error:
+        raise SettingsError(str(error)) from error
+
+
+def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[str]) -> dict[str, str]:
+    parser = _Parser(prog=f"stampede {service}", description=cls.__doc__, add_help=False, allow_abbrev=False)
+    parser.add_argument("-h", "--help", action="store_true", help="this text")
+    parser.add_argument("--config", metavar="FILE", help="a TOML file with settings [$STAMPEDE_CONFIG]")
+    for one in known:
+        if one.takes(bool):
+            parser.add_argument(one.flag, action=argparse.BooleanOptionalAction, help=one.help())
+        else:
+            parser.add_argument(one.flag, metavar=one.field.metadata["metavar"], help=one.help())
+    found, unknown = parser.parse_known_args(list(argv))
+    if found.help:
+        raise HelpRequested(parser.format_help())
+    if unknown:
+        raise SettingsError(_unknown(unknown[0], [one.flag for one in known] + ["--config", "--help"], "flag"))
+    return {key: str(value) for key, value in vars(found).items() if value is not None}
+
+
+def _unknown(word: str, known: list[str], what: str) -> str:
+    name = word.partition("=")[0]
+    if what == "flag" and not name.startswith("-"):
+        return f"{name!r} is one word too many: every setting is a flag; see --help"
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+    return f"there is no {what} {name}; {hint}"
+
+
+def _read_file(
+    known: list[_Setting], service: str, flag: str | None, environ: Mapping[str, str]
+) -> Mapping[str, tuple[str, str]]:
+    """The file's settings: name -> (text, where it stands)."""
+    variables = (f"STAMPEDE_{service.replace('-', '_').upper()}_CONFIG", "STAMPEDE_CONFIG")
+    path = flag or next((environ[name] for name in variables if environ.get(name)), None)
+    if path is None:
+        return {}
+    try:
+        document = tomllib.loads(Path(path).expanduser().read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise SettingsError(f"the settings file {path} cannot be read: {error}") from error
+    table = document.get(service, {})
+    if not isinstance(table, dict):
+        raise SettingsError(f"{path}: {service} must be a table, [{service}]")
+    names = {one.name for one in known}
+    for key in table:
+        if key.replace("_", "-") not in names:
+            raise SettingsError(f"{path}: [{service}] {_unknown(key, sorted(names), 'setting')}")
+    # At the top may stand settings of other services and their tables: one file serves a whole deployment.
+    merged = {key: value for key, value in document.items() if not isinstance(value, dict)} | table
+    return {key.replace("_", "-"): (_toml_text(value), f"{path}: {key}") for key, value in merged.items()}
+
+
+def _toml_text(value: object) -> str:
+    return ",".join(str(one) for one in value) if isinstance(value, list) else str(value)
+
+
+def _pick(one: _Setting, flags: dict[str, str], environ: Mapping[str, str], file: Mapping[str, tuple[str, str]]) -> Any:
+    """The value from the first source that has one; MISSING leaves the default in place."""
+    key = one.name.replace("-", "_")
+    if key in flags:
+        return one.read(flags[key], one.flag)
+    for variable in one.variables:
+        if environ.get(variable):
+            return one.read(environ[variable], f"${variable}")
+    if one.name in file:
+        return one.read(*file[one.name])
+    if one.required:
+        raise SettingsError(f"{one.flag} is missing; give it, or set ${one.variables[0]}")
+    return MISSING
