@@ -1,0 +1,61 @@
+"""The front-end as a process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from stampede_rt.v1 import frontend_service_pb2_grpc
+from stampede_rt_frontend.probe import Prober
+from stampede_rt_frontend.roster import SUPERNODES_MAX, Roster
+from stampede_rt_frontend.servicer import FrontendServicer
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.main import ServiceSettings, announce, run_service
+from stampede_rt_runtime.server import ServiceServer
+from stampede_rt_runtime.settings import setting
+from stampede_rt_runtime.values import parse_address_text, parse_list, parse_target
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrontendSettings(ServiceSettings):
+    """Tells callers which supernodes there are. Keeps nothing: run as many as you like."""
+
+    listen: str = field(
+        default="localhost:7580",
+        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where callers find it; port 0: any"),
+    )
+    supernodes: tuple[str, ...] = field(
+        metadata=setting(
+            metavar="HOST:PORT,...",
+            parse=parse_list(parse_target),
+            help="supernodes to start with; the others are learned from them",
+        ),
+    )
+    zone: str = field(
+        default="",
+        metadata=setting(metavar="ZONE", help="stands for the zone of callers that name none"),
+    )
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.supernodes) <= SUPERNODES_MAX:
+            raise ValueError(f"--supernodes names {len(self.supernodes)} supernodes; allowed: 1 to {SUPERNODES_MAX}")
+
+
+async def serve(settings: FrontendSettings) -> None:
+    """Serve until a stop signal. Raises CannotListen or PermissionDenied."""
+    secret = settings.load_secret()
+    server = ServiceServer(secret=secret)
+    roster = Roster(tuple(dict.fromkeys(settings.supernodes)))
+    async with Prober(roster, lambda target: dial(target, secret=secret)) as prober:
+        servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)
+        frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server.grpc)
+        address = await server.start(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        await server.set_serving(True)
+        announce(f"stampede frontend ready on {address}")
+        await server.run()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `stampede frontend`; returns the exit code."""
+    return run_service(FrontendSettings, "frontend", argv, serve)

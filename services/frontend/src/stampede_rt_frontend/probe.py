@@ -1,0 +1,124 @@
+"""Asks every supernode each second whether it can serve, how far away it is, and who the members are."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+from time import perf_counter_ns
+
+import grpc
+
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt_frontend.ranking import Supernode
+from stampede_rt_frontend.roster import Answer, MemberList, Roster
+
+logger = logging.getLogger(__name__)
+
+PROBE_DEADLINE_SECONDS = 1.0
+PROBE_PERIOD_SECONDS = 1.0
+_RETRY_SECONDS_MIN = 0.05  # a supernode that is just starting is found soon; the pause doubles up to the period
+
+
+class Prober:
+    """Keeps a Roster fresh, with one task and one connection per supernode. Use as an async context manager."""
+
+    def __init__(self, roster: Roster, dial: Callable[[str], grpc.aio.Channel]) -> None:
+        self._roster = roster
+        self._dial = dial
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._changed = asyncio.Condition()
+
+    async def __aenter__(self) -> Prober:
+        self._match_tasks()
+        return self
+
+    async def __aexit__(self, *exc_info: object) -> None:
+        tasks = list(self._tasks.values())
+        self._tasks.clear()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def wait_healthy(self, timeout: float) -> bool:
+        """Wait `timeout` seconds at most until a supernode can serve; False if none can."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(timeout), self._changed:
+                await self._changed.wait_for(self._roster.any_healthy)
+        return self._roster.any_healthy()
+
+    def _match_tasks(self) -> None:
+        """One task for every target of the roster (which is bounded), none for others."""
+        targets = set(self._roster.targets())
+        for target in targets - self._tasks.keys():
+            task = asyncio.create_task(self._watch(target), name=f"probe {target}")
+            task.add_done_callback(_log_defect)
+            self._tasks[target] = task
+        for target in self._tasks.keys() - targets:
+            self._tasks.pop(target).cancel()
+
+    async def _watch(self, target: str) -> None:
+        async with self._dial(target) as channel:
+            stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+            pause = _RETRY_SECONDS_MIN
+            while True:  # for as long as the target is on the roster; paced below
+                healthy = await self._probe(target, channel, stub)
+                async with self._changed:
+                    self._changed.notify_all()
+                pause = PROBE_PERIOD_SECONDS if healthy else min(2 * pause, PROBE_PERIOD_SECONDS)
+                await asyncio.sleep(pause)
+                pause = _RETRY_SECONDS_MIN if healthy else pause
+
+    async def _probe(
+        self, target: str, channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub
+    ) -> bool:
+        """Probe once; True if the supernode can serve."""
+        try:
+            answer = await _ping(channel, stub)
+            accepted = self._roster.answered(target, answer)
+            if not accepted:
+                logger.warning("another cluster's supernode", extra={"target": target, "cluster_id": answer.cluster_id})
+            if answer.ready and accepted:
+                self._roster.listed(await _list(stub))
+                self._match_tasks()
+        except grpc.aio.AioRpcError as error:
+            why = str(from_rpc_error(error, target))
+            logger.debug("probe failed", extra={"target": target, "why": why})
+            self._roster.failed(target, why)
+            return False
+        return answer.ready and accepted
+
+
+def _log_defect(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (error := task.exception()) is not None:
+        logger.error("probing ended by a defect", exc_info=error, extra={"task": task.get_name()})
+
+
+async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> Answer:
+    connected = channel.get_state() is grpc.ChannelConnectivity.READY
+    began = perf_counter_ns()
+    said = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_DEADLINE_SECONDS)
+    took = perf_counter_ns() - began
+    return Answer(
+        supernode_id=said.supernode_id,
+        cluster_id=said.cluster_id,
+        ready=said.ready,
+        round_trip_nanos=took if connected else None,
+    )
+
+
+async def _list(stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> MemberList:
+    said = await stub.ListSupernodes(directory_service_pb2.ListSupernodesRequest(), timeout=PROBE_DEADLINE_SECONDS)
+    members = tuple(
+        Supernode(
+            supernode_id=one.supernode_id,
+            target=one.endpoint.target,
+            zone=one.endpoint.zone,
+            is_leader=one.is_leader,
+        )
+        for one in said.supernodes
+        if one.endpoint.target
+    )
+    return MemberList(term=said.term, applied_index=said.applied_index, members=members)

@@ -1,0 +1,45 @@
+"""Which supernode a caller should try first (paper, section 4: clients take the nearest by latency). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+_SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-trip estimate (RFC 6298)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Supernode:
+    """What is known of one supernode. `answered`: its last probe came back; `healthy`: and it said that it can serve.
+
+    `round_trip_nanos` is smoothed; None: never measured.
+    """
+
+    supernode_id: str
+    target: str
+    zone: str = ""
+    is_leader: bool = False
+    answered: bool = False
+    healthy: bool = False
+    round_trip_nanos: int | None = None
+
+
+def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
+    """The best first: healthy, then in the caller's zone (if it has one), then near, then by id.
+
+    A round trip that was never measured counts as the longest. Equal ones keep their order.
+    """
+
+    def order(node: Supernode) -> tuple[bool, bool, bool, int, str]:
+        elsewhere = bool(zone) and node.zone != zone
+        unmeasured = node.round_trip_nanos is None
+        return (not node.healthy, elsewhere, unmeasured, node.round_trip_nanos or 0, node.supernode_id)
+
+    return sorted(supernodes, key=order)
+
+
+def smooth(previous_nanos: int | None, sample_nanos: int) -> int:
+    """The smoothed round trip after one more measurement; the first one is taken as it is."""
+    if previous_nanos is None:
+        return sample_nanos
+    return previous_nanos + (sample_nanos - previous_nanos) // _SMOOTHING

@@ -1,0 +1,128 @@
+"""Which supernodes there are: static seeds first, then the directory's own member list. Pure.
+
+Values come in (what a probe said), values go out (whom to probe, what to tell callers). Nothing here is durable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from stampede_rt_frontend.ranking import Supernode, smooth
+
+SUPERNODES_MAX = 64  # probed at once; a consensus group has 3 to 7 members
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answer:
+    """What one supernode said to a probe. `round_trip_nanos` is None if the connection was only being made."""
+
+    supernode_id: str
+    cluster_id: str
+    ready: bool
+    round_trip_nanos: int | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MemberList:
+    """The members as one supernode lists them, at a position in the replicated log that orders such lists."""
+
+    term: int
+    applied_index: int
+    members: tuple[Supernode, ...]
+
+
+@dataclass(slots=True)
+class Roster:
+    """The supernodes that this front-end knows, by target.
+
+    Invariant: `_nodes` holds every seed and every listed member, at most SUPERNODES_MAX in all.
+    """
+
+    seeds: tuple[str, ...]
+    cluster_id: str = ""
+    _nodes: dict[str, Supernode] = field(init=False)
+    _failures: dict[str, str] = field(init=False, default_factory=dict)
+    _listed: frozenset[str] = field(init=False, default=frozenset())
+    _position: tuple[int, int] = field(init=False, default=(0, 0))
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.seeds) <= SUPERNODES_MAX:
+            raise ValueError(f"--supernodes must name 1 to {SUPERNODES_MAX} supernodes, each as HOST:PORT")
+        self._nodes = {seed: Supernode(supernode_id="", target=seed) for seed in self.seeds}
+
+    def targets(self) -> tuple[str, ...]:
+        """Whom to probe."""
+        return tuple(self._nodes)
+
+    def answered(self, target: str, answer: Answer) -> bool:
+        """Take in that `target` answered. False: it belongs to another cluster and is left out."""
+        node = self._nodes.get(target)
+        if node is None:
+            return True  # removed from the member list while its answer was on the way
+        if not self._same_cluster(answer):
+            self._fail(node, f"belongs to another cluster, {answer.cluster_id}")
+            return False
+        measured = answer.round_trip_nanos
+        trip = node.round_trip_nanos if measured is None else smooth(node.round_trip_nanos, measured)
+        self._failures.pop(target, None)
+        self._nodes[target] = replace(
+            node, supernode_id=answer.supernode_id, answered=True, healthy=answer.ready, round_trip_nanos=trip
+        )
+        return True
+
+    def failed(self, target: str, why: str) -> None:
+        """Take in that `target` did not answer, and why."""
+        if target in self._nodes:
+            self._fail(self._nodes[target], why)
+
+    def listed(self, members: MemberList) -> None:
+        """Take in a member list, unless a later one is known: seeds stay, other targets come and go with the list."""
+        position = (members.term, members.applied_index)
+        if position < self._position or not members.members:
+            return
+        self._position = position
+        told = {one.target: one for one in members.members}
+        self._listed = frozenset(told)
+        wanted = [*self.seeds, *(target for target in told if target not in self.seeds)][:SUPERNODES_MAX]
+        self._nodes = {target: self._merged(target, told.get(target)) for target in wanted}
+
+    def known(self) -> list[Supernode]:
+        """The supernodes to tell callers of, each id once: a listed address wins over a seed that leads to the same."""
+        best: dict[str, Supernode] = {}
+        for node in sorted(self._nodes.values(), key=lambda one: (not one.answered, one.target not in self._listed)):
+            if node.supernode_id:
+                best.setdefault(node.supernode_id, node)
+        return list(best.values())
+
+    def any_healthy(self) -> bool:
+        """At least one supernode says that it can serve."""
+        return any(node.healthy for node in self._nodes.values())
+
+    def any_answered(self) -> bool:
+        """At least one supernode answered its last probe."""
+        return any(node.answered for node in self._nodes.values())
+
+    def failures(self) -> Sequence[str]:
+        """For people: who failed last time, and why."""
+        return [f"{target}: {why}" for target, why in self._failures.items()]
+
+    def _same_cluster(self, answer: Answer) -> bool:
+        if not answer.cluster_id or answer.cluster_id == self.cluster_id:
+            return True
+        if self.cluster_id and self.any_healthy():
+            return False
+        # The first cluster seen, or the old one is gone and another was founded at its addresses.
+        self.cluster_id, self._position = answer.cluster_id, (0, 0)
+        return True
+
+    def _fail(self, node: Supernode, why: str) -> None:
+        self._failures[node.target] = why
+        self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
+
+    def _merged(self, target: str, told: Supernode | None) -> Supernode:
+        """What probes said of `target` stays; who it is and whether it leads comes from the list."""
+        node = self._nodes.get(target) or Supernode(supernode_id="", target=target)
+        if told is None:
+            return replace(node, is_leader=False)
+        return replace(node, supernode_id=told.supernode_id, zone=told.zone, is_leader=told.is_leader)

@@ -1,0 +1,71 @@
+"""FrontendService on the wire: checks, asks the roster, encodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt.errors import StampedeError, Unavailable, VersionMismatch
+from stampede_rt.status import abort
+from stampede_rt.v1 import directory_pb2, frontend_service_pb2, frontend_service_pb2_grpc
+from stampede_rt_frontend.probe import Prober
+from stampede_rt_frontend.ranking import Supernode, rank
+from stampede_rt_frontend.roster import Roster
+from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
+
+WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so long rather than being sent away
+
+
+class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
+    """Tells callers which supernodes there are."""
+
+    def __init__(self, roster: Roster, prober: Prober, clock: HostClock, *, default_zone: str = "") -> None:
+        self._roster = roster
+        self._prober = prober
+        self._clock = clock
+        self._default_zone = default_zone
+
+    async def Bind(  # noqa: N802 - the name of the RPC
+        self, request: frontend_service_pb2.BindRequest, context: Any
+    ) -> frontend_service_pb2.BindResponse:
+        """The supernodes, best first. Waits up to WAIT_SECONDS_MAX for one that can serve."""
+        try:
+            _check_version(request)
+            await self._prober.wait_healthy(WAIT_SECONDS_MAX)
+            return self._respond(request.zone or self._default_zone)
+        except StampedeError as error:
+            await abort(context, error)
+
+    def _respond(self, zone: str) -> frontend_service_pb2.BindResponse:
+        if not self._roster.any_answered():
+            why = "; ".join(self._roster.failures()) or "none was reached yet"
+            raise Unavailable(
+                f"no supernode answers this front-end ({why}); start them, or correct the front-end's --supernodes",
+                reason="NO_QUORUM",
+            )
+        return frontend_service_pb2.BindResponse(
+            supernodes=[_record(node) for node in rank(self._roster.known(), zone)],
+            cluster_id=self._roster.cluster_id,
+            protocol_version=PROTOCOL_VERSION,
+            version=software_version(),
+            time_unix_nano=self._clock.time_unix_nano(),
+        )
+
+
+def _check_version(request: frontend_service_pb2.BindRequest) -> None:
+    if request.protocol_version != PROTOCOL_VERSION:
+        raise VersionMismatch(
+            f"the caller speaks protocol version {request.protocol_version}, this cluster {PROTOCOL_VERSION} "
+            f"(software {software_version()}); install the same release on both sides",
+            metadata={"protocol_version": str(PROTOCOL_VERSION), "version": software_version()},
+        )
+
+
+def _record(node: Supernode) -> directory_pb2.SupernodeRecord:
+    return directory_pb2.SupernodeRecord(
+        supernode_id=node.supernode_id,
+        endpoint=directory_pb2.Endpoint(target=node.target, zone=node.zone),
+        is_leader=node.is_leader,
+        healthy=node.healthy,
+        round_trip_nanos=node.round_trip_nanos,
+    )
