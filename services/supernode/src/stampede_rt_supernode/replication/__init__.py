@@ -1,0 +1,44 @@
+"""The replicated log: commands in, results out, the same order on every member.
+
+`await open_replicated_log(settings, state_machine, dial, server)` gives a ReplicatedLog (see interface.py). It
+runs PySyncObj on a thread of its own; only this package imports that library, and with its faults closed:
+
+1. bind a `grpc.aio` server, so that the address of this member is known, and do not start it yet;
+2. open the log: it loads its state and registers its service with the server;
+3. start the server, and serve the directory from the same port.
+
+On the way out, close the log before the server is stopped.
+"""
+
+from stampede_rt_supernode.replication.interface import (
+    Ambiguous,
+    Member,
+    ReplicatedLog,
+    ReplicationStatus,
+    StateMachine,
+    Unavailable,
+)
+from stampede_rt_supernode.replication.library import LibraryMismatch
+from stampede_rt_supernode.replication.links import CHANNEL_OPTIONS
+from stampede_rt_supernode.replication.replicated_log import open_replicated_log
+from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, RaftTiming, ReplicationSettings
+from stampede_rt_supernode.replication.sqlite_store import holds_store
+from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
+
+__all__ = [
+    "CHANNEL_OPTIONS",
+    "COMMAND_BYTES_MAX",
+    "Ambiguous",
+    "LibraryMismatch",
+    "Member",
+    "RaftTiming",
+    "ReplicatedLog",
+    "ReplicationSettings",
+    "ReplicationStatus",
+    "StateMachine",
+    "StoreDamaged",
+    "StoreRefused",
+    "Unavailable",
+    "holds_store",
+    "open_replicated_log",
+]

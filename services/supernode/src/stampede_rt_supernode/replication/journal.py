@@ -1,0 +1,155 @@
+"""The library's journal over a store: a list in memory, and what of it is not yet on disk.
+
+Nothing is durable before `sync` returns, and everything since the last sync becomes durable together. The
+tick loop calls it before any message or result leaves the process; that is also the group commit.
+"""
+
+# The camelCase names are the library's.
+# ruff: noqa: N802, N803
+
+from __future__ import annotations
+
+from typing import overload
+
+from stampede_rt_supernode.replication.storage import Entry, Store, StoreChanges, StoredSnapshot
+
+
+class Journal:
+    """Log, term, vote and commit index. Entries are without gaps; positions count from the first one held."""
+
+    def __init__(self, store: Store) -> None:
+        state = store.load()
+        self._store = store
+        self._entries = state.entries
+        self._term = state.term
+        self._voted_for = state.voted_for
+        self._commit_index = state.commit_index
+        self.snapshot = state.snapshot
+        # Lowest log index from which the store differs from `_entries`; None when they agree.
+        self._replace_from: int | None = None
+        self._pending_snapshot: StoredSnapshot | None = None
+        # True when term, vote, entries or snapshot wait for the disk. The commit index alone does not count:
+        # losing it only means that the leader says it again.
+        self._dirty = False
+
+    def add(self, command: bytes, idx: int, term: int) -> None:
+        """Append an entry; `idx` follows the last one held."""
+        if self._entries and idx != self._entries[-1].log_index + 1:
+            raise AssertionError(f"entry {idx} does not follow {self._entries[-1].log_index}")
+        self._entries.append(Entry(command, idx, term))
+        self._differs_from(idx)
+
+    def clear(self) -> None:
+        """Forget every entry."""
+        if self._entries:
+            self._differs_from(0)
+        self._entries = []
+
+    def deleteEntriesFrom(self, entryFrom: int) -> None:
+        """Forget the entries at or past a position."""
+        if entryFrom < len(self._entries):
+            self._differs_from(self._entries[entryFrom].log_index)
+            del self._entries[entryFrom:]
+
+    def deleteEntriesTo(self, entryTo: int) -> None:
+        """Forget the entries before a position; the store follows with the next sync."""
+        if entryTo > 0:
+            del self._entries[:entryTo]
+            self._dirty = True
+
+    @overload
+    def __getitem__(self, item: int) -> Entry: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[Entry]: ...
+    def __getitem__(self, item: int | slice) -> Entry | list[Entry]:
+        return self._entries[item]
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def setRaftCommitIndex(self, raftCommitIndex: int) -> None:
+        """Note the commit index; it reaches the disk with the next change that must."""
+        self._commit_index = raftCommitIndex
+
+    def getRaftCommitIndex(self) -> int:
+        """The commit index last noted."""
+        return self._commit_index
+
+    def setCurrentTerm(self, term: int, votedForNodeId: str | None) -> None:
+        """Note term and vote, durable with the next sync."""
+        if (term, votedForNodeId) != (self._term, self._voted_for):
+            self._term, self._voted_for = term, votedForNodeId
+            self._dirty = True
+
+    def getCurrentTerm(self) -> int:
+        """The term last noted."""
+        return self._term
+
+    def getVotedForNodeId(self) -> str | None:
+        """The vote last noted."""
+        return self._voted_for
+
+    def onOneSecondTimer(self) -> None:
+        """Nothing: the library's own journal saves its commit index here."""
+
+    def _destroy(self) -> None:
+        """Nothing: the store is closed by whoever opened it."""
+
+    def entry_at(self, log_index: int) -> Entry | None:
+        """The entry at a log index, or None when it is not held."""
+        position = log_index - self._entries[0].log_index if self._entries else -1
+        return self._entries[position] if 0 <= position < len(self._entries) else None
+
+    def adopt_snapshot(self, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
+        """Let the log begin with the two entries a snapshot ends with.
+
+        What follows `last` stays when this log holds the very same `last`: it may be acknowledged already.
+        Snapshot and log reach the disk in one piece.
+        """
+        same = self.entry_at(last.log_index)
+        if same is not None and same.term == last.term:
+            keep_from = last.log_index + 1 - self._entries[0].log_index
+            held_before = self.entry_at(previous.log_index) is not None
+            tail = self._entries[keep_from:]
+            self._entries = [previous, last, *tail]
+            self._dirty = True
+            if not held_before:
+                self._differs_from(previous.log_index)
+        else:
+            self._differs_from(0)
+            self._entries = [previous, last]
+        self.snapshot = self._pending_snapshot = snapshot
+        self._dirty = True
+
+    def sync(self) -> bool:
+        """Make everything noted so far durable; blocks on the disk. True when there was anything to write."""
+        if not self._dirty:
+            return False
+        self._store.commit(self._changes())
+        self._replace_from, self._pending_snapshot, self._dirty = None, None, False
+        return True
+
+    def close(self) -> None:
+        """Make everything durable, the commit index too, and let go of the store."""
+        self._dirty = True
+        self.sync()
+        self._store.close()
+
+    def _differs_from(self, log_index: int) -> None:
+        self._replace_from = log_index if self._replace_from is None else min(self._replace_from, log_index)
+        self._dirty = True
+
+    def _changes(self) -> StoreChanges:
+        first = self._entries[0].log_index if self._entries else 0
+        fresh: list[Entry] = []
+        if self._replace_from is not None:
+            fresh = self._entries[max(0, self._replace_from - first) :]
+        return StoreChanges(
+            replace_from=self._replace_from,
+            entries=fresh,
+            first_index=first,
+            term=self._term,
+            voted_for=self._voted_for,
+            commit_index=min(self._commit_index, first + len(self._entries) - 1),
+            snapshot=self._pending_snapshot,
+        )

@@ -1,0 +1,90 @@
+"""The one door to PySyncObj: its Raft module, pinned, as a private copy whose seams are ours.
+
+The library binds its clock, its dice, its pickle, its journal and its poller as module globals. Running the
+module's code once more in a namespace of our own lets us bind others there, and leaves the copy that anyone
+else may import as it was. Because we override private methods by name, the file itself is pinned.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from collections.abc import Callable
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, NoReturn, Protocol
+
+PINNED_VERSION = "0.3.17"
+PINNED_SHA256 = "e8bdf06797085d734df86e24ab4802fe87893dff77268565ec036f7ad4a1cfe4"
+
+FOLLOWER, CANDIDATE, LEADER = 0, 1, 2
+COMMAND, NO_OP = 0, 1
+
+
+class LibraryMismatch(RuntimeError):
+    """The installed PySyncObj is not the one whose faults were studied."""
+
+
+class Dice(Protocol):
+    """Where election timeouts get their randomness."""
+
+    def random(self) -> float:
+        """A number in [0, 1)."""
+
+
+class _NoPickle:
+    """Stands where the library expects pickle. Nothing that we configure reaches it; if something does, stop."""
+
+    def loads(self, data: object) -> NoReturn:
+        raise RuntimeError("the replicated log never unpickles")
+
+    dumps = loads
+    to_bytes = loads
+
+
+class _NoPoller:
+    """Stands where the library expects a socket poller: our transport has no sockets on the tick thread."""
+
+    def poll(self, timeout: float) -> None:
+        """Return at once."""
+
+
+def check_pin(*, found_version: str, source: bytes) -> None:
+    """Raise LibraryMismatch unless this is exactly the pinned release."""
+    digest = hashlib.sha256(source).hexdigest()
+    if found_version != PINNED_VERSION or digest != PINNED_SHA256:
+        raise LibraryMismatch(
+            f"PySyncObj {found_version} (syncobj.py sha256 {digest[:12]}...) is installed, but the replicated log "
+            f"overrides private methods of {PINNED_VERSION} ({PINNED_SHA256[:12]}...) only: install that version"
+        )
+
+
+@lru_cache(maxsize=1)
+def _pinned_code() -> CodeType:
+    spec = importlib.util.find_spec("pysyncobj.syncobj")
+    if spec is None or spec.origin is None:
+        raise LibraryMismatch(f"PySyncObj is not installed: install pysyncobj=={PINNED_VERSION}")
+    source = Path(spec.origin).read_bytes()
+    check_pin(found_version=version("pysyncobj"), source=source)
+    return compile(source, spec.origin, "exec")
+
+
+def load_library(*, clock: Callable[[], float], dice: Dice) -> Any:
+    """A private copy of the library's Raft module that reads `clock` (seconds, monotonic) and rolls `dice`.
+
+    Raises LibraryMismatch. Journal and snapshot keeper are handed in through the configuration: as
+    `journalFile` and as `serializer`.
+    """
+    module: Any = ModuleType("pysyncobj.stampede_private_copy")
+    module.__package__ = "pysyncobj"
+    exec(_pinned_code(), module.__dict__)
+    module.pickle = _NoPickle()
+    module.monotonicTime = clock
+    module.random = dice
+    module.createPoller = lambda kind: _NoPoller()
+    module.PIPE_NOTIFIER_ENABLED = False
+    module.createJournal = lambda journal: journal
+    module.Serializer = lambda path, batch_bytes, use_fork, serializer, deserializer, checker: serializer
+    return module

@@ -1,0 +1,212 @@
+"""The outgoing half of the network: one gRPC stream to every other member, in order, at most once, no retries."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import grpc
+import grpc.aio
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.loop_bridge import LoopBridge
+from stampede_rt_supernode.replication.mailroom import Connected, Disconnected, NetworkEvent, Outgoing
+from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
+
+logger = logging.getLogger(__name__)
+
+Dial = Callable[[str], grpc.aio.Channel]
+
+REQUEST_MESSAGES_MAX = 256
+REQUEST_BYTES = 1 << 20
+HELLO_SECONDS = 2.0
+# A snapshot is fed to a link only while less than this waits in it.
+ROOM_BYTES = 4 << 20
+
+# What a dialled channel needs: gRPC would otherwise wait up to two minutes before it tries a dead peer again,
+# and channels with equal arguments share that wait.
+CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
+    ("grpc.initial_reconnect_backoff_ms", 200),
+    ("grpc.min_reconnect_backoff_ms", 500),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.use_local_subchannel_pool", 1),
+)
+
+# The generated class carries no types.
+_stub_class: Any = raft_service_pb2_grpc.RaftServiceStub
+
+
+class LinkBroken(Exception):
+    """The stream ended, or was ended by us; the link starts again."""
+
+
+class Link:
+    """The stream to one member. Everything here runs on the loop; only `queued_bytes` is read elsewhere."""
+
+    def __init__(
+        self,
+        member: Member,
+        settings: ReplicationSettings,
+        dial: Dial,
+        deliver: Callable[[NetworkEvent], None],
+    ) -> None:
+        self._member = member
+        self._settings = settings
+        self._dial = dial
+        self._deliver = deliver
+        self._queue: deque[tuple[pb.RaftMessage, int]] = deque()
+        self.queued_bytes = 0
+        self._open = False
+        self._overflow = False
+        self._work = asyncio.Event()
+
+    def enqueue(self, message: pb.RaftMessage) -> None:
+        """Queue one message; drop it when the link is down, and the whole link when its queue is full."""
+        if not self._open:
+            return
+        size = message.ByteSize()
+        if self.queued_bytes + size > self._settings.link_queue_bytes_max:
+            self._overflow = True
+        else:
+            self._queue.append((message, size))
+            self.queued_bytes += size
+        self._work.set()
+
+    async def run(self) -> None:
+        """Keep the stream up until cancelled."""
+        pause = self._settings.timing.reconnect_seconds
+        while True:
+            try:
+                await self._hold_stream()
+            except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
+                logger.info("link to member %s at %s: %s", self._member.member_id, self._member.address, _brief(error))
+            await asyncio.sleep(pause * random.uniform(0.5, 1.0))
+
+    async def _hold_stream(self) -> None:
+        channel = self._dial(self._member.address)
+        try:
+            call = _stub_class(channel).Exchange()
+            await self._greet(call)
+            await self._pump(call)
+        finally:
+            await channel.close()
+
+    async def _greet(self, call: Any) -> None:
+        hello = pb.RaftHello(
+            cluster_id=self._settings.cluster_id,
+            member_id=self._settings.self_member.member_id,
+            peer_member_id=self._member.member_id,
+            protocol_version=PROTOCOL_VERSION,
+        )
+        async with asyncio.timeout(HELLO_SECONDS):
+            await call.write(pb.RaftServiceExchangeRequest(hello=hello))
+            answer = await call.read()
+        if answer is grpc.aio.EOF:
+            raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
+        if answer.protocol_version != PROTOCOL_VERSION:
+            raise LinkBroken(f"speaks protocol {answer.protocol_version}, this member {PROTOCOL_VERSION}")
+
+    async def _pump(self, call: Any) -> None:
+        self._open = True
+        self._deliver(Connected(self._member.member_id))
+        ended = asyncio.ensure_future(call.read())
+        writer = asyncio.ensure_future(self._write(call))
+        try:
+            await asyncio.wait((ended, writer), return_when=asyncio.FIRST_COMPLETED)
+            if writer.done():
+                writer.result()
+            raise LinkBroken("the peer ended the stream")
+        finally:
+            self._drop_queue()
+            self._deliver(Disconnected(self._member.member_id))
+            call.cancel()
+            for task in (ended, writer):
+                task.cancel()
+            await asyncio.gather(ended, writer, return_exceptions=True)
+
+    async def _write(self, call: Any) -> None:
+        while True:
+            await self._work.wait()
+            self._work.clear()
+            while self._queue and not self._overflow:
+                await call.write(self._next_request())
+            if self._overflow:
+                raise LinkBroken("the queue is full: the peer does not keep up")
+
+    def _next_request(self) -> pb.RaftServiceExchangeRequest:
+        request, size = pb.RaftServiceExchangeRequest(), 0
+        while self._queue and size < REQUEST_BYTES and len(request.messages) < REQUEST_MESSAGES_MAX:
+            message, message_size = self._queue.popleft()
+            request.messages.append(message)
+            size += message_size
+        self.queued_bytes -= size
+        return request
+
+    def _drop_queue(self) -> None:
+        self._open = self._overflow = False
+        self._queue.clear()
+        self.queued_bytes = 0
+
+
+def _brief(error: BaseException) -> str:
+    if isinstance(error, grpc.aio.AioRpcError):
+        return f"{error.code().name}: {error.details()}"
+    return str(error) or type(error).__name__
+
+
+class Links:
+    """The links to all other members: the production Network of a replica."""
+
+    def __init__(
+        self,
+        settings: ReplicationSettings,
+        dial: Dial,
+        bridge: LoopBridge,
+        on_fatal: Callable[[BaseException], None],
+    ) -> None:
+        self._settings = settings
+        self._dial = dial
+        self._bridge = bridge
+        self._on_fatal = on_fatal
+        self._links: dict[str, Link] = {}
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self, deliver: Callable[[NetworkEvent], None]) -> None:
+        """Begin to connect to every other member; on the loop."""
+        for member in self._settings.initial_members:
+            if member != self._settings.self_member:
+                link = Link(member, self._settings, self._dial, deliver)
+                self._links[member.member_id] = link
+                task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member.member_id}")
+                task.add_done_callback(self._on_end)
+                self._tasks.append(task)
+
+    def release(self, messages: Sequence[Outgoing]) -> None:
+        """Queue messages on their links; from the tick thread."""
+        self._bridge.post(lambda: self._enqueue(messages))
+
+    def has_room(self, member_id: str) -> bool:
+        """Whether little enough waits for this member; from the tick thread."""
+        link = self._links.get(member_id)
+        return link is not None and link.queued_bytes < ROOM_BYTES
+
+    async def close(self) -> None:
+        """End every stream."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _enqueue(self, messages: Sequence[Outgoing]) -> None:
+        for member_id, message in messages:
+            self._links[member_id].enqueue(message)
+
+    def _on_end(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._on_fatal(error)

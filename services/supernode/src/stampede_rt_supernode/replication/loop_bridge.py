@@ -1,0 +1,34 @@
+"""From the log's thread to the asyncio loop, in order, with one wake-up for many calls."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import Callable
+
+
+class LoopBridge:
+    """Calls functions on a loop. Bounded by what its users bound: proposals, reads, and outbox per step."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._calls: deque[Callable[[], None]] = deque()
+        self._scheduled = False
+        self._lock = threading.Lock()
+
+    def post(self, call: Callable[[], None]) -> None:
+        """Have `call` run on the loop; from any thread. Dropped when the loop is gone: nobody is left to hear it."""
+        with self._lock:
+            self._calls.append(call)
+            if self._scheduled or self._loop.is_closed():
+                return
+            self._scheduled = True
+            self._loop.call_soon_threadsafe(self._drain)
+
+    def _drain(self) -> None:
+        with self._lock:
+            calls, self._calls = self._calls, deque()
+            self._scheduled = False
+        for call in calls:
+            call()

@@ -1,0 +1,128 @@
+"""The library's transport without a network: messages in from an inbox, out into an outbox.
+
+Both ends are on the tick thread. Whoever owns the network empties the outbox after each sync, and so nothing
+is said before it is on stable storage.
+"""
+
+# The camelCase names are the library's.
+# ruff: noqa: N802
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.codec import Message, encode_message
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """The link to a member is up: from now on it can be sent to."""
+
+    member_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class Disconnected:
+    """The link to a member is gone, and all that was queued on it."""
+
+    member_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A checked message from a member."""
+
+    member_id: str
+    message: Message
+
+
+NetworkEvent = Connected | Disconnected | Received
+Outgoing = tuple[str, pb.RaftMessage]
+NodeCallback = Callable[[Any], None]
+
+
+class Mailroom:
+    """Stands where the library expects its TCP transport. Tick thread only."""
+
+    ready = True
+
+    def __init__(self, nodes: Iterable[Any]) -> None:
+        # The configuration: whoever is not in here is neither heard nor sent to.
+        self._nodes: dict[str, Any] = {node.id: node for node in nodes}
+        self._connected: set[str] = set()
+        self._outbox: list[Outgoing] = []
+        self._on_message: Callable[[Any, Message], None] | None = None
+        self._on_connected: NodeCallback | None = None
+        self._on_disconnected: NodeCallback | None = None
+        # Stamped on every append message; the replies echo it (see reads.py).
+        self.round = 0
+
+    def deliver(self, event: NetworkEvent) -> None:
+        """Hand one network event to the library; events about strangers are dropped."""
+        node = self._nodes.get(event.member_id)
+        if node is None or not (self._on_message and self._on_connected and self._on_disconnected):
+            return
+        match event:
+            case Received():
+                self._on_message(node, event.message)
+            case Connected():
+                self._connected.add(node.id)
+                self._on_connected(node)
+            case Disconnected():
+                self._connected.discard(node.id)
+                self._on_disconnected(node)
+
+    def send(self, node: Any, message: Message) -> bool:
+        """Queue a message for the next release; False when the member is not connected. Never blocks."""
+        if node.id not in self._connected:
+            return False
+        if message["type"] == "append_entries":
+            message["round"] = self.round
+        self._outbox.append((node.id, encode_message(message)))
+        return True
+
+    def is_connected(self, member_id: str) -> bool:
+        """Whether messages to this member leave at present."""
+        return member_id in self._connected
+
+    def take_outbox(self) -> list[Outgoing]:
+        """Everything queued since the last call, in order."""
+        outbox, self._outbox = self._outbox, []
+        return outbox
+
+    def setOnMessageReceivedCallback(self, callback: Callable[[Any, Message], None]) -> None:
+        """Called by the library once."""
+        self._on_message = callback
+
+    def setOnNodeConnectedCallback(self, callback: NodeCallback) -> None:
+        """Called by the library once."""
+        self._on_connected = callback
+
+    def setOnNodeDisconnectedCallback(self, callback: NodeCallback) -> None:
+        """Called by the library once."""
+        self._on_disconnected = callback
+
+    def setOnReadonlyNodeConnectedCallback(self, callback: NodeCallback) -> None:
+        """There are no anonymous read-only peers: they could forge appends."""
+
+    def setOnReadonlyNodeDisconnectedCallback(self, callback: NodeCallback) -> None:
+        """There are no anonymous read-only peers."""
+
+    def setOnUtilityMessageCallback(self, message: str, callback: Callable[..., None]) -> None:
+        """The library's remote administration is never reached."""
+
+    def addNode(self, node: Any) -> None:
+        """Hear and send to one more member."""
+        self._nodes[node.id] = node
+
+    def dropNode(self, node: Any) -> None:
+        """Neither hear nor send to this member any more."""
+        self._nodes.pop(node.id, None)
+        self._connected.discard(node.id)
+
+    def destroy(self) -> None:
+        """Forget what was not released."""
+        self._outbox.clear()

@@ -1,0 +1,87 @@
+"""Puts one node together: the library's class under our rules, and everything it needs around it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.interface import StateMachine
+from stampede_rt_supernode.replication.journal import Journal
+from stampede_rt_supernode.replication.library import Dice, load_library
+from stampede_rt_supernode.replication.mailroom import Mailroom
+from stampede_rt_supernode.replication.proposals import UNKNOWN_OUTCOME
+from stampede_rt_supernode.replication.reads import ConfirmedReads
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
+
+APPEND_BATCH_BYTES = 1 << 20
+
+
+def build_node(
+    settings: ReplicationSettings,
+    state_machine: StateMachine,
+    *,
+    journal: Journal,
+    has_room: Callable[[str], bool],
+    clock: Callable[[], float],
+    dice: Dice,
+    rules: type = TrialElections,
+) -> Any:
+    """A node with its mailroom, keeper and reads attached; its snapshot is not opened yet.
+
+    `rules` stands before the library's class in the order of methods. Raises LibraryMismatch.
+    """
+    library = load_library(clock=clock, dice=dice)
+    self_id = settings.self_member.member_id
+    others = [library.Node(m.member_id) for m in settings.initial_members if m.member_id != self_id]
+    # Request ids of an earlier life must not be answered in this one.
+    first_request_id = int(dice.random() * 2**52)
+    node_class: Any = type("RaftNode", (rules, library.SyncObj), {})
+    # The library's constructor already calls back, so what its methods need is attached before it runs.
+    node = node_class.__new__(node_class)
+    node.clock = clock
+    node.state_machine = state_machine
+    node.mailroom = Mailroom(others)
+    node.keeper = SnapshotKeeper(journal, state_machine, has_room)
+    node.unknown_outcome = UNKNOWN_OUTCOME
+    node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
+    node.reads = ConfirmedReads(
+        node,
+        node.mailroom,
+        clock,
+        retry_seconds=settings.timing.read_retry_seconds,
+        first_request_id=first_request_id,
+    )
+    conf = library_conf(library, settings, journal, node.keeper)
+    node.__init__(library.Node(self_id), others, conf=conf, transport=node.mailroom)
+    node._SyncObj__commandsLocalCounter = first_request_id
+    if not others:
+        # Nobody could object: lead at once.
+        node._SyncObj__raftElectionDeadline = float("-inf")
+    return node
+
+
+def library_conf(library: Any, settings: ReplicationSettings, journal: Journal, keeper: SnapshotKeeper) -> Any:
+    """The library's configuration, every value that matters named."""
+    timing = settings.timing
+    return library.SyncObjConf(
+        autoTick=False,
+        appendEntriesUseBatch=False,
+        appendEntriesPeriod=timing.heartbeat_seconds,
+        raftMinTimeout=timing.election_timeout_min_seconds,
+        raftMaxTimeout=timing.election_timeout_max_seconds,
+        connectionTimeout=max(3.5, timing.election_timeout_max_seconds),
+        leaderFallbackTimeout=timing.leader_fallback_seconds,
+        commandsWaitLeader=False,
+        commandsQueueSize=settings.proposals_max,
+        appendEntriesBatchSizeBytes=APPEND_BATCH_BYTES,
+        logCompactionMinEntries=settings.snapshot_every_entries,
+        logCompactionMinTime=settings.snapshot_every_seconds,
+        journalFile=journal,
+        fullDumpFile="(in the store)",
+        serializer=keeper,
+        deserializer=keeper.deserialize,
+        useFork=False,
+        dynamicMembershipChange=False,
+    )

@@ -1,0 +1,122 @@
+"""Commands on their way into the log: which outcome of the library means what to the caller."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from stampede_rt_supernode.replication.interface import Ambiguous, Unavailable
+
+Outcome = bytes | Unavailable | Ambiguous
+
+# The library's FAIL_REASON numbers.
+SUCCESS, QUEUE_FULL, MISSING_LEADER, DISCARDED, NOT_LEADER, LEADER_CHANGED, UNKNOWN_OUTCOME = 0, 1, 2, 3, 4, 5, 7
+# The command is certainly not in the log, or was cut off it before anyone applied it.
+_NOT_TAKEN = frozenset((QUEUE_FULL, MISSING_LEADER, DISCARDED, NOT_LEADER))
+_NOT_KNOWN = frozenset((LEADER_CHANGED, UNKNOWN_OUTCOME))
+
+
+class Proposal:
+    """One command. `done` is called at most once, on the tick thread.
+
+    `handed_over` and `abandoned` are written by one thread each, the tick thread's and the caller's, and read
+    by the other after its own write: so never both "was not handed over" and handed over later.
+    """
+
+    __slots__ = ("abandoned", "command", "deadline", "done", "finished", "handed_over")
+
+    def __init__(self, command: bytes, deadline: float, done: Callable[[Outcome], None]) -> None:
+        self.command = command
+        self.deadline = deadline
+        self.done = done
+        self.handed_over = False
+        self.abandoned = False
+        self.finished = False
+
+
+class Proposals:
+    """Waits for a leader, hands over, and turns the library's answers into outcomes. Tick thread only.
+
+    Invariant: `_handed` counts the unfinished proposals that the library has; at most `handed_max`.
+    """
+
+    def __init__(
+        self,
+        hand_over: Callable[[bytes, Callable[[Any, int], None]], None],
+        finish: Callable[[Callable[[], None]], None],
+        *,
+        handed_max: int,
+    ) -> None:
+        self._hand_over = hand_over
+        self._finish_later = finish
+        self._handed_max = handed_max
+        self._waiting: deque[Proposal] = deque()
+        self._handed = 0
+        self._deadlines: list[tuple[float, int, Proposal]] = []
+        self._sequence = 0
+
+    def add(self, proposal: Proposal) -> None:
+        """Take a proposal in."""
+        self._waiting.append(proposal)
+        self._sequence += 1
+        heapq.heappush(self._deadlines, (proposal.deadline, self._sequence, proposal))
+
+    def advance(self, *, leader_reachable: bool, now: float) -> None:
+        """Give up what is late; hand over what waits when there is somebody to take it."""
+        while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].finished):
+            self._expire(heapq.heappop(self._deadlines)[2])
+        for _ in range(len(self._waiting)):
+            if not leader_reachable or self._handed >= self._handed_max:
+                return
+            self._hand_over_one(self._waiting.popleft())
+
+    def _expire(self, proposal: Proposal) -> None:
+        if proposal.finished:
+            return
+        if proposal.handed_over:
+            self._handed -= 1
+            self._finish(proposal, Ambiguous("the log did not say in time what became of the command"))
+        else:
+            self._finish(proposal, Unavailable("no leader was found in time; the command was not taken"))
+
+    def _hand_over_one(self, proposal: Proposal) -> None:
+        if proposal.finished:
+            return
+        proposal.handed_over = True
+        if proposal.abandoned:
+            proposal.finished = True
+            return
+        self._handed += 1
+        self._hand_over(proposal.command, lambda result, reason: self._on_answer(proposal, result, reason))
+
+    def _on_answer(self, proposal: Proposal, result: bytes | None, reason: int) -> None:
+        if proposal.finished:
+            return
+        self._handed -= 1
+        if reason == SUCCESS:
+            assert result is not None
+            self._finish(proposal, result)
+        elif reason in _NOT_TAKEN:
+            # Certainly not applied: it waits for the next leader, until its own deadline.
+            proposal.handed_over = False
+            self._waiting.append(proposal)
+        elif reason in _NOT_KNOWN:
+            self._finish(proposal, Ambiguous("the leader changed while the command was on its way"))
+        else:
+            raise AssertionError(f"the library answered a command with reason {reason}")
+
+    def _finish(self, proposal: Proposal, outcome: Outcome) -> None:
+        proposal.finished = True
+        self._finish_later(lambda: proposal.done(outcome))
+
+    def close(self) -> None:
+        """Finish everything: unavailable or ambiguous."""
+        for _, _, proposal in self._deadlines:
+            if proposal.finished:
+                continue
+            what = Ambiguous if proposal.handed_over else Unavailable
+            self._finish(proposal, what("this replica is closing"))
+        self._deadlines.clear()
+        self._waiting.clear()

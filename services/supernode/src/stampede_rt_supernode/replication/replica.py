@@ -1,0 +1,189 @@
+"""One replica of the log: inbox, node, journal and outbox, driven by `step`. Clock, dice, network and store
+come from outside, so that the simulator runs the very code that runs in production.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from stampede_rt_supernode.replication.interface import ReplicationStatus, StateMachine, Unavailable
+from stampede_rt_supernode.replication.journal import Journal
+from stampede_rt_supernode.replication.library import COMMAND, Dice
+from stampede_rt_supernode.replication.mailroom import NetworkEvent, Outgoing, Received
+from stampede_rt_supernode.replication.node_builder import build_node
+from stampede_rt_supernode.replication.proposals import Proposal, Proposals
+from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
+from stampede_rt_supernode.replication.storage import Store
+
+
+class Network(Protocol):
+    """Where a replica's messages leave."""
+
+    def release(self, messages: Sequence[Outgoing]) -> None:
+        """Send in order, at most once; never blocks."""
+
+    def has_room(self, member_id: str) -> bool:
+        """Whether the queue to this member takes another piece of a snapshot."""
+
+
+class InboxFull(RuntimeError):
+    """More network events wait than are allowed: the sender's link must be dropped."""
+
+
+class Replica:
+    """The synchronous heart of a replica.
+
+    `deliver`, `propose`, `read` and `status` may be called from any thread; everything else on one thread only,
+    the tick thread.
+    """
+
+    def __init__(
+        self,
+        settings: ReplicationSettings,
+        state_machine: StateMachine,
+        *,
+        store: Store,
+        network: Network,
+        clock: Callable[[], float],
+        dice: Dice,
+        wake: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Load the state; blocks. Raises StoreDamaged, LibraryMismatch and what `restore` raises."""
+        self._settings = settings
+        self._network = network
+        self._clock = clock
+        self._wake = wake
+        self._inbox: deque[NetworkEvent] = deque()
+        self._new_proposals: deque[Proposal] = deque()
+        self._new_reads: deque[Read] = deque()
+        # Results to hand out once what they rest on is durable.
+        self._completions: list[Callable[[], None]] = []
+        self._journal = Journal(store)
+        self._node = build_node(
+            settings,
+            state_machine,
+            journal=self._journal,
+            has_room=network.has_room,
+            clock=clock,
+            dice=dice,
+        )
+        self._node.open_snapshot()
+        self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
+        self._status = self._observe()
+
+    # -- any thread ----------------------------------------------------------------------------------------------
+
+    def deliver(self, event: NetworkEvent) -> None:
+        """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
+        if isinstance(event, Received) and len(self._inbox) >= self._settings.inbox_items_max:
+            raise InboxFull(f"{len(self._inbox)} network events wait for the log's thread")
+        self._inbox.append(event)
+        self._wake()
+
+    def propose(self, proposal: Proposal) -> None:
+        """Queue a command. Raises Unavailable when too many wait, ValueError when it is too large."""
+        if len(proposal.command) > COMMAND_BYTES_MAX:
+            raise ValueError(f"a command of {len(proposal.command)} bytes is over the limit of {COMMAND_BYTES_MAX}")
+        if len(self._new_proposals) >= self._settings.proposals_max:
+            raise Unavailable(f"{self._settings.proposals_max} commands wait already: slow down and try again")
+        self._new_proposals.append(proposal)
+        self._wake()
+
+    def read(self, read: Read) -> None:
+        """Queue a confirmed read. Raises Unavailable when too many wait."""
+        if len(self._new_reads) >= self._settings.reads_max:
+            raise Unavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
+        self._new_reads.append(read)
+        self._wake()
+
+    def status(self) -> ReplicationStatus:
+        """The view after the last step."""
+        return self._status
+
+    # -- tick thread ---------------------------------------------------------------------------------------------
+
+    def step(self) -> bool:
+        """Take in what came, advance, and release what is now on stable storage; blocks on the disk only.
+
+        True when another step is due at once. Whatever it raises, the replica must not go on.
+        """
+        for _ in range(len(self._inbox)):
+            self._node.mailroom.deliver(self._inbox.popleft())
+        self._journal.sync()
+        self._take_in()
+        self._node.keeper.begin_step()
+        self._node.before_tick()
+        confirm = self._node.reads.start_round()
+        self._node.doTick(0)
+        if confirm:
+            self._node.send_now()
+        self._node.reads.finish()
+        self._journal.sync()
+        self._release()
+        return bool(self._inbox) or self._commits_alone()
+
+    def close(self) -> None:
+        """End everything that waits, write everything down and let go of the store."""
+        for proposal in self._new_proposals:
+            self._proposals.add(proposal)
+        self._proposals.close()
+        self._journal.close()
+        self._run_completions()
+
+    def _take_in(self) -> None:
+        for _ in range(len(self._new_proposals)):
+            self._proposals.add(self._new_proposals.popleft())
+        for _ in range(len(self._new_reads)):
+            self._node.reads.add(self._later(self._new_reads.popleft()))
+        self._proposals.advance(leader_reachable=self._leader_reachable(), now=self._clock())
+
+    def _later(self, read: Read) -> Read:
+        done = read.done
+        return Read(read.deadline, lambda index: self._completions.append(lambda: done(index)))
+
+    def _release(self) -> None:
+        messages = self._node.mailroom.take_outbox()
+        if messages:
+            self._network.release(messages)
+        self._status = self._observe()
+        self._run_completions()
+
+    def _run_completions(self) -> None:
+        # In place: Proposals appends to this very list.
+        completions = self._completions[:]
+        self._completions.clear()
+        for complete in completions:
+            complete()
+
+    def _leader_reachable(self) -> bool:
+        leader = self._node.leader_node()
+        if leader is None:
+            return False
+        is_self = leader.id == self._settings.self_member.member_id
+        return bool(is_self or self._node.mailroom.is_connected(leader.id))
+
+    def _commits_alone(self) -> bool:
+        """A cluster of one has nobody to wake it up after its own disk."""
+        node = self._node
+        waiting = node.commit_index() < self._journal[-1].log_index
+        return bool(waiting and not node.otherNodes and node._isLeader())
+
+    def _hand_over(self, command: bytes, callback: Callable[[Any, int], None]) -> None:
+        self._node._applyCommand(command, callback, COMMAND)
+
+    def _observe(self) -> ReplicationStatus:
+        node, members = self._node, self._settings.initial_members
+        leader, leads = node.leader_node(), node._isLeader()
+        term = node.raftCurrentTerm
+        return ReplicationStatus(
+            self_id=self._settings.self_member.member_id,
+            leader_id=None if leader is None else leader.id,
+            is_leader=leads,
+            tenure=term if leads else 0,
+            term=term,
+            applied_index=node.raftLastApplied,
+            members=tuple(members),
+        )

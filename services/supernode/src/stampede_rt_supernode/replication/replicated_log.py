@@ -1,0 +1,160 @@
+"""The replicated log as asyncio sees it: opens a replica, its thread and its network, and bridges to them."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import grpc.aio
+
+from stampede_rt_supernode.replication.interface import Ambiguous, ReplicationStatus, StateMachine, Unavailable
+from stampede_rt_supernode.replication.links import Dial, Links
+from stampede_rt_supernode.replication.loop_bridge import LoopBridge
+from stampede_rt_supernode.replication.proposals import Outcome, Proposal
+from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.servicer import RaftServicer
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.storage import MemoryStore, Store
+from stampede_rt_supernode.replication.tick_thread import TickThread, end_process
+
+T = TypeVar("T")
+
+
+class PySyncObjLog:
+    """A ReplicatedLog over PySyncObj. Made by `open_replicated_log`; used on that loop only."""
+
+    def __init__(self, replica: Replica, thread: TickThread, bridge: LoopBridge, links: Links) -> None:
+        self._replica = replica
+        self._thread = thread
+        self._bridge = bridge
+        self._links = links
+        self._servicer: RaftServicer | None = None
+        self._closed = False
+
+    def start(self, settings: ReplicationSettings, server: grpc.aio.Server) -> None:
+        """Join the network and begin to tick; once."""
+        self._servicer = RaftServicer(settings, self._replica.deliver)
+        self._servicer.add_to_server(server)
+        self._links.start(self._replica.deliver)
+        self._thread.start(self._replica)
+
+    async def propose(self, command: bytes, *, timeout: float) -> bytes:
+        """See ReplicatedLog. A command that finds no leader waits for one until the time is up."""
+        self._refuse_when_closed()
+        answer: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
+        proposal = Proposal(command, time.monotonic() + timeout, self._into(answer))
+        self._replica.propose(proposal)
+        try:
+            async with asyncio.timeout(timeout):
+                outcome = await answer
+        except TimeoutError:
+            proposal.abandoned = True
+            if proposal.handed_over:
+                raise Ambiguous(f"no answer within {timeout} s; the command may still be applied") from None
+            raise Unavailable(f"no leader took the command within {timeout} s") from None
+        except asyncio.CancelledError:
+            proposal.abandoned = True
+            raise
+        if isinstance(outcome, bytes):
+            return outcome
+        raise outcome
+
+    async def confirm_read(self, *, timeout: float) -> int:
+        """See ReplicatedLog. Writes nothing; a follower asks the leader once for all reads that wait."""
+        self._refuse_when_closed()
+        answer: asyncio.Future[int | None] = asyncio.get_running_loop().create_future()
+        self._replica.read(Read(time.monotonic() + timeout, self._into(answer)))
+        try:
+            async with asyncio.timeout(timeout):
+                index = await answer
+        except TimeoutError:
+            index = None
+        if index is None:
+            raise Unavailable(f"no majority confirmed the read within {timeout} s")
+        return index
+
+    def status(self) -> ReplicationStatus:
+        """See ReplicatedLog."""
+        return self._replica.status()
+
+    async def close(self) -> None:
+        """See ReplicatedLog. Whatever still waits ends Unavailable or Ambiguous. Safe to call twice."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._servicer is not None:
+            self._servicer.close()
+        await self._links.close()
+        await asyncio.get_running_loop().run_in_executor(None, self._thread.stop)
+
+    def _refuse_when_closed(self) -> None:
+        if self._closed:
+            raise Unavailable("this replica is closed")
+
+    def _into(self, answer: asyncio.Future[T]) -> Callable[[T], None]:
+        def settle(outcome: T) -> None:
+            if not answer.done():
+                answer.set_result(outcome)
+
+        return lambda outcome: self._bridge.post(lambda: settle(outcome))
+
+
+async def open_replicated_log(
+    settings: ReplicationSettings,
+    state_machine: StateMachine,
+    dial: Dial,
+    server: grpc.aio.Server,
+    *,
+    on_fatal: Callable[[BaseException], None] = end_process,
+) -> PySyncObjLog:
+    """Load this replica's state, register its service with `server`, and take part in the log.
+
+    The caller binds `server` before, so that its address is known, and starts it after; it keeps the server and
+    stops it after `close`. `dial(address)` gives a new channel with the cluster's credentials and with
+    CHANNEL_OPTIONS; the log closes it. From here on `state_machine` is driven on the log's own thread.
+    `on_fatal` is called when the log cannot go on; by default it ends the process.
+
+    Raises StoreRefused, StoreDamaged and LibraryMismatch.
+    """
+    bridge = LoopBridge(asyncio.get_running_loop())
+    links = Links(settings, dial, bridge, on_fatal)
+    thread = TickThread(tick_seconds=settings.timing.tick_seconds, on_fatal=on_fatal)
+    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake)
+    log = PySyncObjLog(replica, thread, bridge, links)
+    log.start(settings, server)
+    return log
+
+
+def _open_replica(
+    settings: ReplicationSettings, state_machine: StateMachine, links: Links, wake: Callable[[], None]
+) -> Replica:
+    store = _open_store(settings)
+    try:
+        return Replica(
+            settings,
+            state_machine,
+            store=store,
+            network=links,
+            clock=time.monotonic,
+            dice=random.SystemRandom(),
+            wake=wake,
+        )
+    except BaseException:
+        store.close()
+        raise
+
+
+def _open_store(settings: ReplicationSettings) -> Store:
+    if settings.data_dir is None:
+        return MemoryStore()
+    return SqliteStore(
+        settings.data_dir,
+        cluster_id=settings.cluster_id,
+        member_id=settings.self_member.member_id,
+        create=settings.create,
+    )

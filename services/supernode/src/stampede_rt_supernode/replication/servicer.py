@@ -1,0 +1,110 @@
+"""The incoming half of the network: the RaftService of one member. Members only; who they are is claimed in the
+hello, and the server's interceptor has checked the cluster's secret before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+import grpc.aio
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message
+from stampede_rt_supernode.replication.links import REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received
+from stampede_rt_supernode.replication.replica import InboxFull
+from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
+
+HELLO_SECONDS = 5.0
+
+# The generated function carries no types.
+_register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
+
+
+class RaftServicer:
+    """Takes in the streams of the other members. Runs on the loop."""
+
+    def __init__(self, settings: ReplicationSettings, deliver: Callable[[NetworkEvent], None]) -> None:
+        self._settings = settings
+        self._deliver = deliver
+        self._members = {member.member_id for member in settings.initial_members} - {settings.self_member.member_id}
+        # Member id -> what reads its present stream. At most one each.
+        self._readers: dict[str, asyncio.Task[None]] = {}
+        self._closed = False
+
+    def add_to_server(self, server: grpc.aio.Server) -> None:
+        """Register with a server that is not started yet."""
+        _register(self, server)
+
+    async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
+        """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
+        member_id = await self._welcome(context)
+        reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
+        replaced = self._readers.pop(member_id, None)
+        if replaced is not None:
+            replaced.cancel()
+        self._readers[member_id] = reader
+        try:
+            await asyncio.wait((reader,))
+        finally:
+            reader.cancel()
+            if self._readers.get(member_id) is reader:
+                del self._readers[member_id]
+        await self._explain(reader, context)
+
+    def close(self) -> None:
+        """End every stream, and refuse new ones."""
+        self._closed = True
+        for reader in self._readers.values():
+            reader.cancel()
+
+    async def _welcome(self, context: Any) -> str:
+        try:
+            async with asyncio.timeout(HELLO_SECONDS):
+                request = await context.read()
+        except TimeoutError:
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "no hello came in time")
+        if request is grpc.aio.EOF or not request.HasField("hello") or request.messages:
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
+        await self._check(request.hello, context)
+        await context.write(pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION))
+        return str(request.hello.member_id)
+
+    async def _check(self, hello: pb.RaftHello, context: Any) -> None:
+        settings, failed = self._settings, grpc.StatusCode.FAILED_PRECONDITION
+        if self._closed:
+            await context.abort(grpc.StatusCode.UNAVAILABLE, "this member is closing")
+        if hello.protocol_version != PROTOCOL_VERSION:
+            await context.abort(failed, f"this member speaks protocol {PROTOCOL_VERSION}, not {hello.protocol_version}")
+        if hello.cluster_id != settings.cluster_id:
+            await context.abort(failed, f"this member is of cluster {settings.cluster_id!r}, not {hello.cluster_id!r}")
+        if hello.peer_member_id != settings.self_member.member_id:
+            await context.abort(
+                failed, f"this is member {settings.self_member.member_id!r}, not {hello.peer_member_id!r}"
+            )
+        if hello.member_id not in self._members:
+            await context.abort(
+                grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} is no other member of this cluster"
+            )
+
+    async def _receive(self, member_id: str, context: Any) -> None:
+        while (request := await context.read()) is not grpc.aio.EOF:
+            if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
+                raise MalformedMessage("a second hello, or too many messages at once")
+            for message in request.messages:
+                self._deliver(Received(member_id, decode_message(message)))
+
+    async def _explain(self, reader: asyncio.Task[None], context: Any) -> None:
+        if reader.cancelled():
+            await context.abort(grpc.StatusCode.UNAVAILABLE, "closing, or replaced by a newer stream")
+        error = reader.exception()
+        if isinstance(error, MalformedMessage):
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
+        if isinstance(error, InboxFull):
+            await context.abort(grpc.StatusCode.RESOURCE_EXHAUSTED, str(error))
+        if error is not None:
+            raise error

@@ -1,0 +1,74 @@
+"""What a replica must be told before it starts; checked here, once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stampede_rt_supernode.replication.interface import Member
+
+COMMAND_BYTES_MAX = 64 * 1024
+PROTOCOL_VERSION = 1
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RaftTiming:
+    """The log's periods. The defaults serve again within 5 s after the loss of a leader."""
+
+    tick_seconds: float = 0.03
+    heartbeat_seconds: float = 0.1
+    election_timeout_min_seconds: float = 1.0
+    election_timeout_max_seconds: float = 2.0
+    leader_fallback_seconds: float = 2.0
+    reconnect_seconds: float = 0.5
+    read_retry_seconds: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if self.election_timeout_min_seconds <= 3 * self.heartbeat_seconds:
+            raise ValueError("election_timeout_min_seconds must be more than three heartbeats, or leaders will flap")
+        if self.election_timeout_max_seconds <= self.election_timeout_min_seconds:
+            raise ValueError("election_timeout_max_seconds must be more than election_timeout_min_seconds")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplicationSettings:
+    """One replica of the log.
+
+    `initial_members` holds every member, this one included. `data_dir` is the folder of this replica's store;
+    None keeps everything in memory, for development. `create` allows a new store in a folder without one:
+    a member that lost its disk must come back under a new id, so say False where a store must be there.
+    """
+
+    self_member: Member
+    initial_members: Sequence[Member]
+    data_dir: Path | None = None
+    create: bool = True
+    cluster_id: str = ""
+    timing: RaftTiming = field(default_factory=RaftTiming)
+    proposals_max: int = 1000
+    reads_max: int = 10_000
+    snapshot_every_entries: int = 5000
+    snapshot_every_seconds: float = 300.0
+    inbox_items_max: int = 20_000
+    link_queue_bytes_max: int = 32 << 20
+
+    def __post_init__(self) -> None:
+        ids = [member.member_id for member in self.initial_members]
+        if "" in ids:
+            raise ValueError("a member id is empty: give every member an id of its own")
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"two members have the same id: {sorted(ids)}")
+        if self.self_member not in self.initial_members:
+            raise ValueError(
+                f"this member, {self.self_member.member_id!r} at {self.self_member.address!r}, is not among the "
+                f"members {sorted(ids)}: list every member, this one included, with the same address"
+            )
+        for name in ("proposals_max", "reads_max", "inbox_items_max", "link_queue_bytes_max", "snapshot_every_seconds"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if self.snapshot_every_entries < 2:
+            raise ValueError(f"snapshot_every_entries must be 2 or more, not {self.snapshot_every_entries}")
