@@ -130,13 +130,13 @@ class _Setting:
         return ",".join(value) if isinstance(value, tuple) else str(value)
 
     def help(self) -> str:
-        """The help text with the default and the variable, for argparse."""
+        """The help text with what is allowed and the default, for argparse."""
         default, choices = self.field.default, self.field.metadata["choices"]
         allowed = f" ({', '.join(choices)})" if choices else ""
         shown = "required" if self.required else f"default: {self._shown(default)}"
         shown = "default: none" if default is None or default == () or default == "" else shown
         shown = "default: no" if default is False else "default: yes" if default is True else shown
-        return f"{self.field.metadata['help']}{allowed} [{shown}; ${self.variables[1]}]".replace("%", "%%")
+        return f"{self.field.metadata['help']}{allowed} [{shown}]".replace("%", "%%")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -163,9 +163,15 @@ def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: M
 
 
 def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[str]) -> dict[str, str]:
-    parser = _Parser(prog=f"stampede {service}", description=cls.__doc__, add_help=False, allow_abbrev=False)
+    parser = _Parser(
+        prog=f"stampede {service}",
+        description=cls.__doc__,
+        epilog=_epilog(service, known[0]),
+        add_help=False,
+        allow_abbrev=False,
+    )
     parser.add_argument("-h", "--help", action="store_true", help="this text")
-    parser.add_argument("--config", metavar="FILE", help="a TOML file with settings [$STAMPEDE_CONFIG]")
+    parser.add_argument("--config", metavar="FILE", help="a TOML file with settings")
     for one in known:
         if one.takes(bool):
             parser.add_argument(one.flag, action=argparse.BooleanOptionalAction, help=one.help())
@@ -177,6 +183,15 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
     if unknown:
         raise SettingsError(_unknown(unknown[0], [one.flag for one in known] + ["--config", "--help"], "flag"))
     return {key: str(value) for key, value in vars(found).items() if value is not None}
+
+
+def _epilog(service: str, example: _Setting) -> str:
+    own, shared = example.variables
+    return (
+        f"Each setting can also come from the environment ({example.flag} from {own}, or from {shared}, which all "
+        f"services read), or from the TOML file (as {example.name}, at its top or in its table [{service}]). A flag wins "
+        "over the environment, the environment over the file."
+    )
 
 
 def _unknown(word: str, known: list[str], what: str) -> str:

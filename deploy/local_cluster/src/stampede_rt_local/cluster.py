@@ -1,0 +1,149 @@
+"""A whole cluster on this machine: front-ends, supernodes and hosts as real processes, for `stampede dev` and tests."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import ServiceFailed, ServiceProcess
+from stampede_rt_runtime.auth import Secret, make_secret_file
+from stampede_rt_runtime.values import Address, parse_address
+
+READY_SECONDS = 20.0
+
+
+class LocalCluster:
+    """Use as a context manager: everything is ready inside, and gone after it.
+
+    `listen` is the first front-end's address; the others and all other services take free ports of the same host.
+    `durable` supernodes keep their log in `folder` and can be restarted; others forget everything. `folder` and
+    `secret_file` are made in a temporary folder unless named. `on_exit` hears of every process that ends.
+    """
+
+    def __init__(
+        self,
+        *,
+        hosts: int = 2,
+        supernodes: int = 3,
+        frontends: int = 1,
+        listen: str = "localhost:0",
+        durable: bool = True,
+        folder: Path | None = None,
+        secret_file: Path | None = None,
+        allow_insecure_anywhere: bool = False,
+        log_level: str = "info",
+        on_exit: Callable[[ServiceProcess], None] | None = None,
+    ) -> None:
+        if min(supernodes, frontends) < 1 or hosts < 0:
+            raise ValueError(
+                "a cluster needs at least one supernode and one front-end, and no negative number of hosts"
+            )
+        self._temporary = folder is None
+        self.folder = folder or Path(tempfile.mkdtemp(prefix="stampede-"))
+        self.secret: Secret = make_secret_file(secret_file or self.folder / "secret")
+        self._listen = parse_address(listen)
+        self._durable = durable
+        self._on_exit = on_exit
+        self._shared = ["--secret-file", str(self.secret.path), "--log-level", log_level]
+        if allow_insecure_anywhere:
+            self._shared.append("--allow-insecure-anywhere")
+        ports = free_ports(supernodes + frontends, self._listen.host, besides=self._listen.port)
+        self.supernodes = self._plan_supernodes(ports[:supernodes])
+        self.frontends = self._plan_frontends(ports[supernodes:])
+        self.hosts = [self._plan_host(number) for number in range(1, hosts + 1)]
+
+    @property
+    def address(self) -> str:
+        """What clients are given: the front-ends, comma-separated."""
+        return ",".join(self._frontend_addresses)
+
+    @property
+    def secret_file(self) -> Path:
+        """Where clients find the secret (`$STAMPEDE_SECRET_FILE`)."""
+        return self.secret.path
+
+    def processes(self) -> Iterator[ServiceProcess]:
+        """All of them, hosts first: the order in which they can be stopped without errors in their logs."""
+        yield from (*self.hosts, *self.frontends, *self.supernodes)
+
+    def start(self, timeout: float = READY_SECONDS) -> None:
+        """Start everything at once and wait until all of it is ready. Raises ServiceFailed, with nothing left over."""
+        deadline = time.monotonic() + timeout
+        try:
+            for process in reversed(list(self.processes())):
+                process.start()
+            for process in self.processes():
+                process.wait_ready(max(0.0, deadline - time.monotonic()))
+        except BaseException as error:
+            culprit = self._first_dead()
+            self.stop()
+            if isinstance(error, ServiceFailed) and culprit is not None:
+                raise ServiceFailed(culprit.describe_end()) from error
+            raise
+
+    def stop(self) -> None:
+        """Stop everything that runs, hosts first, and remove the temporary folder. Bounded; idempotent."""
+        for group in (self.hosts, self.frontends, self.supernodes):
+            for process in group:
+                process.ask_to_stop()
+            for process in group:
+                process.stop()
+        if self._temporary:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+    def add_host(self, timeout: float = READY_SECONDS) -> ServiceProcess:
+        """Start one more host and wait until it is ready."""
+        host = self._plan_host(len(self.hosts) + 1)
+        self.hosts.append(host)
+        host.start()
+        host.wait_ready(timeout)
+        return host
+
+    def __enter__(self) -> LocalCluster:
+        self.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.stop()
+
+    def _first_dead(self) -> ServiceProcess | None:
+        """A supernode that died explains a host that is not ready, not the other way round."""
+        return next((one for one in reversed(list(self.processes())) if one.ended), None)
+
+    def _at(self, port: int) -> str:
+        return str(Address(self._listen.host, port))
+
+    def _process(self, name: str, module: str, *arguments: str) -> ServiceProcess:
+        return ServiceProcess(name, module, [*arguments, *self._shared], on_exit=self._on_exit)
+
+    def _plan_supernodes(self, ports: list[int]) -> list[ServiceProcess]:
+        members = {f"s{number}": self._at(port) for number, port in enumerate(ports, start=1)}
+        self._members = ",".join(f"{name}={address}" for name, address in members.items())
+        self._supernode_addresses = ",".join(members.values())
+        return [self._plan_supernode(name, address) for name, address in members.items()]
+
+    def _plan_supernode(self, name: str, address: str) -> ServiceProcess:
+        folder = ["--data-dir", str(self.folder / name)] if self._durable else []
+        arguments = ["--listen", address, "--id", name, "--members", self._members, *folder]
+        return self._process(f"supernode {name}", "stampede_rt_supernode", *arguments)
+
+    def _plan_frontends(self, ports: list[int]) -> list[ServiceProcess]:
+        ports = [self._listen.port or ports[0], *ports[1:]]
+        self._frontend_addresses = [self._at(port) for port in ports]
+        return [
+            self._process(
+                f"front-end {number}",
+                "stampede_rt_frontend",
+                *("--listen", address, "--supernodes", self._supernode_addresses),
+            )
+            for number, address in enumerate(self._frontend_addresses, start=1)
+        ]
+
+    def _plan_host(self, number: int) -> ServiceProcess:
+        name = f"h{number}"
+        arguments = ["--listen", self._at(0), "--name", name, "--frontend", self.address]
+        return self._process(f"host {name}", "stampede_rt_channel_host", *arguments)

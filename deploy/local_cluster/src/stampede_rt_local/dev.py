@@ -1,0 +1,156 @@
+"""`stampede dev`: the whole system on this machine, in memory, with one command."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stampede_rt.credentials import secret_file
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceFailed, ServiceProcess
+from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen
+from stampede_rt_runtime.logs import LEVELS
+from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
+from stampede_rt_runtime.values import parse_address, parse_address_text
+
+DEFAULT_ADDRESS = "localhost:7580"
+_WILDCARDS = frozenset({"0.0.0.0", "::"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class DevSettings:
+    """The whole system on this machine, in memory. Ctrl-C stops it; what it held is gone then."""
+
+    listen: str = field(
+        default=DEFAULT_ADDRESS,
+        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where clients find it; port 0: any"),
+    )
+    hosts: int = field(default=1, metadata=setting(metavar="N", minimum=1, maximum=16, help="channel hosts"))
+    supernodes: int = field(
+        default=1, metadata=setting(metavar="N", minimum=1, maximum=7, help="replicas of the directory")
+    )
+    secret_file: Path | None = field(
+        default=None,
+        metadata=setting(metavar="FILE", help="the shared secret, made if it is not there; without it: the user's own"),
+    )
+    allow_insecure_anywhere: bool = field(
+        default=False,
+        metadata=setting(help="listen beyond this machine without encryption; all the network can read along"),
+    )
+    log_level: str = field(default="warning", metadata=setting(metavar="LEVEL", choices=LEVELS, help="what is logged"))
+
+    def __post_init__(self) -> None:
+        if parse_address(self.listen).host in _WILDCARDS:
+            raise ValueError(
+                f"--listen: {self.listen!r} cannot be used; name one address of this machine: hosts and supernodes "
+                "listen there, too, and tell clients so"
+            )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `stampede dev` until Ctrl-C. Returns the exit code: 0 stopped, 1 a service failed, 2 bad settings."""
+    began = time.monotonic()
+    words = sys.argv[1:] if argv is None else argv
+    try:
+        settings = load_settings(DevSettings, service="dev", argv=words, environ=os.environ)
+        check_listen(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+    except HelpRequested as asked:
+        print(asked, end="")
+        return 0
+    except (SettingsError, NotAllowed) as error:
+        return _complain(error, EXIT_BAD_SETTINGS)
+    except CannotListen as error:
+        return _complain(error, 1)
+    try:
+        return _run(settings, began)
+    except (ServiceFailed, PermissionDenied, OSError) as error:
+        return _complain(error, 1)
+
+
+def _complain(error: Exception, code: int) -> int:
+    print(f"stampede dev: {error}", file=sys.stderr)
+    return code
+
+
+def _run(settings: DevSettings, began: float) -> int:
+    ended: queue.SimpleQueue[ServiceProcess] = queue.SimpleQueue()
+    cluster = LocalCluster(
+        hosts=settings.hosts,
+        supernodes=settings.supernodes,
+        listen=settings.listen,
+        durable=False,
+        secret_file=settings.secret_file or secret_file(),
+        allow_insecure_anywhere=settings.allow_insecure_anywhere,
+        log_level=settings.log_level,
+        on_exit=ended.put,
+    )
+    try:
+        with _interrupted_by_signals(), cluster:
+            print(_welcome(cluster, settings, time.monotonic() - began), flush=True)
+            story = ended.get().describe_end()
+    except KeyboardInterrupt:
+        print("\nstopped; nothing is left running")
+        return 0
+    print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
+    return 1
+
+
+@contextlib.contextmanager
+def _interrupted_by_signals() -> Iterator[None]:
+    """Any wish to stop raises KeyboardInterrupt, once: stopping is bounded and must not be cut in its middle."""
+
+    def interrupt(number: int, frame: object) -> None:
+        for one in before:
+            signal.signal(one, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    for one in before:
+        signal.signal(one, interrupt)
+    try:
+        yield
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
+
+
+def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> str:
+    address = cluster.address
+    default = address == DEFAULT_ADDRESS
+    where = "" if default else f'"{address}"'
+    export = "" if default else f"  export STAMPEDE_URL={address}\n"
+    export += f"  export STAMPEDE_SECRET_FILE={cluster.secret_file}\n" if settings.secret_file else ""
+    parts = f"{_count(settings.supernodes, 'supernode')}, {_count(settings.hosts, 'host')}, 1 front-end"
+    return f"""\
+Stampede RT is ready at {address} ({parts}; {seconds:.1f} s).
+Everything is held in memory. Callers need the secret in {cluster.secret_file}, which
+programs of this user find by themselves.
+
+In another terminal:
+
+{export}  stampede put cam/left "hello"
+  stampede get cam/left
+  stampede ls
+
+In Python:
+
+  import stampede_rt as st
+
+  with st.connect({where}) as rt:
+      left = rt.channel("cam/left", max_age="10s")
+      left.put(b"hello")
+      print(left.newest())
+
+Ctrl-C stops it."""
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

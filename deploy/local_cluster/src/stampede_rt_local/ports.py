@@ -1,0 +1,37 @@
+"""Free ports for services that must know each other's address before they start."""
+
+from __future__ import annotations
+
+import random
+import socket
+
+# Below every system's ephemeral range (Linux: 32768 up), so that no outgoing connection can take the port meanwhile.
+_LOWEST, _HIGHEST = 15_000, 32_000
+_TRIES_MAX = 200
+
+
+def free_ports(count: int, host: str = "localhost", *, besides: int = 0) -> list[int]:
+    """`count` different ports that are free at `host` now, none of them `besides`.
+
+    They are drawn at random, so that clusters side by side seldom meet.
+    Raises OSError if there are none.
+    """
+    found: list[int] = []
+    for port in random.sample(range(_LOWEST, _HIGHEST), _TRIES_MAX):
+        if len(found) == count:
+            break
+        if port != besides and _is_free(host, port):
+            found.append(port)
+    if len(found) < count:
+        raise OSError(f"no {count} free ports at {host} between {_LOWEST} and {_HIGHEST}")
+    return found
+
+
+def _is_free(host: str, port: int) -> bool:
+    for family, kind, protocol, _, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        try:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.bind(place)
+        except OSError:
+            return False
+    return True

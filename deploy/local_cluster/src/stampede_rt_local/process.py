@@ -1,0 +1,204 @@
+"""One service as a child process: started, waited for, watched, stopped; its last words kept."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import IO
+
+LAST_LINES_MAX = 50
+LINE_CHARS_MAX = 4096
+STOP_SECONDS = 6.0  # more than a service's own bound for its drain (2 * 2 s)
+_READY = re.compile(r"stampede \S+(?: \S+)? ready on (\S+)\s*")
+
+
+class ServiceFailed(Exception):
+    """A service could not start, or ended by itself; the text has its last lines."""
+
+
+class ServiceProcess:
+    """A service of this machine. Ends with this process, however that ends.
+
+    `name` is for people; `module` is run as `python -m`; `on_exit`, called on a thread of its own, hears of each end of
+    the process, wanted or not. Not to be used by several threads at once.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        arguments: Sequence[str],
+        *,
+        on_exit: Callable[[ServiceProcess], None] | None = None,
+    ) -> None:
+        self.name = name
+        self.arguments = list(arguments)
+        self._module = module
+        self._on_exit = on_exit
+        self._run: _Run | None = None
+
+    @property
+    def alive(self) -> bool:
+        """The process is running (it may be paused, or not ready yet)."""
+        return self._run is not None and self._run.popen.poll() is None
+
+    @property
+    def ended(self) -> bool:
+        """It was started and does not run any more."""
+        return self._run is not None and not self.alive
+
+    @property
+    def address(self) -> str:
+        """Where it said it listens. Raises ServiceFailed before `wait_ready` has returned."""
+        if self._run is None or self._run.address is None:
+            raise ServiceFailed(f"{self.name} is not ready yet")
+        return self._run.address
+
+    @property
+    def pid(self) -> int:
+        """The process id of the last start. Raises ServiceFailed if it was never started."""
+        return self._started().popen.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """Of the last start; None while it runs; negative: the number of the signal that ended it."""
+        return self._started().popen.poll()
+
+    @property
+    def last_lines(self) -> list[str]:
+        """What it printed last, standard error included; LAST_LINES_MAX lines at most."""
+        return list(self._run.lines) if self._run else []
+
+    def start(self) -> None:
+        """Start the process and return at once; `wait_ready` waits for it."""
+        if self.alive:
+            raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
+        command = [sys.executable, "-m", "stampede_rt_local.leash", self._module, *self.arguments]
+        self._run = _Run(command, lambda: self._on_exit(self) if self._on_exit else None)
+
+    def wait_ready(self, timeout: float) -> str:
+        """Wait for the ready line, `timeout` seconds at most, and return the address in it. Raises ServiceFailed."""
+        run = self._started()
+        run.ready_or_ended.wait(timeout)
+        if run.address is not None:
+            return run.address
+        if run.popen.poll() is None:
+            raise ServiceFailed(self._story(f"is not ready after {timeout:g} s"))
+        raise ServiceFailed(self._story(f"ended with exit code {run.popen.returncode} before it was ready"))
+
+    def kill(self) -> None:
+        """End it as a crash does (SIGKILL), and wait until it is gone. Nothing happens if it is not running."""
+        if self._run is not None:
+            self._run.signal(signal.SIGKILL)
+            self._run.wait(STOP_SECONDS)
+
+    def stop(self) -> None:
+        """End it in order (SIGTERM); after STOP_SECONDS, by SIGKILL. Nothing happens if it is not running."""
+        if self._run is not None:
+            self._run.ask_to_stop()
+            self._run.wait(STOP_SECONDS)
+
+    def ask_to_stop(self) -> None:
+        """Send SIGTERM and return at once; `stop` then waits."""
+        if self._run is not None:
+            self._run.ask_to_stop()
+
+    def restart(self, timeout: float = 20.0) -> str:
+        """Stop it if it runs, start it again with the same arguments, and wait until it is ready."""
+        self.stop()
+        self.start()
+        return self.wait_ready(timeout)
+
+    def pause(self) -> None:
+        """Freeze it (SIGSTOP): it keeps its connections and says nothing, as on a stalled machine."""
+        self._started().signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let it go on after `pause`."""
+        self._started().signal(signal.SIGCONT)
+
+    def describe_end(self) -> str:
+        """For people: that it ended, how, and its last lines."""
+        return self._story(f"ended with exit code {self.exit_code}")
+
+    def _started(self) -> _Run:
+        if self._run is None:
+            raise ServiceFailed(f"{self.name} was never started")
+        return self._run
+
+    def _story(self, what: str) -> str:
+        said = "\n".join(f"    {line}" for line in self.last_lines[-15:])
+        return f"{self.name} {what}; its last lines:\n{said}" if said else f"{self.name} {what}, and said nothing"
+
+
+class _Run:
+    """One life of the process, with a thread that reads what it prints until its end."""
+
+    def __init__(self, command: list[str], on_exit: Callable[[], None]) -> None:
+        self.address: str | None = None
+        self.lines: deque[str] = deque(maxlen=LAST_LINES_MAX)
+        self.ready_or_ended = threading.Event()
+        self._on_exit = on_exit
+        self._asked = False
+        self.popen = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,  # the leash: closed when this process ends
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=_environment(),
+            process_group=0,  # Ctrl-C at the terminal comes to us alone, and we stop the services in order
+        )
+        self._reader = threading.Thread(target=self._read, name=f"read {self.popen.pid}", daemon=True)
+        self._reader.start()
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send a signal; nothing happens if the process is gone."""
+        with contextlib.suppress(ProcessLookupError):
+            self.popen.send_signal(number)
+
+    def ask_to_stop(self) -> None:
+        """Send SIGTERM, once: a service takes the second one as a wish to cut its drain."""
+        if not self._asked:
+            self._asked = True
+            self.signal(signal.SIGTERM)
+            self.signal(signal.SIGCONT)  # a paused process hears nothing else
+
+    def wait(self, timeout: float) -> None:
+        """Wait for the end; after `timeout` seconds send SIGKILL. Everything that it printed is read then."""
+        try:
+            self.popen.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.signal(signal.SIGKILL)
+            self.popen.wait()
+        self._reader.join(timeout)
+        assert self.popen.stdin is not None
+        self.popen.stdin.close()
+
+    def _read(self) -> None:
+        assert self.popen.stdout is not None
+        with self.popen.stdout as output:
+            for line in _lines(output):
+                self.lines.append(line)
+                if self.address is None and (match := _READY.fullmatch(line)):
+                    self.address = match[1]
+                    self.ready_or_ended.set()
+        self.popen.wait()
+        self.ready_or_ended.set()
+        self._on_exit()
+
+
+def _lines(output: IO[bytes]) -> Iterator[str]:
+    while line := output.readline(LINE_CHARS_MAX):
+        yield line.decode(errors="replace").rstrip("\n")
+
+
+def _environment() -> dict[str, str]:
+    """This process's environment without our own variables: what a service is told comes from its arguments alone."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
