@@ -1,0 +1,112 @@
+"""The guard of the wire contract: it lets additions pass and stops everything that an older client would trip over."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tools import breaking
+
+FIRST_PROTO = """syntax = "proto3";
+package thing.v1;
+service ThingService {
+  rpc Look(LookRequest) returns (LookResponse);
+}
+message LookRequest {
+  int64 max_age_nanos = 1;
+  string name = 2;
+}
+message LookResponse {}
+"""
+
+
+@pytest.fixture
+def contract(tmp_path: Path) -> tuple[Path, Path]:
+    """A small contract and its accepted image."""
+    source = tmp_path / "proto" / "thing" / "v1" / "thing_service.proto"
+    source.parent.mkdir(parents=True)
+    source.write_text(FIRST_PROTO)
+    stable = tmp_path / "stable.binpb"
+    assert breaking.main(["--accept", "--proto", str(tmp_path / "proto"), "--stable", str(stable)]) == 0
+    return source, stable
+
+
+def guard(source: Path, stable: Path) -> int:
+    return breaking.main(["--proto", str(source.parents[2]), "--stable", str(stable)])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("int64 max_age_nanos = 1", "string max_age_nanos = 1", "max_age_nanos"),
+        ("int64 max_age_nanos = 1", "int64 max_age_nanos = 3", "was deleted"),
+        ("string name = 2;", "", "name"),
+        ("string name = 2;", "string title = 2;", "title"),
+        ("  rpc Look(LookRequest) returns (LookResponse);\n", "", "Look"),
+        ("(LookRequest) returns", "(stream LookRequest) returns", "client"),
+    ],
+)
+def test_a_breaking_change_fails_and_is_named(
+    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str], old: str, new: str, told: str
+) -> None:
+    source, stable = contract
+    assert old in FIRST_PROTO
+    source.write_text(FIRST_PROTO.replace(old, new))
+    assert guard(source, stable) == 1
+    printed = capsys.readouterr().out
+    assert told in printed
+    assert "--accept" in printed
+
+
+def test_an_unchanged_contract_passes_in_silence(
+    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert guard(*contract) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_an_addition_passes_and_is_told_to_be_unprotected(
+    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, stable = contract
+    source.write_text(FIRST_PROTO.replace("message LookResponse {}", "message LookResponse { int64 seq = 1; }"))
+    assert guard(source, stable) == 0
+    assert "does not protect" in capsys.readouterr().out
+
+
+def test_accepting_makes_a_breaking_change_the_contract(contract: tuple[Path, Path]) -> None:
+    source, stable = contract
+    source.write_text(FIRST_PROTO.replace("string name = 2;", "string title = 2;"))
+    assert breaking.main(["--accept", "--proto", str(source.parents[2]), "--stable", str(stable)]) == 0
+    assert guard(source, stable) == 0
+
+
+def test_a_missing_image_is_an_error_with_the_way_out(
+    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, stable = contract
+    stable.unlink()
+    assert guard(source, stable) == 2
+    assert "--accept" in capsys.readouterr().out
+
+
+def test_sources_that_do_not_compile_are_not_taken_for_a_breaking_change(contract: tuple[Path, Path]) -> None:
+    source, stable = contract
+    source.write_text(FIRST_PROTO.replace("message LookResponse {}", ""))
+    assert guard(source, stable) == 2
+
+
+def test_the_contract_of_this_checkout_is_honoured() -> None:
+    assert breaking.violations(breaking.PROTO, breaking.STABLE) == []
+
+
+def test_a_change_planted_into_a_copy_of_our_own_contract_is_found(tmp_path: Path) -> None:
+    copy = tmp_path / "proto"
+    shutil.copytree(breaking.PROTO, copy)
+    item = copy / "stampede_rt" / "v1" / "item.proto"
+    text = item.read_text()
+    assert "fixed64 first_seq = 7;" in text
+    item.write_text(text.replace("fixed64 first_seq = 7;", "uint64 first_seq = 7;"))
+    assert any("first_seq" in line for line in breaking.violations(copy, breaking.STABLE))

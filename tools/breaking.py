@@ -1,0 +1,106 @@
+"""Check that proto/ still honours the contract that was last accepted; with --accept renew what is accepted.
+
+The accepted contract is an image of proto/ in `proto/stable.binpb`, committed beside it: so the check needs no history
+and is the same in a shallow clone, in CI and on a branch. Additions pass. `--accept` is the deliberate act: it belongs
+into the commit that changes the contract, and its diff shows in review that the contract changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PROTO = ROOT / "proto"
+STABLE = PROTO / "stable.binpb"
+BUF_SECONDS_MAX = 60
+
+# WIRE_JSON keeps old and new bytes readable, both ways. It says nothing of things that vanish, which would leave an
+# older client with UNIMPLEMENTED; the other rules do.
+RULES = ["WIRE_JSON", "PACKAGE_NO_DELETE", "PACKAGE_SERVICE_NO_DELETE", "PACKAGE_MESSAGE_NO_DELETE", "RPC_NO_DELETE"]
+
+
+class BufFailed(Exception):
+    """buf could not do its work: it is missing, or proto/ does not compile. The text is buf's own."""
+
+
+def buf(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run buf of this environment. Raises BufFailed if there is none; its exit code is the caller's to judge."""
+    command = Path(sys.executable).parent / "buf"
+    try:
+        return subprocess.run(
+            [command, *arguments], capture_output=True, text=True, timeout=BUF_SECONDS_MAX, check=False
+        )
+    except FileNotFoundError as error:
+        raise BufFailed(f"{command} is missing; run: make setup") from error
+
+
+def build(proto: Path, out: Path) -> None:
+    """Write the image of `proto`, without comments. The same sources give the same bytes. Raises BufFailed."""
+    done = buf("build", str(proto), "--exclude-source-info", "-o", str(out))
+    if done.returncode:
+        raise BufFailed(done.stderr or done.stdout)
+
+
+def violations(proto: Path, stable: Path) -> list[str]:
+    """What in `proto` breaks the contract of the image `stable`, a sentence each. Raises BufFailed."""
+    rules = json.dumps({"version": "v2", "breaking": {"use": RULES}})
+    done = buf("breaking", str(proto), "--against", str(stable), "--config", rules, "--against-config", rules)
+    if done.returncode == 0:
+        return []
+    if not done.stdout:  # violations go to stdout; what is said of buf itself goes to stderr
+        raise BufFailed(done.stderr)
+    return done.stdout.splitlines()
+
+
+def image(proto: Path) -> bytes:
+    """The image of `proto`. Raises BufFailed."""
+    with tempfile.TemporaryDirectory() as folder:
+        fresh = Path(folder) / "fresh.binpb"
+        build(proto, fresh)
+        return fresh.read_bytes()
+
+
+def check(proto: Path, stable: Path) -> int:
+    """Print what is to be known; 0 if the contract is honoured."""
+    if not stable.is_file():
+        print(f"{stable} is missing, there is nothing to compare with; make it with: python tools/breaking.py --accept")
+        return 2
+    fresh = image(proto)  # first, since buf tells sources that do not compile in the same way as violations
+    found = violations(proto, stable)
+    for line in found:
+        print(line)
+    if found:
+        print(
+            f"{len(found)} breaking changes against {stable.name}. Older clients would fail: add instead of changing, "
+            "or, if it must be, accept the new contract with: python tools/breaking.py --accept"
+        )
+        return 1
+    if fresh != stable.read_bytes():
+        print(f"{stable.name} does not protect the newest additions yet: python tools/breaking.py --accept")
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Check, or with --accept renew the image."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--accept", action="store_true", help="make what proto/ says now the accepted contract")
+    parser.add_argument("--proto", type=Path, default=PROTO, help="the folder of the .proto files")
+    parser.add_argument("--stable", type=Path, default=STABLE, help="the image of the accepted contract")
+    chosen = parser.parse_args(arguments)
+    try:
+        if chosen.accept:
+            build(chosen.proto, chosen.stable)
+            return 0
+        return check(chosen.proto, chosen.stable)
+    except BufFailed as error:
+        print(error)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
