@@ -1,4 +1,4 @@
-"""Generate the protobuf stubs and the synchronous client; with --check only say whether the committed ones are fresh."""
+"""Generate the protobuf stubs and the synchronous client; with --check say whether the committed ones are fresh."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from importlib.resources import files
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from tools.sync_rules import synchronous  # noqa: E402  (the folder is no installed package)
+
 PROTO = ROOT / "proto"
 CLIENT = Path("client/src")
 STUBS = CLIENT / "stampede_rt" / "v1"
@@ -26,17 +30,22 @@ def generate_stubs(out: Path) -> None:
     subprocess.run([*protoc, f"--python_out={target}", f"--pyi_out={target}", *sources], check=True, cwd=PROTO)
     services = [source for source in sources if source.endswith("_service.proto")]
     plugin = f"--plugin=protoc-gen-mypy_grpc={Path(sys.executable).parent / 'protoc-gen-mypy_grpc'}"
-    subprocess.run([*protoc, plugin, f"--grpc_python_out={target}", f"--mypy_grpc_out=quiet:{target}", *services], check=True, cwd=PROTO)
+    subprocess.run(
+        [*protoc, plugin, f"--grpc_python_out={target}", f"--mypy_grpc_out=quiet:{target}", *services],
+        check=True,
+        cwd=PROTO,
+    )
     (out / STUBS / "__init__.py").write_text('"""Generated from proto/stampede_rt/v1."""\n')
 
 
 def generate_sync(out: Path) -> None:
     """Write the synchronous client, which is the asynchronous one with its awaits taken out."""
-    from tools.sync_rules import synchronous  # the rules stand apart, since they name the client's own classes
-
     (out / SYNC).mkdir(parents=True, exist_ok=True)
     for source in sorted((ROOT / ASYNC).glob("*.py")):
         (out / SYNC / source.name).write_text(synchronous(source.read_text()))
+    ruff = [sys.executable, "-m", "ruff", "--config", str(ROOT / "pyproject.toml"), "--quiet"]
+    subprocess.run([*ruff, "check", "--select", "I", "--fix", "--no-cache", str(out / SYNC)], check=True, cwd=ROOT)
+    subprocess.run([*ruff, "format", "--no-cache", str(out / SYNC)], check=True, cwd=ROOT)
 
 
 def differences(fresh: Path) -> list[str]:
@@ -70,5 +79,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT))
     sys.exit(main())

@@ -19,12 +19,15 @@ WORDS = {
     "aclose": "close",
     "_async": "_sync",
     "grpc_async": "grpc_sync",
+    "concurrency_async": "concurrency_sync",
 }
 
 
 def synchronous(source: str) -> str:
-    """Take `async` and `await` out of `source` and put the synchronous names in. Works on tokens, not on strings."""
-    source = re.sub(r"\b(async|await) +", "", source)
+    """Take `async` and `await` out of `source` and put the synchronous names in; whole words, in docstrings, too."""
+    source = re.sub(r"\b(async|await) +(?=[\w(])", "", source)
+    source = re.sub(r"Awaitable\[([^\[\]]+)\]", r"\1", source)
+    source = re.sub(r"(import .*?)Awaitable, ", r"\1", source)
     for word, replacement in WORDS.items():
         source = re.sub(rf"(?<![A-Za-z0-9_]){re.escape(word)}(?![A-Za-z0-9_])", replacement, source)
     return HEADER + source

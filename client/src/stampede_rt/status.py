@@ -102,10 +102,8 @@ def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
 
 
 def _trailers(error: grpc.RpcError) -> Iterable[tuple[str, str | bytes]]:
-    trailers: Iterable[tuple[str, str | bytes]] | None = (
-        error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
-    )
-    return trailers or ()
+    trailers: Any = error.trailing_metadata() if hasattr(error, "trailing_metadata") else None
+    return [(key, value) for key, value in trailers or ()]
 
 
 def _from_status(encoded: bytes) -> StampedeError | None:

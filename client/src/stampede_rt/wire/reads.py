@@ -90,16 +90,16 @@ def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterva
     )
 
 
-def reason_to_message(reason: Reason | None) -> error_pb2.AbsenceReason:
-    """Why an answer is empty or partial; its detail travels beside it."""
-    return error_pb2.AbsenceReason.Value(_REASON_PREFIX + (reason.value if reason else "UNSPECIFIED"))
+def reason_to_message(reason: Reason | None) -> str:
+    """Why an answer is empty or partial, by its enum's name; its detail travels beside it."""
+    return _REASON_PREFIX + (reason.value if reason else "UNSPECIFIED")
 
 
 def reason_from_message(reason: int, detail: str) -> Reason | None:
     """Why an answer is empty or partial; None if nothing is missing."""
     if reason == error_pb2.ABSENCE_REASON_UNSPECIFIED:
         return None
-    name = error_pb2.AbsenceReason.Name(reason)  # type: ignore[arg-type]
+    name = error_pb2.AbsenceReason.Name(reason)
     return Reason(name.removeprefix(_REASON_PREFIX), detail)
 
 

@@ -1,0 +1,112 @@
+"""Stampede RT: a distributed store of time-indexed live streams.
+
+Producers put items into named channels under wall-clock time; consumers get whatever lies in a time interval, wait for
+it, subscribe to it. Everything here blocks; `stampede_rt.aio` has the same surface with `await`.
+"""
+
+from __future__ import annotations
+
+import time as _time
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.connection import Connection
+from stampede_rt._sync.producer import Producer
+from stampede_rt._sync.session import Session as _Session
+from stampede_rt._sync.subscription import Subscription
+from stampede_rt._sync.watch import Watch
+from stampede_rt.connecting import parse_target as _parse_target
+from stampede_rt.errors import (
+    ChannelExists,
+    ChannelFull,
+    ChannelNotFound,
+    DeadlineExceeded,
+    GroupExists,
+    HostExists,
+    HostNotFound,
+    IncarnationLost,
+    InFuture,
+    InvalidArgument,
+    InvalidInterval,
+    InvalidName,
+    ItemTooLarge,
+    LeaseExpired,
+    Overloaded,
+    PermissionDenied,
+    StampedeError,
+    TooOld,
+    Unavailable,
+    VersionMismatch,
+    WatchRestart,
+)
+from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Item, Items, Policy, Reason, SupernodeInfo
+from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
+from stampede_rt.version import VERSION as __version__  # noqa: N811
+
+__all__ = [
+    "NEWEST",
+    "NOW",
+    "OLDEST",
+    "Bound",
+    "Change",
+    "Channel",
+    "ChannelExists",
+    "ChannelFull",
+    "ChannelInfo",
+    "ChannelNotFound",
+    "ChannelStats",
+    "Connection",
+    "DeadlineExceeded",
+    "GroupExists",
+    "HostExists",
+    "HostInfo",
+    "HostNotFound",
+    "InFuture",
+    "IncarnationLost",
+    "InvalidArgument",
+    "InvalidInterval",
+    "InvalidName",
+    "Item",
+    "ItemTooLarge",
+    "Items",
+    "LeaseExpired",
+    "Overloaded",
+    "PermissionDenied",
+    "Policy",
+    "Producer",
+    "Reason",
+    "ResolvedInterval",
+    "StampedeError",
+    "Subscription",
+    "SupernodeInfo",
+    "TooOld",
+    "Unavailable",
+    "VersionMismatch",
+    "Watch",
+    "WatchRestart",
+    "__version__",
+    "connect",
+    "last",
+    "now",
+]
+
+
+def connect(
+    url: str | None = None, *, name: str | None = None, secret: str | None = None, zone: str | None = None
+) -> Connection:
+    """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
+
+    `name`: this participant's name; `secret`: the cluster's, found by itself on the same machine; `zone`: where the
+    caller is, to prefer what is near. Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch.
+    """
+    target = _parse_target(url, name=name, secret=secret, zone=zone)
+    session = _Session(target.frontends, target.secret, peer_name=target.name, zone=target.zone)
+    try:
+        return Connection(session, target.name).open()
+    except BaseException:
+        session.close()
+        raise
+
+
+def now() -> int:
+    """This machine's clock in nanoseconds since the epoch, not corrected towards any host's."""
+    return _time.time_ns()

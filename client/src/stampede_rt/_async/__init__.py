@@ -1,0 +1,1 @@
+"""The client. This folder is the source; its synchronous twin is generated from it (see tools/generate.py)."""

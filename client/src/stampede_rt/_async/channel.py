@@ -1,0 +1,266 @@
+"""A channel's handle: puts, reads by time, subscriptions (paper, section 3.2)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+
+from stampede_rt._async.producer import Producer
+from stampede_rt._async.puts import PutStreams
+from stampede_rt._async.reads import read
+from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
+from stampede_rt._async.subscription import Subscription
+from stampede_rt.binding import Binding
+from stampede_rt.errors import Unavailable
+from stampede_rt.model import ChannelInfo, ChannelStats, Item, Items, Policy
+from stampede_rt.policy import parse_policy
+from stampede_rt.reading import Read, Wait, after_position, parse_limit
+from stampede_rt.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    BoundLike,
+    DurationLike,
+    InstantLike,
+    Match,
+    parse_bound,
+    parse_instant,
+    parse_interval,
+    parse_match,
+)
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
+from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
+
+
+class Channel:
+    """A named, time-indexed live stream. Handles of the same channel are equal; any number may exist anywhere."""
+
+    def __init__(self, session: Session, state: ChannelState) -> None:
+        self._session = session
+        self._state = state
+        self._puts = PutStreams(session, state)
+        self._numbers = itertools.count(1)
+
+    @property
+    def name(self) -> str:
+        """The channel's name."""
+        return self._state.info.name
+
+    @property
+    def host(self) -> str:
+        """The name of the host that owns it, as last known."""
+        return self._state.info.host
+
+    @property
+    def incarnation(self) -> int:
+        """Which life of the channel this is, as last known; another one means that items may have been lost."""
+        return self._state.info.incarnation
+
+    @property
+    def info(self) -> ChannelInfo:
+        """Everything the directory said of it, as last known."""
+        return self._state.info
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Channel) and other._state.info.channel_id == self._state.info.channel_id
+
+    def __hash__(self) -> int:
+        return hash(self._state.info.channel_id)
+
+    def __repr__(self) -> str:
+        return f"<Channel {self.name!r} at host {self.host!r}>"
+
+    async def put(
+        self,
+        payload: bytes,
+        *,
+        time: InstantLike | None = None,
+        duration: DurationLike | int | None = None,
+        attributes: Mapping[str, str] | None = None,
+        content_type: str | None = None,
+        timeout: float | None = None,
+    ) -> Item:
+        """Put one item and wait until the host has accepted it; the item returned has its `time` and `seq`.
+
+        Without `time` the host stamps it on acceptance. `timeout` in seconds matters on a full channel with
+        on_full="block": how long to wait there; None: without limit. A put that was tried again is never doubled.
+        Raises TooOld, InFuture, ChannelFull, ItemTooLarge; Unavailable if the host cannot be reached.
+        """
+        return await self._puts.put(next(self._numbers), payload, time, duration, attributes, content_type, timeout)
+
+    def producer(self) -> Producer:
+        """A context manager for many puts that do not each wait for their ack."""
+        return Producer(self._session, self._state)
+
+    async def get(
+        self,
+        start: BoundLike,
+        end: BoundLike,
+        *,
+        bounds: str = "[]",
+        match: str | Match = "span",
+        limit: int | None = None,
+        newest_first: bool = False,
+        after: Item | InstantLike | None = None,
+        payloads: bool = True,
+        timeout: float | None = 0,
+        complete: bool = False,
+    ) -> Items:
+        """The items in an interval, by default those whose span shares an instant with it.
+
+        `bounds`: "[]", "[)", "(]", "()". `match`: "span", "whole" (the span lies inside) or "start" (the time does).
+        `limit` keeps the earliest, with `newest_first` the latest; `after` continues behind an item. `timeout` is in
+        seconds: 0 answers at once, None waits for ever, for the first match or, with `complete`, until nothing more
+        can come. The answer after a timeout is what there is. Raises InvalidInterval, IncarnationLost, Unavailable.
+        """
+        interval = parse_interval(start, end, bounds)
+        position = None if after is None else after_position(after)
+        return await self._read(
+            Read(
+                interval,
+                match=parse_match(match),
+                limit=parse_limit(limit),
+                newest_first=newest_first,
+                after=position,
+                payloads=payloads,
+                wait=Wait.parse(timeout),
+                complete=complete,
+            )
+        )
+
+    async def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
+        """The items whose own span holds `time`."""
+        interval = parse_interval(time, time)
+        return await self._read(Read(interval, payloads=payloads, wait=Wait.parse(timeout)))
+
+    async def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
+        """The newest item older than `time`; where several share its time, the last accepted."""
+        return await self._read_one(MIN_INSTANT, time, "[)", True, None, payloads, timeout)
+
+    async def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
+        """The oldest held item; where several share its time, the first accepted."""
+        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
+
+    async def newest(
+        self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
+    ) -> Item | None:
+        """The newest item, or None; with `after` only if it is later than that instant or item.
+
+        `timeout` in seconds: 0 answers at once, None waits for ever.
+        """
+        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
+
+    async def _read_one(
+        self,
+        start: BoundLike,
+        end: BoundLike,
+        bounds: str,
+        newest_first: bool,
+        newer_than: Item | InstantLike | None,
+        payloads: bool,
+        timeout: float | None,
+    ) -> Item | None:
+        items = await self._read(
+            Read(
+                parse_interval(start, end, bounds),
+                match=Match.START,
+                limit=1,
+                newest_first=newest_first,
+                newer_than=None if newer_than is None else after_position(newer_than),
+                payloads=payloads,
+                wait=Wait.parse(timeout),
+            )
+        )
+        return items[0] if items else None
+
+    async def _read(self, query: Read) -> Items:
+        return await read(self._session, self._state, query)
+
+    def subscribe(
+        self,
+        start: BoundLike | None = None,
+        mode: str = "all",
+        after: Item | None = None,
+        *,
+        payloads: bool = True,
+    ) -> Subscription:
+        """Items as they are accepted: an iterator and context manager.
+
+        `mode` "all": held items from `start` on (None: only new ones), then every later one, each once. "newest":
+        always the latest, never going back. `after` resumes behind an item, across processes, too. Entering the
+        context, or the first step, begins it.
+        """
+        position = None if start is None else parse_bound(start, "start")
+        return Subscription.begin(self._session, self._state, start=position, mode=mode, after=after, payloads=payloads)
+
+    async def advance(self, time: InstantLike) -> int:
+        """Promise that nothing earlier than `time` will come; the highest promise up to now is returned."""
+        instant = parse_instant(time)
+
+        async def advance_at(binding: Binding) -> int:
+            port = self._session.ports.to(binding.target)
+            request = channel_pb.AdvanceRequest(
+                channel_id=binding.channel_id, epoch=binding.epoch, time_unix_nano=instant
+            )
+            response = await port.call(port.channels.Advance, request, CALL_TIMEOUT_S)
+            return int(response.advance_unix_nano)
+
+        return await self._session.perform(self._state, advance_at)
+
+    async def stats(self) -> ChannelStats:
+        """Counters and bounds, taken at one moment."""
+
+        async def status_at(binding: Binding) -> ChannelStats:
+            port = self._session.ports.to(binding.target)
+            request = channel_pb.GetChannelStatusRequest(channel_id=binding.channel_id, epoch=binding.epoch)
+            response = await port.call(port.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
+            return channel_stats(response.status)
+
+        return await self._session.perform(self._state, status_at)
+
+    async def configure(
+        self,
+        *,
+        max_age: DurationLike | None = None,
+        max_items: int | None = None,
+        max_bytes: int | None = None,
+        on_full: str | None = None,
+        max_future: DurationLike | None = None,
+    ) -> Policy:
+        """Change the channel's policy while it runs; what is left out stays. Returns the policy after the change."""
+        policy = parse_policy(
+            max_age=max_age, max_items=max_items, max_bytes=max_bytes, on_full=on_full, max_future=max_future
+        )
+
+        async def configure_at(binding: Binding) -> Policy:
+            port = self._session.ports.to(binding.target)
+            request = gatekeeper_service_pb2.ConfigureChannelRequest(
+                request_id=request_id(),
+                channel_id=binding.channel_id,
+                epoch=binding.epoch,
+                spec=policy_to_spec(policy),
+            )
+            response = await port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S)
+            return channel_info(response.channel, None).policy
+
+        return await self._session.perform(self._state, configure_at)
+
+    async def delete(self) -> None:
+        """Delete the channel and all its items, for everyone. Works if its host is lost, too."""
+        identity = request_id()
+
+        async def drop_at(binding: Binding) -> None:
+            port = self._session.ports.to(binding.target)
+            request = gatekeeper_service_pb2.DropChannelRequest(
+                request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
+            )
+            await port.call(port.gatekeeper.DropChannel, request, CALL_TIMEOUT_S)
+
+        try:
+            await self._session.perform(self._state, drop_at, timeout_s=1.0)
+        except Unavailable:  # no host to tell: the directory alone forgets it
+            request = directory_service_pb2.DeleteChannelRequest(
+                request_id=identity, channel_id=self._state.info.channel_id
+            )
+            await self._session.supernodes.call("DeleteChannel", request, CALL_TIMEOUT_S)
+        self._session.cache.forget(self._state.info.channel_id)

@@ -1,0 +1,211 @@
+"""Many puts in flight: items fill runs while the last write is under way, and acks come as they come."""
+
+from __future__ import annotations
+
+import random
+import time as clock
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import TracebackType
+
+from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
+from stampede_rt.batching import NumberedRun, RunBuilder
+from stampede_rt.binding import Binding
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.payloads import check_attributes, check_payload
+from stampede_rt.retry import Backoff
+from stampede_rt.status import from_error_message
+from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
+from stampede_rt.transports.concurrency_async import Mutex, Signal, sleep
+from stampede_rt.transports.grpc_async import PutDuplex
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import raw_run_pb2
+
+IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
+IN_FLIGHT_RUNS_MAX = 64
+REJECTIONS_KEPT_MAX = 1024
+ITEM_OVERHEAD_BYTES = 64
+
+
+class Producer:
+    """Puts that do not wait for their acks, with bounded bytes in flight (see `Channel.producer`).
+
+    Use it as a context manager, from one thread or task; leaving it flushes. `accepted` counts acked items,
+    `rejections` refused ones; `rejected` holds the errors since the last flush, the first 1024 of them.
+    """
+
+    def __init__(self, session: Session, state: ChannelState) -> None:
+        self._session = session
+        self._state = state
+        self._producer_id = int.from_bytes(request_id()[:8], "little") | 1
+        self._builder = RunBuilder()
+        self._unacked: deque[NumberedRun] = deque()
+        self._unacked_bytes = 0
+        self._mutex = Mutex()  # guards the builder and the order of writes
+        self._moved = Signal()
+        self._stream: PutDuplex | None = None
+        self._generation = 0  # tells the acks of a stream that was given up from those of its successor
+        self._failure: StampedeError | None = None
+        self._backoff: Backoff | None = None  # set while nothing has been acked since a failure
+        self.accepted = 0
+        self.rejections = 0
+        self.rejected: list[StampedeError] = []
+
+    async def __aenter__(self) -> Producer:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                await self.flush()
+        finally:
+            await self.aclose()
+
+    async def put(
+        self,
+        payload: bytes,
+        *,
+        time: InstantLike | None = None,
+        duration: DurationLike | int | None = None,
+        attributes: Mapping[str, str] | None = None,
+        content_type: str | None = None,
+    ) -> None:
+        """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged. See `Channel.put` for the arguments."""
+        payload = check_payload(payload)
+        check_attributes(attributes)
+        instant = time if time is None or type(time) is int else parse_instant(time)
+        nanos = duration if duration is None else parse_item_duration(duration)
+        kind = content_type or ""
+        if not self._builder.fits(payload, instant, attributes, kind):
+            await self._send()
+        with self._mutex:
+            self._builder.add(payload, instant, nanos, attributes, kind)
+        if not self._unacked:  # nothing is under way: no reason to wait for company
+            await self._send()
+
+    async def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
+        """Block until everything put is acked, `timeout` seconds at most; then raise the first refusal, if any.
+
+        Raises DeadlineExceeded, or Unavailable if the host is lost for good.
+        """
+        await self._send()
+        await self._until(lambda: not self._unacked and not len(self._builder), timeout)
+        refused, self.rejected = self.rejected, []
+        if refused:
+            raise refused[0]
+
+    async def aclose(self) -> None:
+        """Let go of the stream. What is not acked may be lost: flush before."""
+        self._generation += 1
+        if self._stream is not None:
+            self._stream.cancel()
+            self._stream = None
+
+    def _has_room(self) -> bool:
+        return self._unacked_bytes < IN_FLIGHT_BYTES_MAX and len(self._unacked) < IN_FLIGHT_RUNS_MAX
+
+    async def _send(self) -> None:
+        """Send the run that is being filled, as soon as there is room."""
+        await self._until(self._has_room, None)
+        if self._stream is None:
+            await self._open()
+        await self._send_filled()
+
+    async def _send_filled(self) -> None:
+        with self._mutex:
+            if not len(self._builder):
+                return
+            run = self._builder.take()
+            self._unacked.append(run)
+            self._unacked_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
+            await self._write(_request_of(run))
+
+    async def _write(self, request: channel_pb.PutRequest) -> None:
+        try:
+            if self._stream is not None:
+                await self._stream.write(request)
+        except Unavailable as error:  # what is not acked is sent again by `_recover`
+            self._failure = self._failure or error
+            self._moved.set()
+
+    async def _until(self, condition: Callable[[], bool], timeout_s: float | None) -> None:
+        """Block until `condition`, replacing a failed stream meanwhile."""
+        deadline_s = float("inf") if timeout_s is None else clock.monotonic() + timeout_s
+        while True:
+            self._moved.clear()
+            if self._failure is not None:
+                await self._recover(self._failure)
+            elif condition():
+                return
+            else:
+                left_s = deadline_s - clock.monotonic()
+                if left_s <= 0:
+                    raise DeadlineExceeded(
+                        f"{len(self._unacked)} runs for channel {self._state.info.name!r} were not acknowledged in "
+                        "time; its host may be overloaded, or the channel full"
+                    )
+                await self._moved.wait(None if timeout_s is None else left_s)
+
+    async def _recover(self, failure: StampedeError) -> None:
+        """Replace a failed stream, or raise its failure if that is final or nothing was acked for too long."""
+        self._backoff = self._backoff or Backoff(clock.monotonic() + CALL_TIMEOUT_S)
+        delay_s = self._backoff.next_delay_s(clock.monotonic(), random.random())
+        if not failure.retryable or delay_s is None:
+            raise failure
+        await sleep(delay_s)
+        self._session.cache.forget(self._state.info.channel_id)
+        await self._open()
+
+    async def _open(self) -> None:
+        """Open a stream at the channel's present place and send what was not acked, under the same numbers."""
+        await self.aclose()
+
+        async def open_at(binding: Binding) -> None:
+            self._failure = None
+            port = self._session.ports.to(binding.target)
+            on_acks, on_end = partial(self._acked, self._generation), partial(self._ended, self._generation)
+            self._stream = port.duplex(on_acks, on_end)
+            head = channel_pb.PutRequest(
+                channel_id=binding.channel_id, epoch=binding.epoch, producer_id=self._producer_id
+            )
+            with self._mutex:
+                await self._write(head)
+                for run in tuple(self._unacked):
+                    await self._write(_request_of(run))
+
+        await self._session.perform(self._state, open_at)
+
+    async def _acked(self, generation: int, response: channel_pb.PutResponse) -> None:
+        for ack in response.acks:
+            if generation != self._generation or self._failure is not None:
+                return
+            self._count(ack)
+        self._moved.set()
+        if len(self._builder) and self._has_room():
+            await self._send_filled()
+
+    def _count(self, ack: channel_pb.PutAck) -> None:
+        refusal = from_error_message(ack.error) if ack.HasField("error") else None
+        if refusal is not None and refusal.retryable:  # the channel has moved: the run stays and is sent again
+            self._failure = refusal
+            return
+        run = self._unacked.popleft()
+        self._unacked_bytes -= run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
+        self._backoff = None
+        refusals = [refusal] * run.items if refusal else [from_error_message(one.error) for one in ack.rejections]
+        self.accepted += run.items - len(refusals)
+        self.rejections += len(refusals)
+        self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]
+
+    async def _ended(self, generation: int, error: StampedeError) -> None:
+        if generation == self._generation:
+            self._failure = self._failure or error
+            self._moved.set()
+
+
+def _request_of(run: NumberedRun) -> channel_pb.PutRequest:
+    raw = raw_run_pb2.RawPutRequest(puts=(raw_run_pb2.RawPutRun(first_number=run.first_number, run=run.encoded),))
+    return channel_pb.PutRequest.FromString(raw.SerializeToString())

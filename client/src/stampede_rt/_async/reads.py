@@ -1,0 +1,70 @@
+"""Gets: one request on the open stream of the channel's host, and its answer as Items."""
+
+from __future__ import annotations
+
+from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt.binding import Binding
+from stampede_rt.model import Item, Items
+from stampede_rt.reading import Read
+from stampede_rt.status import from_error_message
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.wire.reads import (
+    interval_to_message,
+    match_to_message,
+    position_of,
+    resolved_from_message,
+    summary_reason,
+)
+from stampede_rt.wire.runs import ItemDecoder
+
+
+async def read(session: Session, state: ChannelState, query: Read) -> Items:
+    """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait."""
+    limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
+
+    async def read_at(binding: Binding) -> Items:
+        exchange = session.ports.to(binding.target).gets()
+        responses = await exchange.get(_request(binding, query), limit_s)
+        return _answer(state, query, responses)
+
+    return await session.perform(state, read_at, limit_s)
+
+
+def _request(binding: Binding, query: Read) -> channel_pb.GetRequest:
+    return channel_pb.GetRequest(
+        channel_id=binding.channel_id,
+        epoch=binding.epoch,
+        interval=interval_to_message(query.interval),
+        match=match_to_message(query.match),
+        limit=query.limit,
+        newest_first=query.newest_first,
+        after=None if query.after is None else position_of(query.after),
+        newer_than=None if query.newer_than is None else position_of(query.newer_than),
+        without_payloads=not query.payloads,
+        wait_nanos=query.wait.nanos,
+        complete=query.complete,
+    )
+
+
+def _answer(state: ChannelState, query: Read, responses: list[channel_pb.GetResponse]) -> Items:
+    last = responses[-1]
+    if last.HasField("error"):
+        raise from_error_message(last.error)
+    summary = last.summary
+    decoder = ItemDecoder(
+        incarnation=summary.incarnation,
+        content_type=state.info.policy.content_type or "",
+        payloads=query.payloads,
+    )
+    items: list[Item] = decoder.decode([run for response in responses for run in response.runs])
+    if query.newest_first:
+        items.reverse()
+    return Items(
+        items,
+        interval=resolved_from_message(summary.interval) if summary.HasField("interval") else None,
+        complete=summary.complete,
+        truncated=summary.truncated,
+        more=summary.more,
+        reason=summary_reason(summary),
+        incarnation=summary.incarnation,
+    )

@@ -1,0 +1,100 @@
+"""Changes of the directory, as they happen (paper, section 3.5: discovery)."""
+
+from __future__ import annotations
+
+from collections import deque
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._async.session import Session
+from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.model import Change
+from stampede_rt.retry import Backoff
+from stampede_rt.transports.concurrency_async import begin_now, monotonic_s, sleep
+from stampede_rt.transports.grpc_async import Stream
+from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt.wire.records import change
+
+
+class Watch:
+    """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
+
+    Goes to another supernode by itself, from where it was. Raises WatchRestart if the changes since then are not kept
+    any more: list again, then watch anew.
+    """
+
+    def __init__(self, session: Session, name_glob: str) -> None:
+        self._session = session
+        self._request = directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True)
+        self._hosts: dict[bytes, directory_pb2.HostRecord] = {}
+        self._stream: Stream[directory_service_pb2.WatchResponse] | None = None
+        self._responses: Any = None
+        self._ready: deque[Change] = deque()
+        self._closed = False
+        begin_now(self._open)
+
+    async def __aenter__(self) -> Watch:
+        await self._open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __aiter__(self) -> Watch:
+        return self
+
+    async def __anext__(self) -> Change:
+        while not self._ready:
+            if self._closed:
+                raise StopAsyncIteration
+            await self._open()
+            await self._receive()
+        return self._ready.popleft()
+
+    def close(self) -> None:
+        """End the watch."""
+        self._closed = True
+        if self._stream is not None:
+            self._stream.cancel()
+
+    async def _open(self) -> None:
+        backoff = Backoff(monotonic_s() + CONNECT_TIMEOUT_S)
+        while self._stream is None and not self._closed:
+            try:
+                await self._open_once()
+            except Unavailable:
+                delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
+                if delay_s is None:
+                    raise
+                await sleep(delay_s)
+
+    async def _open_once(self) -> None:
+        hosts = await self._session.supernodes.call(
+            "ListHosts", directory_service_pb2.ListHostsRequest(include_dead=True), CONNECT_TIMEOUT_S
+        )
+        self._hosts = {host.host_id: host for host in hosts.hosts}
+        stream = self._session.supernodes.stream("Watch", self._request)
+        responses = stream.__aiter__()
+        self._take(await responses.__anext__())  # says that the watch holds
+        self._stream, self._responses = stream, responses
+
+    async def _receive(self) -> None:
+        try:
+            self._take(await self._responses.__anext__())
+        except StopAsyncIteration:
+            self._stream = None
+        except StampedeError as error:
+            self._stream = None
+            if not error.retryable:
+                self._closed = True
+                raise
+
+    def _take(self, response: directory_service_pb2.WatchResponse) -> None:
+        for message in response.changes:
+            if message.WhichOneof("subject") == "host":
+                self._hosts[message.host.host_id] = message.host
+            self._ready.append(change(message, self._hosts))
+        self._request.after_index = max(self._request.after_index, response.applied_index)

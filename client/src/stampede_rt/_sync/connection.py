@@ -1,0 +1,112 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""A participant's connection to the cluster: channels by name, and discovery."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._sync.watch import Watch
+from stampede_rt.model import ChannelInfo, HostInfo, SupernodeInfo
+from stampede_rt.policy import parse_name, parse_policy
+from stampede_rt.timeline import DurationLike
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.wire.records import channel_info, host_info, supernode_info
+
+PAGES_MAX = 10_000
+
+
+class Connection:
+    """What `connect` gives: the way to channels and to the directory. A context manager; close it or leave it."""
+
+    def __init__(self, session: Session, name: str) -> None:
+        self._session = session
+        self.name = name
+
+    def open(self) -> Connection:
+        """Find the cluster, within 5 s. Raises Unavailable, PermissionDenied, VersionMismatch."""
+        self._session.open()
+        return self
+
+    def __enter__(self) -> Connection:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End everything that is under way; handles of this connection do not work any more."""
+        self._session.close()
+
+    @property
+    def cluster_id(self) -> str:
+        """Which cluster this is."""
+        return self._session.supernodes.cluster_id
+
+    def channel(
+        self,
+        name: str,
+        *,
+        max_age: DurationLike | None = None,
+        max_items: int | None = None,
+        max_bytes: int | None = None,
+        consumers: int | None = None,
+        on_full: str | None = None,
+        max_future: DurationLike | None = None,
+        content_type: str | None = None,
+        host: str | None = None,
+        create: bool = True,
+    ) -> Channel:
+        """Get or create a channel (paper, section 3.4 for the policies).
+
+        Arguments left out are never compared; a stated one that contradicts what was stated before raises
+        ChannelExists. Unstated: max_age "10s" if no limit at all is stated, max_bytes 256 MiB, on_full "drop_oldest",
+        max_future "1s". `host` names the host to create it at. `create=False` raises ChannelNotFound if it is absent.
+        """
+        stated = parse_policy(
+            max_age=max_age,
+            max_items=max_items,
+            max_bytes=max_bytes,
+            consumers=consumers,
+            on_full=on_full,
+            max_future=max_future,
+            content_type=content_type,
+        )
+        info = self._session.open_channel(parse_name(name), stated, host, create)
+        return Channel(self._session, ChannelState(info, stated, create))
+
+    def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
+        """The channels whose names match; "*" stands for any run of characters, "?" for one. In the order of names."""
+        found: list[ChannelInfo] = []
+        for page in self._pages("ListChannels", directory_pb.ListChannelsRequest(name_glob=name_glob)):
+            hosts = {host.host_id: host for host in page.hosts}
+            found += [channel_info(record, hosts.get(record.host_id)) for record in page.channels]
+        return found
+
+    def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
+        """The channel hosts, in the order of names."""
+        found: list[HostInfo] = []
+        for page in self._pages("ListHosts", directory_pb.ListHostsRequest(include_dead=include_dead)):
+            found += [host_info(record) for record in page.hosts]
+        return found
+
+    def _pages(self, method: str, request: Any) -> Any:
+        for _ in range(PAGES_MAX):
+            page = self._session.supernodes.call(method, request, CALL_TIMEOUT_S)
+            yield page
+            if not page.next_page_token:
+                return
+            request.page_token = page.next_page_token
+
+    def supernodes(self) -> list[SupernodeInfo]:
+        """The supernodes, as the nearest one sees them."""
+        response = self._session.supernodes.call("ListSupernodes", directory_pb.ListSupernodesRequest(), CALL_TIMEOUT_S)
+        return [supernode_info(record) for record in response.supernodes]
+
+    def watch(self, name_glob: str = "*") -> Watch:
+        """Changes of channels whose names match, and of hosts, from now on: an iterator and context manager."""
+        return Watch(self._session, name_glob)

@@ -1,0 +1,171 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""One participant's link to the cluster: resolves channels, binds to their hosts, tries again when a place is stale.
+
+A request takes the cached data endpoint; a miss asks the host's gatekeeper; a miss there asks a supernode; all
+supernodes gone, the front-end. What fails as stale is forgotten and counts as a miss (paper, section 4.2).
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from stampede_rt._sync.ports import Ports
+from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S, Supernodes
+from stampede_rt.binding import Binding, BindingCache, Owner
+from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.model import ChannelInfo, Policy
+from stampede_rt.retry import Backoff
+from stampede_rt.transports.concurrency_sync import sleep, thread_id
+from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
+from stampede_rt.wire.records import channel_info, policy_to_spec
+
+CALL_TIMEOUT_S = 10.0
+TRY_TIMEOUT_S = 5.0
+
+Result = TypeVar("Result")
+
+
+def request_id() -> bytes:
+    """What makes an update safe to repeat."""
+    return os.urandom(16)
+
+
+@dataclass(slots=True)
+class ChannelState:
+    """What a handle knows of its channel; `info` follows the directory."""
+
+    info: ChannelInfo
+    stated: Policy
+    create: bool
+    producer_id: int = field(default_factory=lambda: int.from_bytes(os.urandom(8), "little") | 1)
+
+
+class Session:
+    """The caches and the retries behind every handle of one connection."""
+
+    def __init__(self, frontends: tuple[str, ...], secret: str | None, *, peer_name: str, zone: str) -> None:
+        self.ports = Ports(secret)
+        self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
+        self.cache = BindingCache()
+        self.closed = False
+
+    def open(self) -> None:
+        """Find the supernodes, within 5 s. Raises Unavailable, PermissionDenied, VersionMismatch."""
+        self.supernodes.bind(CONNECT_TIMEOUT_S)
+
+    def close(self) -> None:
+        """End everything that is under way."""
+        self.closed = True
+        self.cache.forget_all()
+        self.ports.close()
+
+    def open_channel(
+        self, name: str, policy: Policy, host: str | None, create: bool, timeout_s: float = CALL_TIMEOUT_S
+    ) -> ChannelInfo:
+        """Get or create a channel by name; an owner whose lease has ended is replaced."""
+        request = directory_service_pb2.OpenChannelRequest(
+            request_id=request_id(), name=name, spec=policy_to_spec(policy), create=create, host_name=host or ""
+        )
+        response = self.supernodes.call("OpenChannel", request, timeout_s)
+        return self._learn(response.channel, response.host)
+
+    def _learn(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord) -> ChannelInfo:
+        owner = Owner(host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version)
+        self.cache.learn_owner(record.channel_id, owner, [endpoint.target for endpoint in host.gatekeepers])
+        return channel_info(record, host)
+
+    def perform(
+        self,
+        state: ChannelState,
+        operation: Callable[[Binding], Result],
+        timeout_s: float | None = CALL_TIMEOUT_S,
+    ) -> Result:
+        """Run `operation` at the channel's host, and again at its new place if this one is stale or gone.
+
+        `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met.
+        """
+        if self.closed:
+            raise Unavailable("this connection is closed; connect() again")
+        backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
+        while True:
+            try:
+                return operation(self.bind(state, backoff.deadline_s))
+            except StampedeError as error:
+                if not error.retryable or self.closed:
+                    raise
+                self.cache.forget(state.info.channel_id)
+                delay_s = backoff.next_delay_s(time.monotonic(), random.random())
+                if delay_s is None:
+                    raise
+            sleep(delay_s)
+
+    def bind(self, state: ChannelState, deadline_s: float = float("inf")) -> Binding:
+        """Where the channel's data is, from the caches or by asking."""
+        found = self.cache.binding(state.info.channel_id, thread_id())
+        if found is not None:
+            return found
+        owner = self.cache.owner(state.info.channel_id)
+        if owner is None:
+            self._resolve(state, deadline_s)
+            owner = self.cache.owner(state.info.channel_id)
+        if owner is None:
+            raise Unavailable(f"the channel {state.info.name!r} has no owner at present")
+        return self._bind_at(state, owner, deadline_s)
+
+    def _resolve(self, state: ChannelState, deadline_s: float) -> None:
+        """Ask a supernode who owns the channel; one whose owner is lost is opened anew, as its handle was."""
+        left_s = _left_s(deadline_s)
+        request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
+        response = self.supernodes.call("ResolveChannel", request, left_s)
+        if response.host.alive:
+            state.info = self._learn(response.channel, response.host)
+            return
+        if not state.create:
+            raise Unavailable(
+                f"the host of channel {state.info.name!r} ({response.host.name or 'unknown'}) is lost, and this handle "
+                "may not create the channel anew; wait for the host, or open the channel with create=True",
+                reason="NO_HOST",
+            )
+        info = self.open_channel(state.info.name, state.stated, None, True, left_s)
+        if info.channel_id != state.info.channel_id:
+            raise ChannelNotFound(f"the channel {info.name!r} was deleted, and another now has its name; open it again")
+        state.info = info
+
+    def _bind_at(self, state: ChannelState, owner: Owner, deadline_s: float) -> Binding:
+        request = gatekeeper_service_pb2.BindChannelRequest(
+            channel_id=state.info.channel_id, epoch=owner.epoch, spec_version=owner.spec_version
+        )
+        failure: StampedeError = Unavailable(f"the host of channel {state.info.name!r} has no endpoint")
+        for target in self.cache.gatekeepers(owner.host_id):
+            port = self.ports.to(target)
+            try:
+                response = port.call(port.gatekeeper.BindChannel, request, min(_left_s(deadline_s), TRY_TIMEOUT_S))
+            except (Unavailable, DeadlineExceeded) as error:
+                failure = Unavailable(
+                    f"the host {state.info.host!r} of channel {state.info.name!r} at {target} cannot be reached: "
+                    f"{error}",
+                    reason=error.reason,
+                )
+                continue
+            return self._bound(state, response)
+        raise failure
+
+    def _bound(self, state: ChannelState, response: gatekeeper_service_pb2.BindChannelResponse) -> Binding:
+        record = response.channel
+        targets = [e.target for e in response.endpoints if e.transport == gatekeeper_service_pb2.TRANSPORT_GRPC]
+        if not targets:
+            raise Unavailable(f"the host of channel {record.name!r} offers no transport that this client has")
+        binding = Binding(
+            channel_id=record.channel_id, target=targets[0], epoch=record.epoch, incarnation=record.incarnation
+        )
+        self.cache.learn_binding(binding, thread_id())
+        return binding
+
+
+def _left_s(deadline_s: float) -> float:
+    return max(0.1, min(deadline_s - time.monotonic(), CALL_TIMEOUT_S))

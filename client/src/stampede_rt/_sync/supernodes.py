@@ -1,0 +1,152 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""The way to the directory: front-ends give the supernodes, the nearest one is asked, the next one takes over."""
+
+from __future__ import annotations
+
+import random
+import time
+from typing import Any
+
+from stampede_rt._sync.ports import Ports
+from stampede_rt.binding import order_by_round_trip
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.retry import Backoff
+from stampede_rt.transports.concurrency_sync import sleep
+from stampede_rt.transports.grpc_sync import Stream
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.version import PROTOCOL_VERSION, VERSION
+
+MEASURE_EVERY_S = 60.0
+PING_TIMEOUT_S = 1.0
+TRY_TIMEOUT_S = 2.5  # for one supernode while there are others: one that is stopped must not use up all the time
+CONNECT_TIMEOUT_S = 5.0
+
+
+class Supernodes:
+    """Calls the directory, through whichever supernode is nearest and alive (paper, section 4.3)."""
+
+    def __init__(self, frontends: tuple[str, ...], ports: Ports, *, peer_name: str, zone: str) -> None:
+        self._frontends = frontends
+        self._ports = ports
+        self._peer_name = peer_name
+        self._zone = zone
+        self._targets: list[str] = []
+        self._measured_s = float("-inf")
+        self.cluster_id = ""
+
+    def bind(self, timeout_s: float) -> None:
+        """Ask the front-ends, one after the other, for the supernodes, and put the nearest first.
+
+        Raises Unavailable, PermissionDenied or VersionMismatch if none of them helps within `timeout_s`.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        failure: StampedeError | None = None
+        for position, target in enumerate(self._frontends):
+            left_s = (deadline_s - time.monotonic()) / (len(self._frontends) - position)
+            try:
+                response = self._ask(target, max(left_s, 0.1))
+            except StampedeError as error:
+                failure = error
+                continue
+            self._targets = [record.endpoint.target for record in response.supernodes]
+            self.cluster_id = response.cluster_id
+            self._measure()
+            return
+        raise self._unbound(failure)
+
+    def _ask(self, target: str, timeout_s: float) -> frontend_pb.BindResponse:
+        port = self._ports.to(target)
+        request = frontend_pb.BindRequest(
+            peer_name=self._peer_name, zone=self._zone, protocol_version=PROTOCOL_VERSION, version=VERSION
+        )
+        response: frontend_pb.BindResponse = port.call(port.frontend.Bind, request, timeout_s)
+        if response.protocol_version != PROTOCOL_VERSION:
+            raise VersionMismatch(
+                f"the front-end {target} speaks protocol {response.protocol_version} (version {response.version}), "
+                f"this client {PROTOCOL_VERSION} (version {VERSION}); install versions that go together"
+            )
+        return response
+
+    def _unbound(self, failure: StampedeError | None) -> StampedeError:
+        if failure is not None and not isinstance(failure, Unavailable | DeadlineExceeded):
+            return failure
+        addresses = ", ".join(self._frontends)
+        return Unavailable(
+            f"cannot connect to {addresses}: {failure}. Start one with `stampede dev`, or name another in connect() or "
+            "$STAMPEDE_URL",
+            reason=failure.reason if failure else "NO_QUORUM",
+        )
+
+    def _measure(self) -> None:
+        """Ping every supernode and order them by round trip; what does not answer goes last."""
+        round_trip_s: dict[str, float] = {}
+        for target in self._targets:
+            port = self._ports.to(target)
+            started_s = time.monotonic()
+            try:
+                response = port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), PING_TIMEOUT_S)
+            except StampedeError:
+                continue
+            if response.ready:
+                round_trip_s[target] = time.monotonic() - started_s
+        self._targets = order_by_round_trip(self._targets, round_trip_s)
+        self._measured_s = time.monotonic()
+
+    def call(self, method: str, request: Any, timeout_s: float) -> Any:
+        """One call of the directory. Goes to the next supernode if one cannot serve, and to the front-ends after all.
+
+        Updates are safe to repeat: they carry a request id. Raises what the directory answers, or Unavailable once
+        `timeout_s` is over.
+        """
+        backoff = Backoff(time.monotonic() + timeout_s)
+        while True:
+            try:
+                return self._call_each(method, request, backoff.deadline_s)
+            except StampedeError as error:
+                if not error.retryable and not isinstance(error, DeadlineExceeded):
+                    raise
+                delay_s = backoff.next_delay_s(time.monotonic(), random.random())
+                if delay_s is None:
+                    raise
+                sleep(delay_s)
+            self._rebind(backoff.deadline_s)
+
+    def _call_each(self, method: str, request: Any, deadline_s: float) -> Any:
+        failure: StampedeError = Unavailable("no supernode is known; is a front-end running?")
+        if time.monotonic() - self._measured_s > MEASURE_EVERY_S:
+            self._measure()
+        for target in list(self._targets):
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                break
+            left_s = min(left_s, TRY_TIMEOUT_S) if len(self._targets) > 1 else left_s
+            port = self._ports.to(target)
+            try:
+                return port.call(getattr(port.directory, method), request, left_s)
+            except StampedeError as error:
+                if not error.retryable and not isinstance(error, DeadlineExceeded):
+                    raise
+                failure = error
+                self._demote(target)
+        raise failure
+
+    def _demote(self, target: str) -> None:
+        if target in self._targets:
+            self._targets.remove(target)
+            self._targets.append(target)
+
+    def _rebind(self, deadline_s: float) -> None:
+        """All supernodes failed: a front-end may know others. If none answers, the known ones stay."""
+        left_s = deadline_s - time.monotonic()
+        try:
+            self.bind(max(min(left_s, CONNECT_TIMEOUT_S), 0.1))
+        except (Unavailable, DeadlineExceeded):
+            self._measured_s = float("-inf")
+
+    def stream(self, method: str, request: Any) -> Stream[Any]:
+        """The responses of one streaming call, from the nearest supernode."""
+        if not self._targets:
+            raise Unavailable("no supernode is known; is a front-end running?")
+        port = self._ports.to(self._targets[0])
+        return port.stream(getattr(port.directory, method), request)

@@ -1,0 +1,101 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Changes of the directory, as they happen (paper, section 3.5: discovery)."""
+
+from __future__ import annotations
+
+from collections import deque
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._sync.session import Session
+from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.model import Change
+from stampede_rt.retry import Backoff
+from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
+from stampede_rt.transports.grpc_sync import Stream
+from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt.wire.records import change
+
+
+class Watch:
+    """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
+
+    Goes to another supernode by itself, from where it was. Raises WatchRestart if the changes since then are not kept
+    any more: list again, then watch anew.
+    """
+
+    def __init__(self, session: Session, name_glob: str) -> None:
+        self._session = session
+        self._request = directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True)
+        self._hosts: dict[bytes, directory_pb2.HostRecord] = {}
+        self._stream: Stream[directory_service_pb2.WatchResponse] | None = None
+        self._responses: Any = None
+        self._ready: deque[Change] = deque()
+        self._closed = False
+        begin_now(self._open)
+
+    def __enter__(self) -> Watch:
+        self._open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> Watch:
+        return self
+
+    def __next__(self) -> Change:
+        while not self._ready:
+            if self._closed:
+                raise StopIteration
+            self._open()
+            self._receive()
+        return self._ready.popleft()
+
+    def close(self) -> None:
+        """End the watch."""
+        self._closed = True
+        if self._stream is not None:
+            self._stream.cancel()
+
+    def _open(self) -> None:
+        backoff = Backoff(monotonic_s() + CONNECT_TIMEOUT_S)
+        while self._stream is None and not self._closed:
+            try:
+                self._open_once()
+            except Unavailable:
+                delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
+                if delay_s is None:
+                    raise
+                sleep(delay_s)
+
+    def _open_once(self) -> None:
+        hosts = self._session.supernodes.call(
+            "ListHosts", directory_service_pb2.ListHostsRequest(include_dead=True), CONNECT_TIMEOUT_S
+        )
+        self._hosts = {host.host_id: host for host in hosts.hosts}
+        stream = self._session.supernodes.stream("Watch", self._request)
+        responses = stream.__iter__()
+        self._take(responses.__next__())  # says that the watch holds
+        self._stream, self._responses = stream, responses
+
+    def _receive(self) -> None:
+        try:
+            self._take(self._responses.__next__())
+        except StopIteration:
+            self._stream = None
+        except StampedeError as error:
+            self._stream = None
+            if not error.retryable:
+                self._closed = True
+                raise
+
+    def _take(self, response: directory_service_pb2.WatchResponse) -> None:
+        for message in response.changes:
+            if message.WhichOneof("subject") == "host":
+                self._hosts[message.host.host_id] = message.host
+            self._ready.append(change(message, self._hosts))
+        self._request.after_index = max(self._request.after_index, response.applied_index)

@@ -1,0 +1,28 @@
+"""Where front-ends listen: how people write it. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument
+
+DEFAULT_PORT = 7580
+DEFAULT_URL = f"localhost:{DEFAULT_PORT}"
+ADDRESSES_MAX = 16
+
+
+def parse_addresses(url: str) -> tuple[str, ...]:
+    """The gRPC targets of `"host:port,host:port"`; a port left out is 7580. `unix:/path` stays as it is."""
+    parts = [part.strip() for part in url.removeprefix("stampede://").split(",") if part.strip()]
+    if not 1 <= len(parts) <= ADDRESSES_MAX:
+        raise InvalidArgument(f'the address is {url!r}; write 1 to {ADDRESSES_MAX} of them, as in "localhost:7580"')
+    return tuple(_parse_one(part) for part in parts)
+
+
+def _parse_one(address: str) -> str:
+    if address.startswith("unix:"):
+        return address
+    host, separator, port = address.rpartition(":")
+    if not separator or (host.count(":") and not host.endswith("]")):
+        return f"{address if address.count(':') < 2 else f'[{address}]'}:{DEFAULT_PORT}"
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise InvalidArgument(f'the address is {address!r}; write a host and a port from 1 to 65535, as in "rig:7580"')
+    return address

@@ -1,0 +1,55 @@
+"""The surface of `stampede_rt` with `await`: the same names, on asyncio."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._async.channel import Channel
+from stampede_rt._async.connection import Connection
+from stampede_rt._async.producer import Producer
+from stampede_rt._async.session import Session as _Session
+from stampede_rt._async.subscription import Subscription
+from stampede_rt._async.watch import Watch
+from stampede_rt.connecting import Target as _Target
+from stampede_rt.connecting import parse_target as _parse_target
+
+__all__ = ["Channel", "Connection", "Producer", "Subscription", "Watch", "connect"]
+
+
+class _Connecting:
+    """`await connect(...)` gives the connection; `async with connect(...) as rt` closes it at the end, too."""
+
+    def __init__(self, target: _Target) -> None:
+        self._target = target
+        self._connection: Connection | None = None
+
+    async def _connect(self) -> Connection:
+        target = self._target
+        session = _Session(target.frontends, target.secret, peer_name=target.name, zone=target.zone)
+        try:
+            self._connection = await Connection(session, target.name).open()
+        except BaseException:
+            await session.aclose()
+            raise
+        return self._connection
+
+    def __await__(self) -> Generator[Any, None, Connection]:
+        return self._connect().__await__()
+
+    async def __aenter__(self) -> Connection:
+        return await self._connect()
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._connection is not None:
+            await self._connection.aclose()
+
+
+def connect(
+    url: str | None = None, *, name: str | None = None, secret: str | None = None, zone: str | None = None
+) -> _Connecting:
+    """As `stampede_rt.connect`; await it, or enter it with `async with`."""
+    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone))

@@ -1,0 +1,82 @@
+"""Fills item runs on the producer's side. Pure but for the encoding of a finished run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, RUN_ITEMS_MAX, encode_run
+
+
+@dataclass(frozen=True, slots=True)
+class NumberedRun:
+    """A finished run with the producer's number of its first item and its payloads' length."""
+
+    first_number: int
+    items: int
+    length_bytes: int
+    encoded: bytes
+
+
+@dataclass(slots=True)
+class RunBuilder:
+    """Gathers items into one run as long as they fit together; the caller takes it when it can be sent.
+
+    Items fit together if they all have a time or none has, share attributes and content type, and stay within the
+    run's limits. Numbers grow by one for each item, over all runs.
+    """
+
+    next_number: int = 1
+    _payloads: list[bytes] = field(default_factory=list)
+    _times: list[int] = field(default_factory=list)
+    _durations: list[int] = field(default_factory=list)
+    _attributes: Mapping[str, str] | None = None
+    _content_type: str = ""
+    length_bytes: int = 0
+
+    def __len__(self) -> int:
+        return len(self._payloads)
+
+    def fits(self, payload: bytes, time: int | None, attributes: Mapping[str, str] | None, content_type: str) -> bool:
+        """Whether the next item can join the run that is being filled."""
+        if not self._payloads:
+            return True
+        return (
+            len(self._payloads) < RUN_ITEMS_MAX
+            and self.length_bytes + len(payload) <= RUN_BYTES_MAX
+            and (time is None) is (not self._times)
+            and (attributes or None) == self._attributes
+            and content_type == self._content_type
+        )
+
+    def add(
+        self,
+        payload: bytes,
+        time: int | None,
+        duration: int | None,
+        attributes: Mapping[str, str] | None,
+        content_type: str,
+    ) -> None:
+        """Put an item that fits behind the others."""
+        if not self._payloads:
+            self._attributes, self._content_type = attributes or None, content_type
+        self._payloads.append(payload)
+        if time is not None:
+            self._times.append(time)
+        self._durations.append(ABSENT if duration is None else duration)
+        self.length_bytes += len(payload)
+
+    def take(self) -> NumberedRun:
+        """The run as it is, encoded; the builder starts the next one. Not to be called while it is empty."""
+        has_durations = any(duration != ABSENT for duration in self._durations)
+        encoded = encode_run(
+            self._payloads,
+            times=self._times or None,
+            durations=self._durations if has_durations else None,
+            content_type=self._content_type,
+            attributes=self._attributes,
+        )
+        run = NumberedRun(self.next_number, len(self._payloads), self.length_bytes, encoded)
+        self.next_number += run.items
+        self._payloads, self._times, self._durations, self.length_bytes = [], [], [], 0
+        return run

@@ -1,0 +1,85 @@
+"""The caches of a peer and the order of its supernodes (paper, sections 4.2 and 4.3). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+CACHE_ENTRIES_MAX = 100_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Binding:
+    """Where a channel's data is reached, and the epoch and incarnation that hold there."""
+
+    channel_id: bytes
+    target: str
+    epoch: int
+    incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Owner:
+    """Which host owns a channel, under which epoch."""
+
+    host_id: bytes
+    epoch: int
+    spec_version: int
+
+
+@dataclass(slots=True)
+class BindingCache:
+    """Host gatekeeper endpoints, channel data endpoints, and channel-to-host mappings.
+
+    Data endpoints are keyed by channel and thread, so that threads keep connections of their own. What turns out to be
+    stale is forgotten and then counts as a miss. Bounded: a full cache starts anew.
+    """
+
+    _gatekeepers: dict[bytes, Sequence[str]] = field(default_factory=dict)
+    _owners: dict[bytes, Owner] = field(default_factory=dict)
+    _bindings: dict[bytes, dict[int, Binding]] = field(default_factory=dict)
+
+    def binding(self, channel_id: bytes, thread_id: int) -> Binding | None:
+        """The data endpoint of a channel for a thread."""
+        by_thread = self._bindings.get(channel_id)
+        return by_thread.get(thread_id) if by_thread else None
+
+    def owner(self, channel_id: bytes) -> Owner | None:
+        """The host of a channel."""
+        return self._owners.get(channel_id)
+
+    def gatekeepers(self, host_id: bytes) -> Sequence[str]:
+        """Where a host's gatekeeper listens, best first; empty if it is not known."""
+        return self._gatekeepers.get(host_id, ())
+
+    def learn_owner(self, channel_id: bytes, owner: Owner, gatekeepers: Sequence[str]) -> None:
+        """A supernode has told who owns a channel and where that host listens."""
+        if len(self._owners) >= CACHE_ENTRIES_MAX:
+            self._owners.clear()
+            self._gatekeepers.clear()
+        self._owners[channel_id] = owner
+        self._gatekeepers[owner.host_id] = tuple(gatekeepers)
+
+    def learn_binding(self, binding: Binding, thread_id: int) -> None:
+        """A gatekeeper has bound a channel for a thread."""
+        if len(self._bindings) >= CACHE_ENTRIES_MAX:
+            self._bindings.clear()
+        self._bindings.setdefault(binding.channel_id, {})[thread_id] = binding
+
+    def forget(self, channel_id: bytes) -> None:
+        """What is cached of a channel turned out to be stale, its host's endpoint perhaps, too."""
+        self._bindings.pop(channel_id, None)
+        owner = self._owners.pop(channel_id, None)
+        if owner is not None:
+            self._gatekeepers.pop(owner.host_id, None)
+
+    def forget_all(self) -> None:
+        """The session is over, or the cluster another one."""
+        self._gatekeepers.clear()
+        self._owners.clear()
+        self._bindings.clear()
+
+
+def order_by_round_trip(targets: Iterable[str], round_trip_s: dict[str, float]) -> list[str]:
+    """Supernodes nearest first; those that did not answer last, in the order given (paper, section 4.3)."""
+    return sorted(targets, key=lambda target: round_trip_s.get(target, float("inf")))

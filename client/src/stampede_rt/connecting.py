@@ -1,0 +1,40 @@
+"""What `connect` is told, checked: addresses, the secret, the caller's name and zone."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+from stampede_rt.addresses import DEFAULT_URL, parse_addresses
+from stampede_rt.credentials import read_secret
+from stampede_rt.policy import parse_name
+
+_LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Target:
+    """Where to connect, and as whom."""
+
+    frontends: tuple[str, ...]
+    secret: str | None
+    name: str
+    zone: str
+
+
+def parse_target(url: str | None, *, name: str | None, secret: str | None, zone: str | None) -> Target:
+    """`url`: front-ends, "host:port,host:port"; default `$STAMPEDE_URL`, then localhost:7580.
+
+    Without `secret`, the one in `$STAMPEDE_SECRET_FILE` is used; the user's own secret file (see `credentials`) only
+    towards this machine, so that it is told to nobody else.
+    """
+    frontends = parse_addresses(url or os.environ.get("STAMPEDE_URL") or DEFAULT_URL)
+    here = all(frontend.startswith(_LOOPBACK) for frontend in frontends)
+    if secret is None and (here or os.environ.get("STAMPEDE_SECRET_FILE")):
+        secret = read_secret()
+    return Target(
+        frontends=frontends,
+        secret=secret,
+        name=parse_name(name, "peer") if name else "",
+        zone=zone or os.environ.get("STAMPEDE_ZONE", ""),
+    )

@@ -1,0 +1,70 @@
+"""A read as its caller stated it, before it becomes a request. Pure."""
+
+from __future__ import annotations
+
+import math
+import operator
+from dataclasses import dataclass
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import Item
+from stampede_rt.timeline import InstantLike, Interval, Match, parse_instant
+
+TIMEOUT_S_MAX = 10**9
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """How long a call may wait: `seconds`, None for ever."""
+
+    seconds: float | None
+
+    @classmethod
+    def parse(cls, timeout: float | None) -> Wait:
+        """A timeout in seconds, 0 or more; None: for ever."""
+        if timeout is None:
+            return cls(None)
+        if isinstance(timeout, bool | str) or not isinstance(timeout, int | float) or not 0 <= timeout < math.inf:
+            raise InvalidArgument(f"timeout is {timeout!r}; give seconds, 0 or more, or None to wait for ever")
+        return cls(min(timeout, TIMEOUT_S_MAX))
+
+    @property
+    def nanos(self) -> int:
+        """As the wire has it: -1 stands for ever."""
+        return -1 if self.seconds is None else round(self.seconds * 1e9)
+
+
+AT_ONCE = Wait(0)
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """One read of a channel (see `Channel.get`). Positions are an item or the instant behind whose items to go on."""
+
+    interval: Interval
+    match: Match = Match.SPAN
+    limit: int | None = None
+    newest_first: bool = False
+    after: Item | int | None = None
+    newer_than: Item | int | None = None
+    payloads: bool = True
+    wait: Wait = AT_ONCE
+    complete: bool = False
+
+
+def after_position(after: Item | InstantLike) -> Item | int:
+    """An item as it is, or an instant."""
+    return after if isinstance(after, Item) else parse_instant(after, "after")
+
+
+def parse_limit(limit: int | None) -> int | None:
+    """How many items at most; None: all."""
+    if limit is None:
+        return None
+    try:
+        count = operator.index(limit)
+    except TypeError:
+        raise InvalidArgument(f"limit is {limit!r}; it must be a whole number") from None
+    if not 1 <= count < 2**32:
+        raise InvalidArgument(f"limit is {limit!r}; it must be 1 or more, or None for all")
+    return count

@@ -1,0 +1,254 @@
+"""gRPC on asyncio: one `Port` for each address, with unary calls, streams and exchanges on open streams."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any, Generic, TypeVar
+
+import grpc
+import grpc.aio
+
+from stampede_rt.credentials import call_metadata
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
+from stampede_rt.v1.frontend_service_pb2_grpc import FrontendServiceStub
+from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+
+Response = TypeVar("Response")
+
+
+class Port:
+    """A gRPC connection to one address, shared by all calls there."""
+
+    def __init__(self, target: str, secret: str | None) -> None:
+        self.target = target
+        self.metadata = call_metadata(secret)
+        self._channel = grpc.aio.insecure_channel(target, options=CHANNEL_OPTIONS)
+        self.frontend = FrontendServiceStub(self._channel)
+        self.directory = DirectoryServiceStub(self._channel)
+        self.gatekeeper = GatekeeperServiceStub(self._channel)
+        self.channels = ChannelServiceStub(self._channel)
+        self._gets: GetExchange | None = None
+
+    async def call(self, method: Callable[..., Any], request: Any, timeout_s: float) -> Any:
+        """One request, one response, within `timeout_s`. Raises StampedeError."""
+        try:
+            return await method(request, timeout=timeout_s, metadata=self.metadata)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, self.target) from error
+
+    def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
+        """One request, many responses."""
+        return Stream(method(request, metadata=self.metadata), self.target)
+
+    def gets(self) -> GetExchange:
+        """The open stream for gets."""
+        if self._gets is None or self._gets.broken:
+            self._gets = GetExchange(self.channels.Get(metadata=self.metadata), self.target)
+        return self._gets
+
+    def puts(self) -> PutExchange:
+        """A new stream for puts, which its caller closes."""
+        return PutExchange(self.channels.Put(metadata=self.metadata), self.target)
+
+    def duplex(
+        self,
+        on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
+        on_end: Callable[[StampedeError], Awaitable[None]],
+    ) -> PutDuplex:
+        """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
+        return PutDuplex(self.channels.Put(metadata=self.metadata), self.target, on_response, on_end)
+
+    async def aclose(self) -> None:
+        """End everything that is under way here."""
+        await self._channel.close(None)
+
+
+class Stream(Generic[Response]):
+    """The responses of one request. `cancel` may be called from anywhere and ends the iteration."""
+
+    def __init__(self, call: Any, target: str) -> None:
+        self._call = call
+        self._target = target
+        self._cancelled = False
+
+    async def __aiter__(self) -> AsyncIterator[Response]:
+        try:
+            async for response in self._call:
+                yield response
+        except grpc.RpcError as error:
+            if not self._cancelled:
+                raise from_rpc_error(error, self._target) from error
+        except asyncio.CancelledError:
+            if not self._cancelled:
+                self.cancel()
+                raise
+        if not self._cancelled:
+            raise Unavailable(f"{self._target} ended the stream")
+
+    def cancel(self) -> None:
+        """Give the stream up."""
+        self._cancelled = True
+        self._call.cancel()
+
+
+class _Exchange:
+    """An open bidirectional stream with a task that reads its responses."""
+
+    def __init__(self, call: Any, target: str) -> None:
+        self._call = call
+        self._target = target
+        self._writing = asyncio.Lock()
+        self._reader = asyncio.create_task(self._read())
+        self.broken = False
+
+    async def _write(self, request: Any) -> None:
+        try:
+            async with self._writing:
+                await self._call.write(request)
+        except (grpc.RpcError, asyncio.InvalidStateError) as error:
+            self.broken = True
+            await self._reader  # it ends with the reason, and hands it to all that wait
+            raise Unavailable(f"the stream to {self._target} is broken") from error
+
+    async def _read(self) -> None:
+        error: StampedeError = Unavailable(f"{self._target} ended the stream")
+        try:
+            async for response in self._call:
+                await self._receive(response)
+        except grpc.RpcError as failure:
+            error = from_rpc_error(failure, self._target)
+        except asyncio.CancelledError:
+            error = Unavailable(f"the connection to {self._target} is closed")
+        self.broken = True
+        await self._end(error)
+
+    async def _receive(self, response: Any) -> None:
+        raise NotImplementedError
+
+    async def _end(self, error: StampedeError) -> None:
+        raise NotImplementedError
+
+    def cancel(self) -> None:
+        """Give the stream up."""
+        self.broken = True
+        self._call.cancel()
+
+
+async def _within(future: asyncio.Future[Response], timeout_s: float | None, target: str) -> Response:
+    try:
+        async with asyncio.timeout(timeout_s):
+            return await future
+    except TimeoutError:
+        raise DeadlineExceeded(f"{target} did not answer within {timeout_s:g} s; it may be overloaded") from None
+
+
+class GetExchange(_Exchange):
+    """Gets on one open stream: many may be under way, told apart by their call ids."""
+
+    def __init__(self, call: Any, target: str) -> None:
+        self._waiting: dict[int, tuple[asyncio.Future[list[channel_pb.GetResponse]], list[channel_pb.GetResponse]]] = {}
+        self._next_id = 0
+        super().__init__(call, target)
+
+    async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
+        """All responses to `request`, which gets a call id here. Cancelling the task cancels the call at the host."""
+        self._next_id += 1
+        request.call_id = call_id = self._next_id
+        future: asyncio.Future[list[channel_pb.GetResponse]] = asyncio.get_running_loop().create_future()
+        self._waiting[call_id] = (future, [])
+        try:
+            await self._write(request)
+            return await _within(future, timeout_s, self._target)
+        except (asyncio.CancelledError, DeadlineExceeded):
+            self._give_up(call_id)
+            raise
+        finally:
+            self._waiting.pop(call_id, None)
+            if future.done() and not future.cancelled():
+                future.exception()  # seen, also when the write already failed
+
+    def _give_up(self, call_id: int) -> None:
+        if not self.broken:
+            task = asyncio.ensure_future(self._write(channel_pb.GetRequest(call_id=call_id, cancel=True)))
+            task.add_done_callback(lambda done: done.cancelled() or done.exception())
+
+    async def _receive(self, response: channel_pb.GetResponse) -> None:
+        entry = self._waiting.get(response.call_id)
+        if entry is None:  # given up meanwhile
+            return
+        future, responses = entry
+        responses.append(response)
+        if (response.HasField("summary") or response.HasField("error")) and not future.done():
+            future.set_result(responses)
+
+    async def _end(self, error: StampedeError) -> None:
+        for future, _ in self._waiting.values():
+            if not future.done():
+                future.set_exception(error)
+
+
+class PutExchange(_Exchange):
+    """Puts on one open stream, each awaiting its ack; acks come in the order of the puts."""
+
+    def __init__(self, call: Any, target: str) -> None:
+        self._waiting: deque[asyncio.Future[channel_pb.PutAck]] = deque()
+        super().__init__(call, target)
+
+    async def put(self, request: channel_pb.PutRequest, timeout_s: float | None) -> channel_pb.PutAck:
+        """The ack of the one run in `request`."""
+        future: asyncio.Future[channel_pb.PutAck] = asyncio.get_running_loop().create_future()
+        try:
+            async with self._writing:
+                self._waiting.append(future)
+                await self._call.write(request)
+        except (grpc.RpcError, asyncio.InvalidStateError):
+            self.broken = True
+            await self._reader
+        except asyncio.CancelledError:
+            self.cancel()  # the ack that would come for nobody could be taken for another's
+            raise
+        return await _within(future, timeout_s, self._target)
+
+    async def _receive(self, response: channel_pb.PutResponse) -> None:
+        for ack in response.acks:
+            future = self._waiting.popleft()
+            if not future.done():
+                future.set_result(ack)
+
+    async def _end(self, error: StampedeError) -> None:
+        while self._waiting:
+            future = self._waiting.popleft()
+            if not future.done():
+                future.set_exception(error)
+
+
+class PutDuplex(_Exchange):
+    """Puts on one open stream whose acks are handed on as they come."""
+
+    def __init__(
+        self,
+        call: Any,
+        target: str,
+        on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
+        on_end: Callable[[StampedeError], Awaitable[None]],
+    ) -> None:
+        self._on_response = on_response
+        self._on_end = on_end
+        super().__init__(call, target)
+
+    async def write(self, request: channel_pb.PutRequest) -> None:
+        """Send `request`; blocks while the connection's window is full. Raises Unavailable."""
+        await self._write(request)
+
+    async def _receive(self, response: channel_pb.PutResponse) -> None:
+        await self._on_response(response)
+
+    async def _end(self, error: StampedeError) -> None:
+        await self._on_end(error)

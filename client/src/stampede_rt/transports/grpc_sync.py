@@ -1,0 +1,196 @@
+"""gRPC on threads: the names of `grpc_async`, without its awaits. Streams belong to the thread that opened them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+from typing import Any, Generic, TypeVar
+
+import grpc
+import grpc.experimental
+
+from stampede_rt.credentials import call_metadata
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
+from stampede_rt.transports.watchdog import Watchdog
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
+from stampede_rt.v1.frontend_service_pb2_grpc import FrontendServiceStub
+from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+
+Response = TypeVar("Response")
+
+
+class Port:
+    """A gRPC connection to one address, shared by all calls there."""
+
+    def __init__(self, target: str, secret: str | None) -> None:
+        self.target = target
+        self.metadata = call_metadata(secret)
+        options = (*CHANNEL_OPTIONS, (grpc.experimental.ChannelOptions.SingleThreadedUnaryStream, 1))
+        self._channel = grpc.insecure_channel(target, options=options)
+        self.frontend = FrontendServiceStub(self._channel)
+        self.directory = DirectoryServiceStub(self._channel)
+        self.gatekeeper = GatekeeperServiceStub(self._channel)
+        self.channels = ChannelServiceStub(self._channel)
+        self._watchdog = Watchdog()
+        self._of_thread = threading.local()
+
+    def call(self, method: Callable[..., Any], request: Any, timeout_s: float) -> Any:
+        """One request, one response, within `timeout_s`. Raises StampedeError."""
+        try:
+            return method(request, timeout=timeout_s, metadata=self.metadata)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, self.target) from error
+
+    def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
+        """One request, many responses."""
+        return Stream(method(request, metadata=self.metadata), self.target)
+
+    def gets(self) -> GetExchange:
+        """This thread's open stream for gets."""
+        exchange: GetExchange | None = getattr(self._of_thread, "gets", None)
+        if exchange is None or exchange.broken:
+            exchange = self._of_thread.gets = GetExchange(self, self.channels.Get, self._watchdog)
+        return exchange
+
+    def puts(self) -> PutExchange:
+        """A new stream for puts, which its caller closes."""
+        return PutExchange(self, self.channels.Put, self._watchdog)
+
+    def duplex(
+        self, on_response: Callable[[channel_pb.PutResponse], None], on_end: Callable[[StampedeError], None]
+    ) -> PutDuplex:
+        """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
+        return PutDuplex(self, self.channels.Put, on_response, on_end)
+
+    def close(self) -> None:
+        """End everything that is under way here."""
+        self._watchdog.close()
+        self._channel.close()
+
+
+class Stream(Generic[Response]):
+    """The responses of one request. `cancel` may be called from any thread and ends the iteration."""
+
+    def __init__(self, call: Any, target: str) -> None:
+        self._call = call
+        self._target = target
+        self._cancelled = False
+
+    def __iter__(self) -> Iterator[Response]:
+        try:
+            yield from self._call
+        except grpc.RpcError as error:
+            if not self._cancelled:
+                raise from_rpc_error(error, self._target) from error
+        if not self._cancelled:
+            raise Unavailable(f"{self._target} ended the stream")
+
+    def cancel(self) -> None:
+        """Give the stream up."""
+        self._cancelled = True
+        self._call.cancel()
+
+
+class _Exchange:
+    """An open bidirectional stream. Its requests lie in a queue only until gRPC's sending thread takes them."""
+
+    def __init__(self, port: Port, method: Callable[..., Any]) -> None:
+        self._target = port.target
+        self._requests: SimpleQueue[Any] = SimpleQueue()
+        self._call = method(iter(self._requests.get, None), metadata=port.metadata)
+        self.broken = False
+
+    def _error(self, error: BaseException) -> StampedeError:
+        self.cancel()
+        if isinstance(error, grpc.RpcError):
+            return from_rpc_error(error, self._target)
+        return Unavailable(f"{self._target} ended the stream")
+
+    def cancel(self) -> None:
+        """Give the stream up."""
+        self.broken = True
+        self._requests.put(None)
+        self._call.cancel()
+
+    def __del__(self) -> None:
+        self.cancel()  # the thread that owned it is gone, or the caller has let go of it
+
+
+class _Lockstep(_Exchange):
+    """One request under way at a time."""
+
+    def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
+        super().__init__(port, method)
+        self._watchdog = watchdog
+
+    def _next(self, limit: list[bool]) -> Any:
+        try:
+            return next(self._call)
+        except (grpc.RpcError, StopIteration) as error:
+            failure = self._error(error)
+            if limit:
+                raise DeadlineExceeded(f"{self._target} did not answer in time; it may be overloaded") from error
+            raise failure from error
+        except BaseException:  # an interrupt: the answer that is still to come would be taken for the next one's
+            self.cancel()
+            raise
+
+
+class GetExchange(_Lockstep):
+    """Gets on one open stream, one at a time."""
+
+    def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
+        """All responses to `request`."""
+        with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
+            self._requests.put(request)
+            responses = [self._next(limit)]
+            while not (responses[-1].HasField("summary") or responses[-1].HasField("error")):
+                responses.append(self._next(limit))
+        return responses
+
+
+class PutExchange(_Lockstep):
+    """Puts on one open stream, one at a time."""
+
+    def put(self, request: channel_pb.PutRequest, timeout_s: float | None) -> channel_pb.PutAck:
+        """The ack of the one run in `request`."""
+        with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
+            self._requests.put(request)
+            ack: channel_pb.PutAck = self._next(limit).acks[0]
+        return ack
+
+
+class PutDuplex(_Exchange):
+    """Puts on one open stream whose acks a thread hands on as they come."""
+
+    def __init__(
+        self,
+        port: Port,
+        method: Callable[..., Any],
+        on_response: Callable[[channel_pb.PutResponse], None],
+        on_end: Callable[[StampedeError], None],
+    ) -> None:
+        super().__init__(port, method)
+        self._on_response = on_response
+        self._on_end = on_end
+        threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()
+
+    def write(self, request: channel_pb.PutRequest) -> None:
+        """Send `request`. Raises Unavailable if the stream is broken."""
+        if self.broken:
+            raise Unavailable(f"the stream to {self._target} is broken")
+        self._requests.put(request)
+
+    def _read(self) -> None:
+        error: BaseException = StopIteration()
+        try:
+            for response in self._call:
+                self._on_response(response)
+        except grpc.RpcError as failure:
+            error = failure
+        self._on_end(self._error(error))

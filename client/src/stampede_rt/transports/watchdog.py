@@ -1,0 +1,65 @@
+"""Time limits for blocking reads on open streams, which gRPC's threads have none for."""
+
+from __future__ import annotations
+
+import heapq
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+class Watchdog:
+    """Calls back what is overdue, from one daemon thread that starts with the first limit."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._limits: list[tuple[float, int, Callable[[], object], list[bool], list[bool]]] = []
+        self._count = 0
+        self._wakes_at_s = float("inf")  # when the thread looks next; an earlier limit must wake it
+        self._thread: threading.Thread | None = None
+        self._closed = False
+
+    @contextmanager
+    def limit(self, timeout_s: float | None, on_overdue: Callable[[], object]) -> Iterator[list[bool]]:
+        """Call `on_overdue` if the block lasts longer than `timeout_s`; what it yields is true from then on."""
+        overdue: list[bool] = []
+        if timeout_s is None:
+            yield overdue
+            return
+        done: list[bool] = []
+        self._add(time.monotonic() + timeout_s, on_overdue, overdue, done)
+        try:
+            yield overdue
+        finally:
+            done.append(True)
+
+    def _add(self, at_s: float, on_overdue: Callable[[], object], overdue: list[bool], done: list[bool]) -> None:
+        with self._changed:
+            while self._limits and self._limits[0][4]:
+                heapq.heappop(self._limits)
+            self._count += 1
+            heapq.heappush(self._limits, (at_s, self._count, on_overdue, overdue, done))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._watch, name="stampede watchdog", daemon=True)
+                self._thread.start()
+            elif at_s < self._wakes_at_s:
+                self._changed.notify()
+
+    def _watch(self) -> None:
+        with self._changed:
+            while not self._closed:
+                now_s = time.monotonic()
+                while self._limits and (self._limits[0][4] or self._limits[0][0] <= now_s):
+                    _, _, on_overdue, overdue, done = heapq.heappop(self._limits)
+                    if not done:
+                        overdue.append(True)
+                        on_overdue()
+                self._wakes_at_s = self._limits[0][0] if self._limits else float("inf")
+                self._changed.wait(self._wakes_at_s - now_s if self._limits else None)
+
+    def close(self) -> None:
+        """End the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()

@@ -1,0 +1,236 @@
+from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import directory_pb2 as _directory_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class DirectoryCommand(_message.Message):
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure")
+    OP_ID_FIELD_NUMBER: _ClassVar[int]
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    UPDATE_CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    DELETE_CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    REGISTER_HOST_FIELD_NUMBER: _ClassVar[int]
+    DEREGISTER_HOST_FIELD_NUMBER: _ClassVar[int]
+    EXPIRE_HOST_FIELD_NUMBER: _ClassVar[int]
+    BEGIN_TENURE_FIELD_NUMBER: _ClassVar[int]
+    op_id: bytes
+    time_unix_nano: int
+    open_channel: OpenChannelCommand
+    update_channel: UpdateChannelCommand
+    delete_channel: DeleteChannelCommand
+    register_host: RegisterHostCommand
+    deregister_host: DeregisterHostCommand
+    expire_host: ExpireHostCommand
+    begin_tenure: BeginTenureCommand
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ...) -> None: ...
+
+class OpenChannelCommand(_message.Message):
+    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    CREATE_FIELD_NUMBER: _ClassVar[int]
+    HOST_NAME_FIELD_NUMBER: _ClassVar[int]
+    NEW_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    spec: _channel_pb2.ChannelSpec
+    create: bool
+    host_name: str
+    new_channel_id: bytes
+    new_incarnation: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+
+class UpdateChannelCommand(_message.Message):
+    __slots__ = ("channel_id", "epoch", "spec")
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    epoch: int
+    spec: _channel_pb2.ChannelSpec
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ...) -> None: ...
+
+class DeleteChannelCommand(_message.Message):
+    __slots__ = ("channel_id",)
+    CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
+    channel_id: bytes
+    def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
+
+class RegisterHostCommand(_message.Message):
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    name: str
+    gatekeepers: _containers.RepeatedCompositeFieldContainer[_directory_pb2.Endpoint]
+    boot_incarnation: int
+    version: str
+    new_incarnation: int
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+
+class DeregisterHostCommand(_message.Message):
+    __slots__ = ("host_id", "boot_incarnation")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    boot_incarnation: int
+    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
+
+class ExpireHostCommand(_message.Message):
+    __slots__ = ("host_id", "boot_incarnation", "registered_index", "tenure")
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    TENURE_FIELD_NUMBER: _ClassVar[int]
+    host_id: bytes
+    boot_incarnation: int
+    registered_index: int
+    tenure: int
+    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
+
+class BeginTenureCommand(_message.Message):
+    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos")
+    TENURE_FIELD_NUMBER: _ClassVar[int]
+    SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
+    NEW_CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    NEW_LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
+    tenure: int
+    supernode_id: str
+    new_cluster_id: str
+    new_lease_ttl_nanos: int
+    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ...) -> None: ...
+
+class DirectoryResult(_message.Message):
+    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun")
+    REFUSED_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_OPENED_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_UPDATED_FIELD_NUMBER: _ClassVar[int]
+    CHANNEL_DELETED_FIELD_NUMBER: _ClassVar[int]
+    HOST_REGISTERED_FIELD_NUMBER: _ClassVar[int]
+    HOST_DEREGISTERED_FIELD_NUMBER: _ClassVar[int]
+    HOST_EXPIRED_FIELD_NUMBER: _ClassVar[int]
+    TENURE_BEGUN_FIELD_NUMBER: _ClassVar[int]
+    refused: RefusedResult
+    channel_opened: ChannelOpenedResult
+    channel_updated: ChannelUpdatedResult
+    channel_deleted: ChannelDeletedResult
+    host_registered: HostRegisteredResult
+    host_deregistered: HostDeregisteredResult
+    host_expired: HostExpiredResult
+    tenure_begun: TenureBegunResult
+    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ...) -> None: ...
+
+class RefusedResult(_message.Message):
+    __slots__ = ("reason", "message", "metadata")
+    class MetadataEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    METADATA_FIELD_NUMBER: _ClassVar[int]
+    reason: str
+    message: str
+    metadata: _containers.ScalarMap[str, str]
+    def __init__(self, reason: _Optional[str] = ..., message: _Optional[str] = ..., metadata: _Optional[_Mapping[str, str]] = ...) -> None: ...
+
+class ChannelOpenedResult(_message.Message):
+    __slots__ = ("channel", "host", "created")
+    CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    CREATED_FIELD_NUMBER: _ClassVar[int]
+    channel: _channel_pb2.ChannelRecord
+    host: HostEntry
+    created: bool
+    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., host: _Optional[_Union[HostEntry, _Mapping]] = ..., created: bool = ...) -> None: ...
+
+class ChannelUpdatedResult(_message.Message):
+    __slots__ = ("channel",)
+    CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    channel: _channel_pb2.ChannelRecord
+    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+
+class ChannelDeletedResult(_message.Message):
+    __slots__ = ("channel",)
+    CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    channel: _channel_pb2.ChannelRecord
+    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+
+class HostRegisteredResult(_message.Message):
+    __slots__ = ("host", "cluster_id")
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    host: HostEntry
+    cluster_id: str
+    def __init__(self, host: _Optional[_Union[HostEntry, _Mapping]] = ..., cluster_id: _Optional[str] = ...) -> None: ...
+
+class HostDeregisteredResult(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class HostExpiredResult(_message.Message):
+    __slots__ = ("expired",)
+    EXPIRED_FIELD_NUMBER: _ClassVar[int]
+    expired: bool
+    def __init__(self, expired: bool = ...) -> None: ...
+
+class TenureBegunResult(_message.Message):
+    __slots__ = ("tenure", "cluster_id")
+    TENURE_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    tenure: int
+    cluster_id: str
+    def __init__(self, tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
+
+class HostEntry(_message.Message):
+    __slots__ = ("record", "registered_index")
+    RECORD_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    record: _directory_pb2.HostRecord
+    registered_index: int
+    def __init__(self, record: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., registered_index: _Optional[int] = ...) -> None: ...
+
+class RememberedOperation(_message.Message):
+    __slots__ = ("op_id", "log_index", "subject", "result")
+    OP_ID_FIELD_NUMBER: _ClassVar[int]
+    LOG_INDEX_FIELD_NUMBER: _ClassVar[int]
+    SUBJECT_FIELD_NUMBER: _ClassVar[int]
+    RESULT_FIELD_NUMBER: _ClassVar[int]
+    op_id: bytes
+    log_index: int
+    subject: str
+    result: DirectoryResult
+    def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
+
+class DirectorySnapshot(_message.Message):
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos")
+    FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
+    APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    TENURE_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    HOSTS_FIELD_NUMBER: _ClassVar[int]
+    CHANNELS_FIELD_NUMBER: _ClassVar[int]
+    REMEMBERED_OPERATIONS_FIELD_NUMBER: _ClassVar[int]
+    LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
+    format_version: int
+    applied_index: int
+    tenure: int
+    cluster_id: str
+    hosts: _containers.RepeatedCompositeFieldContainer[HostEntry]
+    channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
+    remembered_operations: _containers.RepeatedCompositeFieldContainer[RememberedOperation]
+    lease_ttl_nanos: int
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ...) -> None: ...
