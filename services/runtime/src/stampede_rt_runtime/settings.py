@@ -152,7 +152,9 @@ def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: M
     ValueErrors of `cls.__post_init__` become SettingsErrors: it checks what concerns several settings at once.
     """
     hints = get_type_hints(cls)
-    known = [_Setting(field, hints[field.name], service) for field in dataclasses.fields(cls)]
+    own = vars(cls).get("__annotations__", {})  # shown first, then what all services have
+    fields = sorted(dataclasses.fields(cls), key=lambda one: one.name not in own)
+    known = [_Setting(field, hints[field.name], service) for field in fields]
     flags = _read_flags(cls, known, service, argv)
     file = _read_file(known, service, flags.get("config"), environ)
     values = {s.field.name: value for s in known if (value := _pick(s, flags, environ, file)) is not MISSING}
@@ -188,9 +190,9 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
 def _epilog(service: str, example: _Setting) -> str:
     own, shared = example.variables
     return (
-        f"Each setting can also come from the environment ({example.flag} from {own}, or from {shared}, which all "
-        f"services read), or from the TOML file (as {example.name}, at its top or in its table [{service}]). A flag wins "
-        "over the environment, the environment over the file."
+        f"A setting can also come from the environment ({example.flag} from {own}, or from {shared}, "
+        f"which all services read), or from the TOML file (as {example.name}, at its top or in its table [{service}]). "
+        "A flag wins over the environment, the environment over the file."
     )
 
 

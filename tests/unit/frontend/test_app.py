@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_frontend.app import main
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        ((), "--supernodes is missing"),
+        (("--supernodes", ","), "--supernodes names 0 supernodes; allowed: 1 to 64"),
+        (("--supernodes", "here"), "--supernodes: 'here' cannot be used; allowed: HOST:PORT"),
+        (("--supernodes", "a:1", "--listen", "0.0.0.0:0"), "--allow-insecure-anywhere"),
+    ],
+)
+def test_bad_settings_end_with_one_line_and_code_2(
+    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level: None)
+    assert main(argv) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("stampede frontend: ")
+    assert message in said
+    assert said.count("\n") == 1

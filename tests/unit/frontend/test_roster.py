@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_frontend.ranking import Supernode
+from stampede_rt_frontend.roster import SUPERNODES_MAX, Answer, MemberList, Roster
+
+
+def answer(name: str, *, ready: bool = True, trip: int | None = 10, cluster: str = "c1") -> Answer:
+    return Answer(supernode_id=name, cluster_id=cluster, ready=ready, round_trip_nanos=trip)
+
+
+def members(*names: str, term: int = 1, index: int = 1, leader: str = "", zone: str = "") -> MemberList:
+    listed = [Supernode(supernode_id=one, target=f"{one}:1", is_leader=one == leader, zone=zone) for one in names]
+    return MemberList(term=term, applied_index=index, members=tuple(listed))
+
+
+def known(roster: Roster) -> dict[str, Supernode]:
+    return {one.supernode_id: one for one in roster.known()}
+
+
+def test_at_first_the_seeds_are_probed_and_callers_are_told_nothing() -> None:
+    roster = Roster(("s1:1", "s2:1"))
+    assert roster.targets() == ("s1:1", "s2:1")
+    assert roster.known() == []
+    assert not roster.any_answered()
+
+
+@pytest.mark.parametrize("count", [0, SUPERNODES_MAX + 1])
+def test_the_number_of_seeds_has_bounds(count: int) -> None:
+    with pytest.raises(ValueError, match="--supernodes"):
+        Roster(tuple(f"s{number}:1" for number in range(count)))
+
+
+def test_a_seed_that_answers_is_told_to_callers_with_its_round_trip() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1", trip=800))
+    roster.answered("s1:1", answer("s1", trip=1600))
+    assert known(roster)["s1"].round_trip_nanos == 900
+    assert roster.cluster_id == "c1"
+
+
+def test_an_answer_without_a_measurement_keeps_the_old_one() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1", trip=800))
+    roster.answered("s1:1", answer("s1", trip=None))
+    assert known(roster)["s1"].round_trip_nanos == 800
+
+
+def test_a_supernode_without_a_leader_answers_but_is_not_healthy() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1", ready=False, cluster=""))
+    assert roster.any_answered()
+    assert not roster.any_healthy()
+    assert not known(roster)["s1"].healthy
+
+
+def test_members_are_learned_from_the_directory_and_probed_from_then_on() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1"))
+    roster.listed(members("s1", "s2", leader="s2", zone="z"))
+    assert roster.targets() == ("s1:1", "s2:1")
+    assert known(roster)["s2"].is_leader
+    assert known(roster)["s2"].zone == "z"
+    assert not known(roster)["s2"].healthy
+    assert known(roster)["s1"].healthy
+
+
+def test_a_member_that_left_is_forgotten_but_a_seed_is_still_probed() -> None:
+    roster = Roster(("s1:1",))
+    roster.listed(members("s1", "s2", index=1))
+    roster.listed(members("s3", index=2))
+    assert roster.targets() == ("s1:1", "s3:1")
+
+
+def test_an_older_member_list_is_ignored() -> None:
+    roster = Roster(("s1:1",))
+    roster.listed(members("s1", "s2", term=2, index=9))
+    roster.listed(members("s1", "s9", term=1, index=99))
+    roster.listed(members("s1", "s9", term=2, index=8))
+    assert roster.targets() == ("s1:1", "s2:1")
+
+
+def test_an_empty_member_list_is_ignored() -> None:
+    roster = Roster(("s1:1",))
+    roster.listed(members("s1", "s2"))
+    roster.listed(members(index=5))
+    assert roster.targets() == ("s1:1", "s2:1")
+
+
+def test_a_member_list_has_a_bound_and_the_seeds_stay_within_it() -> None:
+    roster = Roster(("seed:1",))
+    roster.listed(members(*(f"s{number}" for number in range(2 * SUPERNODES_MAX))))
+    assert len(roster.targets()) == SUPERNODES_MAX
+    assert roster.targets()[0] == "seed:1"
+
+
+def test_a_failure_is_remembered_until_the_next_answer() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1"))
+    roster.failed("s1:1", "refused")
+    assert roster.failures() == ["s1:1: refused"]
+    assert not known(roster)["s1"].healthy
+    roster.answered("s1:1", answer("s1"))
+    assert roster.failures() == []
+    assert known(roster)["s1"].healthy
+
+
+def test_news_of_a_forgotten_member_changes_nothing() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("gone:1", answer("gone"))
+    roster.failed("gone:1", "refused")
+    assert roster.targets() == ("s1:1",)
+    assert roster.failures() == []
+
+
+def test_a_supernode_with_two_addresses_is_told_once_by_the_listed_one() -> None:
+    roster = Roster(("alias:1",))
+    roster.answered("alias:1", answer("s1"))
+    roster.listed(members("s1"))
+    roster.answered("s1:1", answer("s1"))
+    assert [one.target for one in roster.known()] == ["s1:1"]
+
+
+def test_an_address_that_answers_is_told_before_a_listed_one_that_does_not() -> None:
+    roster = Roster(("alias:1",))
+    roster.answered("alias:1", answer("s1"))
+    roster.listed(members("s1"))
+    roster.failed("s1:1", "not reachable from here")
+    assert [one.target for one in roster.known()] == ["alias:1"]
+
+
+def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> None:
+    roster = Roster(("s1:1", "x1:1"))
+    assert roster.answered("s1:1", answer("s1"))
+    assert not roster.answered("x1:1", answer("x1", cluster="c2"))
+    assert list(known(roster)) == ["s1"]
+    assert roster.failures() == ["x1:1: belongs to another cluster, c2"]
+
+
+def test_a_cluster_founded_anew_at_the_same_addresses_is_taken_up() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1"))
+    roster.listed(members("s1", "s2", term=7, index=70))
+    roster.failed("s1:1", "refused")
+    assert roster.answered("s1:1", answer("n1", cluster="c2"))
+    roster.listed(members("n1", term=1, index=1))
+    assert roster.cluster_id == "c2"
+    assert list(known(roster)) == ["n1"]

@@ -1,0 +1,142 @@
+from __future__ import annotations
+
+import stat
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import grpc
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from stampede_rt.errors import PermissionDenied
+from stampede_rt.status import from_rpc_error
+from stampede_rt_runtime.auth import Secret, load_secret, make_secret_file
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import serving
+
+RIGHT = Secret(text="right", path=Path("secret"))
+WRONG = Secret(text="wrong", path=Path("secret"))
+ASK = health_pb2.HealthCheckRequest()
+
+
+@pytest.fixture(autouse=True)
+def _no_secret_of_the_user(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+def test_a_made_secret_is_long_and_for_its_owner_only(tmp_path: Path) -> None:
+    made = make_secret_file(tmp_path / "new" / "secret")
+    assert len(made.text) >= 40
+    assert stat.S_IMODE(made.path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(made.path.parent.stat().st_mode) == 0o700
+    assert [one.name for one in made.path.parent.iterdir()] == ["secret"]
+
+
+def test_a_secret_that_is_there_is_kept(tmp_path: Path) -> None:
+    assert make_secret_file(tmp_path / "secret") == make_secret_file(tmp_path / "secret")
+
+
+def test_of_many_makers_at_once_all_get_the_same_secret(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(lambda _: make_secret_file(tmp_path / "secret").text, range(32)))
+    assert len(set(made)) == 1
+
+
+def test_a_secret_that_others_can_read_is_refused(tmp_path: Path) -> None:
+    make_secret_file(tmp_path / "secret").path.chmod(0o604)
+    with pytest.raises(PermissionDenied, match="chmod 600"):
+        make_secret_file(tmp_path / "secret")
+
+
+def test_an_empty_secret_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "secret").touch(mode=0o600)
+    with pytest.raises(PermissionDenied, match="is empty"):
+        load_secret(tmp_path / "secret")
+
+
+def test_a_named_secret_must_be_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(PermissionDenied, match="there is no secret file"):
+        load_secret(tmp_path / "secret")
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "secret"))
+    with pytest.raises(PermissionDenied, match="there is no secret file"):
+        load_secret(None)
+
+
+def test_the_users_own_secret_may_be_absent(tmp_path: Path) -> None:
+    assert load_secret(None) is None
+    made = make_secret_file()
+    assert made.path == tmp_path / "config" / "stampede" / "secret"
+    assert load_secret(None) == made
+
+
+def test_a_secret_does_not_show_when_printed() -> None:
+    assert "right" not in repr(RIGHT)
+
+
+def register(server: grpc.aio.Server) -> None:
+    """The health service is there anyway; its Watch stands for all methods that need the secret."""
+
+
+async def first_of_watch(address: str, secret: Secret | None) -> health_pb2.HealthCheckResponse:
+    async with dial(address, secret=secret) as channel:
+        return await health_pb2_grpc.HealthStub(channel).Watch(ASK, timeout=5).read()
+
+
+async def test_a_call_with_the_secret_goes_through() -> None:
+    async with serving(register, secret=RIGHT) as server:
+        answer = await first_of_watch(server.address, RIGHT)
+    assert answer.status == health_pb2.HealthCheckResponse.SERVING
+
+
+@pytest.mark.parametrize(("secret", "what"), [(None, "has no secret"), (WRONG, "is another one")])
+async def test_a_call_without_the_right_secret_is_refused_and_told_where_it_lies(
+    secret: Secret | None, what: str
+) -> None:
+    async with serving(register, secret=RIGHT) as server:
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await first_of_watch(server.address, secret)
+        error = from_rpc_error(caught.value, server.address)
+    assert caught.value.code() is grpc.StatusCode.UNAUTHENTICATED
+    assert isinstance(error, PermissionDenied)
+    assert error.reason == "UNAUTHENTICATED"
+    assert what in str(error)
+    assert "$STAMPEDE_SECRET_FILE" in str(error)
+    assert "right" not in str(error)
+
+
+@pytest.mark.parametrize("value", ["right", "bearer right", "Bearer right ", "Bearer ", "Bearer righ"])
+async def test_nothing_but_the_exact_form_is_let_in(value: str) -> None:
+    async with serving(register, secret=RIGHT) as server, dial(server.address, secret=None) as channel:
+        call = health_pb2_grpc.HealthStub(channel).Watch(ASK, timeout=5, metadata=(("authorization", value),))
+        with pytest.raises(grpc.aio.AioRpcError):
+            await call.read()
+
+
+async def test_a_method_that_does_not_exist_is_refused_alike() -> None:
+    async with serving(register, secret=RIGHT) as server, dial(server.address, secret=None) as channel:
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await channel.unary_unary("/no.Service/Method")(b"", timeout=5)
+    assert caught.value.code() is grpc.StatusCode.UNAUTHENTICATED
+
+
+async def test_the_health_check_needs_no_secret() -> None:
+    async with serving(register, secret=RIGHT) as server, dial(server.address, secret=None) as channel:
+        answer = await health_pb2_grpc.HealthStub(channel).Check(ASK, timeout=5)
+    assert answer.status == health_pb2.HealthCheckResponse.SERVING
+
+
+async def test_the_secret_is_added_to_the_metadata_of_a_call() -> None:
+    async with serving(register, secret=RIGHT) as server, dial(server.address, secret=RIGHT) as channel:
+        call = health_pb2_grpc.HealthStub(channel).Watch(ASK, timeout=5, metadata=(("x-other", "1"),))
+        assert (await call.read()).status == health_pb2.HealthCheckResponse.SERVING
+
+
+async def test_all_kinds_of_calls_bring_the_secret() -> None:
+    """Each kind has its own maker on a channel; a refused one would say UNAUTHENTICATED instead."""
+    async with serving(register, secret=RIGHT) as server, dial(server.address, secret=RIGHT) as channel:
+        for maker in (channel.unary_unary, channel.unary_stream, channel.stream_unary, channel.stream_stream):
+            call = maker("/no.Service/Method")
+            streams_in = maker in (channel.stream_unary, channel.stream_stream)
+            started = call(iter([b""]) if streams_in else b"", timeout=5)
+            assert await started.code() is grpc.StatusCode.UNIMPLEMENTED

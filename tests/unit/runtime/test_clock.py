@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import time
+
+from stampede_rt_runtime.clock import HostClock, SystemClock
+from tests.support.clock import ManualClock
+
+
+def test_the_system_clock_gives_the_time_since_the_epoch() -> None:
+    before = time.time_ns()
+    now = SystemClock().time_unix_nano()
+    assert before <= now <= time.time_ns()
+
+
+def test_the_boot_time_never_goes_back() -> None:
+    clock = SystemClock()
+    readings = [clock.boottime_nanos() for _ in range(1000)]
+    assert readings == sorted(readings)
+
+
+def test_setting_the_wall_clock_leaves_the_boot_time_alone() -> None:
+    clock = ManualClock()
+    as_interface: HostClock = clock
+    before = as_interface.boottime_nanos()
+    clock.set_wall_clock(5)
+    assert as_interface.time_unix_nano() == 5
+    assert as_interface.boottime_nanos() == before
+    clock.advance(7)
+    assert (as_interface.time_unix_nano(), as_interface.boottime_nanos()) == (12, before + 7)

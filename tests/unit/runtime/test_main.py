@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import pytest
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_runtime.listen import check_listen
+from stampede_rt_runtime.main import ServiceSettings, announce, run_service
+from stampede_rt_runtime.settings import setting
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings(ServiceSettings):
+    """A service for tests."""
+
+    what: str = field(default="", metadata=setting(help="what to do", choices=("", "fail", "listen", "7")))
+
+
+@pytest.fixture(autouse=True)
+def _logging_as_before() -> Iterator[None]:
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    root.handlers = []
+    yield
+    root.handlers = handlers
+    root.setLevel(level)
+
+
+async def serve(settings: Settings) -> int | None:
+    if settings.what == "fail":
+        raise Unavailable("the supernodes are away")
+    if settings.what == "listen":
+        check_listen("192.0.2.1:0", allow_insecure_anywhere=settings.allow_insecure_anywhere)
+    announce(f"served on {type(asyncio.get_running_loop()).__module__}")
+    return int(settings.what) if settings.what else None
+
+
+@pytest.mark.parametrize(
+    ("argv", "code", "complaint"),
+    [
+        ((), 0, ""),
+        (("--what", "7"), 7, ""),
+        (("--what", "9"), 2, "stampede sample: --what: '9' cannot be used; allowed: , fail, listen, 7\n"),
+        (("--what", "fail"), 1, "stampede sample: the supernodes are away\n"),
+        (("--secret-file", "/nowhere/secret"), 1, None),
+    ],
+)
+def test_a_service_ends_with_a_code_and_at_most_one_line(
+    argv: tuple[str, ...], code: int, complaint: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def with_secret(settings: Settings) -> int | None:
+        if settings.secret_file is not None:
+            settings.load_secret()
+        return await serve(settings)
+
+    assert run_service(Settings, "sample", argv, with_secret) == code
+    said = capsys.readouterr().err
+    assert said.count("\n") <= 1
+    assert "Traceback" not in said
+    if complaint is not None:
+        assert said == complaint
+
+
+def test_listening_beyond_loopback_needs_its_flag(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_service(Settings, "sample", ["--what", "listen"], serve) == 2
+    assert "--allow-insecure-anywhere" in capsys.readouterr().err
+
+
+def test_an_address_that_cannot_be_listened_at_is_code_1(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_service(Settings, "sample", ["--what", "listen", "--allow-insecure-anywhere"], serve) == 1
+    assert "is no address of this machine" in capsys.readouterr().err
+
+
+def test_help_goes_to_standard_output_with_code_0(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_service(Settings, "sample", ["--help"], serve) == 0
+    said = capsys.readouterr()
+    assert "usage: stampede sample" in said.out
+    assert said.err == ""
+
+
+def test_services_run_on_uvloop(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("uvloop")
+    assert run_service(Settings, "sample", (), serve) == 0
+    assert "served on uvloop" in capsys.readouterr().out

@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.listen import CannotListen
+from stampede_rt_runtime.server import DRAIN_SECONDS, ServiceServer, serving
+
+SERVING = health_pb2.HealthCheckResponse.SERVING
+NOT_SERVING = health_pb2.HealthCheckResponse.NOT_SERVING
+
+
+class Probe:
+    """Raw-bytes methods: Echo answers; Hold answers once and then stays open until it is let go."""
+
+    def __init__(self) -> None:
+        self.held = asyncio.Event()
+        self.let_go = asyncio.Event()
+
+    def register(self, server: grpc.aio.Server) -> None:
+        methods = {
+            "Echo": grpc.unary_unary_rpc_method_handler(self.echo),
+            "Hold": grpc.unary_stream_rpc_method_handler(self.hold),
+        }
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler("test.Probe", methods),))
+
+    async def echo(self, request: bytes, context: Any) -> bytes:
+        return request
+
+    async def hold(self, request: bytes, context: Any) -> AsyncIterator[bytes]:
+        yield b"held"
+        self.held.set()
+        await self.let_go.wait()
+        yield b"bye"
+
+
+async def health_of(address: str) -> int:
+    async with dial(address, secret=None) as channel:
+        answer = await health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest(), timeout=5)
+    return answer.status
+
+
+async def test_port_0_becomes_the_port_that_was_bound() -> None:
+    async with serving(Probe().register) as server:
+        host, port = server.address.rsplit(":", 1)
+        assert host == "localhost"
+        assert int(port) > 0
+
+
+async def test_a_second_server_on_the_same_port_is_refused() -> None:
+    async with serving(Probe().register) as first:
+        with pytest.raises(CannotListen, match=f"{first.address} is in use"):
+            await ServiceServer(secret=None).start(first.address)
+
+
+async def test_a_port_taken_between_check_and_bind_is_refused_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with serving(Probe().register) as first:
+        monkeypatch.setattr("stampede_rt_runtime.listen._try_bind", lambda *_: None)
+        with pytest.raises(CannotListen, match="cannot be listened at"):
+            await ServiceServer(secret=None).start(first.address)
+
+
+async def test_health_is_not_serving_until_the_service_says_so() -> None:
+    server = ServiceServer(secret=None)
+    address = await server.start("localhost:0")
+    assert await health_of(address) == NOT_SERVING
+    await server.set_serving(True)
+    assert await health_of(address) == SERVING
+    await server.stop()
+
+
+async def test_stopping_says_not_serving_ends_streams_and_lets_them_finish() -> None:
+    probe = Probe()
+    seen: list[int] = []
+
+    async with serving(probe.register) as server, dial(server.address, secret=None) as channel:
+        stream = channel.unary_stream("/test.Probe/Hold")(b"", timeout=10)
+        assert await stream.read() == b"held"
+
+        async def end_streams() -> None:
+            seen.append(await health_of(server.address))
+            probe.let_go.set()
+
+        stopping = asyncio.create_task(server.stop(end_streams))
+        assert await stream.read() == b"bye"
+        assert await stream.read() is grpc.aio.EOF
+        await stopping
+    assert seen == [NOT_SERVING]
+
+
+async def test_a_stream_that_does_not_end_is_cut_after_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stampede_rt_runtime.server.DRAIN_SECONDS", 0.05)
+    probe = Probe()
+    async with serving(probe.register) as server, dial(server.address, secret=None) as channel:
+        stream = channel.unary_stream("/test.Probe/Hold")(b"", timeout=10)
+        assert await stream.read() == b"held"
+        await asyncio.wait_for(server.stop(asyncio.Event().wait), 5)
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await stream.read()
+    assert caught.value.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+async def test_a_stop_signal_ends_run(number: signal.Signals) -> None:
+    server = ServiceServer(secret=None)
+    await server.start("localhost:0")
+    running = asyncio.create_task(server.run())
+    asyncio.get_running_loop().call_soon(os.kill, os.getpid(), number)
+    await asyncio.wait_for(running, 5)
+    assert server.stopping.is_set()
+
+
+async def test_a_second_signal_cuts_the_drain() -> None:
+    probe = Probe()
+    server = ServiceServer(secret=None)
+    probe.register(server.grpc)
+    address = await server.start("localhost:0")
+    async with dial(address, secret=None) as channel:
+        stream = channel.unary_stream("/test.Probe/Hold")(b"", timeout=10)
+        assert await stream.read() == b"held"
+        draining = asyncio.Event()
+
+        async def end_streams() -> None:
+            draining.set()
+
+        server.stopping.set()
+        running = asyncio.create_task(server.run(end_streams))
+        await draining.wait()
+        began = asyncio.get_running_loop().time()
+        os.kill(os.getpid(), signal.SIGINT)
+        await asyncio.wait_for(running, 5)
+        assert asyncio.get_running_loop().time() - began < DRAIN_SECONDS / 2
+
+
+async def test_a_message_beyond_the_limit_is_refused_on_the_way_in() -> None:
+    small, large = Limits(message_bytes_max=1000), Limits()
+    async with (
+        serving(Probe().register, limits=small) as server,
+        dial(server.address, secret=None, limits=large) as channel,
+    ):
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await channel.unary_unary("/test.Probe/Echo")(b"x" * 1001, timeout=5)
+    assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+
+
+async def test_a_message_of_19_mib_passes_both_ways() -> None:
+    payload = bytes(19 * 2**20)
+    async with serving(Probe().register) as server, dial(server.address, secret=None) as channel:
+        assert await channel.unary_unary("/test.Probe/Echo")(payload, timeout=20) == payload
+
+
+async def test_calls_beyond_the_limit_are_refused_and_the_others_go_on() -> None:
+    probe = Probe()
+    async with (
+        serving(probe.register, limits=Limits(concurrent_rpcs_max=1)) as server,
+        dial(server.address, secret=None) as channel,
+    ):
+        stream = channel.unary_stream("/test.Probe/Hold")(b"", timeout=10)
+        assert await stream.read() == b"held"
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await channel.unary_unary("/test.Probe/Echo")(b"", timeout=5)
+        probe.let_go.set()
+        assert await stream.read() == b"bye"
+    assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+
+
+async def test_metadata_beyond_the_limit_is_refused() -> None:
+    async with serving(Probe().register) as server, dial(server.address, secret=None) as channel:
+        call = channel.unary_unary("/test.Probe/Echo")(b"", timeout=5, metadata=(("x", "y" * 40_000),))
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await call
+    assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED

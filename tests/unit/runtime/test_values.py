@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_runtime.values import (
+    Address,
+    parse_address,
+    parse_bool,
+    parse_duration,
+    parse_list,
+    parse_size,
+    parse_target,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("localhost:7580", Address("localhost", 7580)),
+        (" 127.0.0.1:0 ", Address("127.0.0.1", 0)),
+        ("[::1]:65535", Address("::1", 65535)),
+    ],
+)
+def test_an_address_is_a_host_and_a_port(text: str, address: Address) -> None:
+    assert parse_address(text) == address
+    assert str(address) == text.strip()
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", ":", "localhost", "localhost:", ":80", "::1:80", "[]:80", "a b:80", "a:65536", "a:-1", "a:8O", "http://a:80",
+     "a:²", "[::1:80", "::1]:80"],
+)  # fmt: skip
+def test_anything_else_is_no_address(text: str) -> None:
+    with pytest.raises(ValueError, match="HOST:PORT"):
+        parse_address(text)
+
+
+def test_port_0_cannot_be_called() -> None:
+    with pytest.raises(ValueError, match="from 1 to 65535"):
+        parse_target("localhost:0")
+
+
+@pytest.mark.parametrize(
+    ("text", "nanos"), [("0s", 0), ("30ms", 30_000_000), (" 1.5 s ", 1_500_000_000), ("2m", 120_000_000_000)]
+)
+def test_a_duration_is_in_nanoseconds(text: str, nanos: int) -> None:
+    assert parse_duration(text) == nanos
+
+
+@pytest.mark.parametrize("text", ["", "5", "-5s", "5 weeks", "s", "1e3s", "nan s"])
+def test_a_duration_needs_a_number_and_a_unit(text: str) -> None:
+    with pytest.raises(ValueError, match="a duration with its unit"):
+        parse_duration(text)
+
+
+@pytest.mark.parametrize(("text", "bytes_"), [("0", 0), ("10", 10), ("3B", 3), ("64KiB", 65536), ("20 MiB", 20 << 20)])
+def test_a_size_is_in_bytes(text: str, bytes_: int) -> None:
+    assert parse_size(text) == bytes_
+
+
+@pytest.mark.parametrize("text", ["", "-1", "1KB", "1.5MiB", "MiB"])
+def test_a_size_needs_a_known_unit(text: str) -> None:
+    with pytest.raises(ValueError, match="a number of bytes"):
+        parse_size(text)
+
+
+@pytest.mark.parametrize(("text", "value"), [("1", True), ("Yes", True), ("on", True), ("0", False), ("FALSE", False)])
+def test_a_boolean_has_the_usual_words(text: str, value: bool) -> None:
+    assert parse_bool(text) is value
+
+
+def test_a_list_may_have_spaces_and_empty_places() -> None:
+    assert parse_list(parse_target)(" a:1, b:2,, ") == ("a:1", "b:2")
+    assert parse_list(parse_target)("") == ()
