@@ -1,0 +1,133 @@
+"""The supernode as a process: one replica of the directory, its leases and its service on one port."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Coroutine, Sequence
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt_runtime.auth import Secret
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.listen import check_listen
+from stampede_rt_runtime.main import announce, run_service
+from stampede_rt_runtime.server import ServiceServer
+from stampede_rt_runtime.values import Address
+from stampede_rt_supernode.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.members import Members
+from stampede_rt_supernode.probe import Probe
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication import (
+    LibraryMismatch,
+    ReplicatedLog,
+    ReplicationSettings,
+    StoreDamaged,
+    StoreRefused,
+    open_replicated_log,
+)
+from stampede_rt_supernode.servicer import DirectoryServicer
+from stampede_rt_supernode.settings import SupernodeSettings
+from stampede_rt_supernode.submission import Submission
+from stampede_rt_supernode.watch import Watches
+
+HEALTH_SECONDS = 0.1
+
+
+async def serve(settings: SupernodeSettings) -> None:
+    """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
+    secret = settings.load_secret()
+    listen = _concrete(settings)
+    server = ServiceServer(secret=secret)
+    async with _open_log(settings, listen, server, secret) as (log, replica):
+        clock = SystemClock()
+        submission = Submission(log, time_unix_nano=clock.time_unix_nano)
+        leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
+        watches = Watches(replica, log)
+        probe = Probe(log, lambda target: dial(target, secret=secret))
+        members = Members(log, probe, advertise=settings.advertise or _own_address(log), zone=settings.zone)
+        servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
+        directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
+        address = await server.start(listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+
+        async def end_streams() -> None:
+            watches.close()
+            await log.close()
+
+        async with _background(server, leases.run(), probe.run(), _follow_leader(server, members)):
+            announce(f"stampede supernode {members.self_id} ready on {address}")
+            await server.run(end_streams)
+
+
+def _concrete(settings: SupernodeSettings) -> str:
+    """Where to listen, with a free port in the place of port 0: the log must know the address before it is bound."""
+    place = check_listen(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+    if place.port != 0:
+        return str(place)
+    with socket.create_server((place.host, 0)) as probe:
+        return str(Address(place.host, probe.getsockname()[1]))
+
+
+@contextlib.asynccontextmanager
+async def _open_log(
+    settings: SupernodeSettings, listen: str, server: ServiceServer, secret: Secret | None
+) -> AsyncIterator[tuple[ReplicatedLog, DirectoryReplica]]:
+    """The log and the directory that it drives. Raises StampedeError if the store cannot be used."""
+    members = settings.member_list(listen)
+    self_member = members[0] if not settings.members else next(m for m in members if m.member_id == settings.id)
+    replica = DirectoryReplica()
+    replication = ReplicationSettings(self_member=self_member, initial_members=members, data_dir=settings.data_dir)
+    try:
+        log = await open_replicated_log(replication, replica, lambda target: _dial_member(target, secret), server.grpc)
+    except (StoreDamaged, StoreRefused, LibraryMismatch) as error:
+        raise StampedeError(str(error)) from error
+    try:
+        yield log, replica
+    finally:
+        await log.close()
+
+
+def _dial_member(target: str, secret: Secret | None) -> grpc.aio.Channel:
+    return dial(target, secret=secret)
+
+
+def _own_address(log: ReplicatedLog) -> str:
+    status = log.status()
+    return next(member.address for member in status.members if member.member_id == status.self_id)
+
+
+async def _follow_leader(server: ServiceServer, members: Members) -> None:
+    """Health is SERVING for as long as a leader is known."""
+    serving = False
+    while not server.stopping.is_set():
+        if members.ready() != serving:
+            serving = not serving
+            await server.set_serving(serving)
+        await asyncio.sleep(HEALTH_SECONDS)
+
+
+@contextlib.asynccontextmanager
+async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+    """Runs `work` beside the block. A failure in it is a defect: the service stops, and the failure is raised."""
+    tasks = [asyncio.create_task(one) for one in work]
+    for task in tasks:
+        task.add_done_callback(lambda _: server.stopping.set())
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        outcomes = await asyncio.gather(*tasks, return_exceptions=True)
+        failures = [one for one in outcomes if isinstance(one, Exception)]
+    if failures:
+        raise ExceptionGroup("the supernode cannot go on", failures)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `stampede supernode`; returns the exit code."""
+    return run_service(SupernodeSettings, "supernode", argv, serve)

@@ -1,0 +1,116 @@
+"""The directory: a state machine driven by the replicated log (paper, section 4.3). Pure.
+
+Same commands at the same positions, same state and same results, on every replica. It knows no clock and no chance:
+their values come stamped in the commands. A command that makes no sense is refused by a result, never by an exception.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_supernode.answered import Answer, Answered
+from stampede_rt_supernode.channel_transitions import delete_channel, open_channel, update_channel
+from stampede_rt_supernode.commands import (
+    BeginTenure,
+    Command,
+    Deed,
+    DeleteChannel,
+    DeregisterHost,
+    ExpireHost,
+    HostDeregistered,
+    HostExpired,
+    HostRegistered,
+    OpenChannel,
+    Refused,
+    RegisterHost,
+    Result,
+    Success,
+    TenureBegun,
+    UpdateChannel,
+    subject_of,
+)
+from stampede_rt_supernode.host_transitions import deregister_host, expire_host, register_host
+from stampede_rt_supernode.records import Channel, Host
+from stampede_rt_supernode.tables import Tables
+from stampede_rt_supernode.validation import check_id
+
+
+class Directory:
+    """Everything the supernodes agree on. `tenure` never falls. The first tenure sets the cluster's id and the
+    TTL of its leases (0 until then) for good: a host and every later leader must mean the same by a lease."""
+
+    def __init__(
+        self,
+        *,
+        index: int = 0,
+        tenure: int = 0,
+        cluster_id: str = "",
+        lease_ttl_nanos: int = 0,
+        hosts: Iterable[Host] = (),
+        channels: Iterable[Channel] = (),
+        answers: Iterable[Answer] = (),
+    ) -> None:
+        self.tenure = tenure
+        self.cluster_id = cluster_id
+        self.lease_ttl_nanos = lease_ttl_nanos
+        self.tables = Tables(hosts, channels, index=index)
+        self.answered = Answered()
+        for answer in answers:
+            self.answered.remember(answer)
+
+    @property
+    def applied_index(self) -> int:
+        """The last log position applied."""
+        return self.tables.index
+
+    def apply(self, index: int, command: Command) -> Result:
+        """Apply the command at log position `index`, which grows and may skip. A refusal has changed nothing."""
+        self.tables.index = index
+        self.answered.forget_before(index)
+        try:
+            return self._answer(index, command)
+        except StampedeError as error:
+            return Refused.because(error)
+        finally:
+            self.tables.changes.note_index(index)
+
+    def skip(self, index: int) -> None:
+        """Log position `index` held nothing that this replica could read."""
+        self.tables.index = index
+        self.tables.changes.note_index(index)
+
+    def _answer(self, index: int, command: Command) -> Success:
+        check_id(command.op_id, "request_id")
+        subject = subject_of(command.deed)
+        found = self.answered.find(command.op_id, subject)
+        if found is not None:
+            return found
+        result = self._do(command.deed)
+        self.answered.remember(Answer(command.op_id, index, subject, result))
+        return result
+
+    def _do(self, deed: Deed) -> Success:
+        match deed:
+            case OpenChannel():
+                return open_channel(self.tables, deed)
+            case UpdateChannel():
+                return update_channel(self.tables, deed)
+            case DeleteChannel():
+                return delete_channel(self.tables, deed)
+            case RegisterHost():
+                return HostRegistered(host=register_host(self.tables, deed), cluster_id=self.cluster_id)
+            case DeregisterHost():
+                deregister_host(self.tables, deed)
+                return HostDeregistered()
+            case ExpireHost():
+                return HostExpired(expired=expire_host(self.tables, deed, self.tenure))
+            case BeginTenure():
+                return self._begin_tenure(deed)
+
+    def _begin_tenure(self, deed: BeginTenure) -> TenureBegun:
+        """A leader's first entry; one of a leader that was already replaced is without effect."""
+        self.tenure = max(self.tenure, deed.tenure)
+        self.cluster_id = self.cluster_id or deed.new_cluster_id
+        self.lease_ttl_nanos = self.lease_ttl_nanos or deed.new_lease_ttl_nanos
+        return TenureBegun(tenure=self.tenure, cluster_id=self.cluster_id)

@@ -1,0 +1,49 @@
+"""Page tokens: where the next page begins, written so that callers take them as opaque. Pure."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+
+from stampede_rt.errors import InvalidArgument
+
+
+def write_name(name: str | None) -> str:
+    """The token of a page behind `name`; None: there is none, and the token is empty."""
+    return "" if name is None else base64.urlsafe_b64encode(name.encode()).decode()
+
+
+def read_name(token: str) -> str:
+    """The name, empty for an empty token. Raises InvalidArgument."""
+    try:
+        return _unpack(token).decode()
+    except UnicodeDecodeError:
+        raise _bad(token) from None
+
+
+def write_host(key: tuple[str, bytes] | None) -> str:
+    """The token of a page behind the host of that name and id; None: there is none."""
+    return "" if key is None else base64.urlsafe_b64encode(key[0].encode() + b"\0" + key[1]).decode()
+
+
+def read_host(token: str) -> tuple[str, bytes]:
+    """The (name, id), empty ones for an empty token. Raises InvalidArgument."""
+    name, _, host_id = _unpack(token).partition(b"\0")
+    try:
+        return name.decode(), host_id
+    except UnicodeDecodeError:
+        raise _bad(token) from None
+
+
+def _unpack(token: str) -> bytes:
+    try:
+        return base64.b64decode(token.encode(), altchars=b"-_", validate=True)
+    except (binascii.Error, ValueError):
+        raise _bad(token) from None
+
+
+def _bad(token: str) -> InvalidArgument:
+    return InvalidArgument(
+        f"the page token {token[:64]!r} is none; pass on the next_page_token of the last page, or leave it "
+        "empty to begin"
+    )

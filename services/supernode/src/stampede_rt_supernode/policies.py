@@ -1,0 +1,102 @@
+"""Which channel set-ups make sense, and which of two agree (paper, section 3.4). Pure.
+
+A field that is None was never stated. What is stated holds from then on: opening the channel again may repeat it or
+leave it out, and only an update changes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from stampede_rt.errors import ChannelExists, InvalidArgument
+from stampede_rt.model import Policy
+
+ITEM_BYTES_MAX = 16 * 2**20
+CONTENT_TYPE_BYTES_MAX = 255
+ON_FULL = ("drop_oldest", "block", "reject")
+LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
+# What holds for a field that was not stated while some limit was; content_type has none, it binds nobody's items.
+IN_EFFECT_UNSTATED = {
+    "max_bytes": 256 * 2**20,
+    "on_full": "drop_oldest",
+    "max_future_nanos": 10**9,
+    "max_item_bytes": ITEM_BYTES_MAX,
+}
+_RANGES = {
+    "max_age_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
+    "max_items": (1, 2**64 - 1, "at least 1"),
+    "max_bytes": (1, 2**64 - 1, "at least 1"),
+    "consumers": (1, 2**32 - 1, "at least 1"),
+    "max_future_nanos": (0, 2**63 - 1, "0 or more nanoseconds"),
+    "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
+}
+
+
+def is_provisional(policy: Policy) -> bool:
+    """No limit was stated up to now: the first one that is will be taken on."""
+    return all(getattr(policy, name) is None for name in LIMITS)
+
+
+def stated(policy: Policy) -> dict[str, int | str]:
+    """The fields that were stated."""
+    named = {field.name: getattr(policy, field.name) for field in fields(policy)}
+    return {name: value for name, value in named.items() if value is not None}
+
+
+def check_policy(channel: str, policy: Policy) -> None:
+    """Raises InvalidArgument if `policy` cannot be the set-up of `channel`, a name."""
+    for name, (low, high, allowed) in _RANGES.items():
+        value = getattr(policy, name)
+        if value is not None and not low <= value <= high:
+            raise _invalid(channel, name, f"{name} is {value}; it must be {allowed}")
+    if policy.on_full is not None and policy.on_full not in ON_FULL:
+        raise _invalid(channel, "on_full", f"on_full is {policy.on_full!r}; it must be one of {', '.join(ON_FULL)}")
+    if policy.on_full == "block" and policy.max_age_nanos is None and policy.consumers is None:
+        text = 'on_full="block" waits for ever if nothing makes room; state max_age or consumers with it'
+        raise _invalid(channel, "on_full", text)
+    _check_content_type(channel, policy.content_type)
+
+
+def _check_content_type(channel: str, content_type: str | None) -> None:
+    if content_type is None:
+        return
+    if len(content_type.encode()) > CONTENT_TYPE_BYTES_MAX or not content_type.isprintable():
+        text = f"content_type must be a MIME type of {CONTENT_TYPE_BYTES_MAX} printable bytes at most"
+        raise _invalid(channel, "content_type", text)
+
+
+def _invalid(channel: str, field: str, text: str) -> InvalidArgument:
+    return InvalidArgument(f"channel {channel}: {text}", metadata={"channel": channel, "field": field})
+
+
+def agree(channel: str, held: Policy, asked: Policy) -> Policy:
+    """The set-up of `channel` after somebody opened it with `asked`, or ChannelExists naming what contradicts.
+
+    A field stated before must be repeated or left out. One never stated is taken on while the channel is provisional;
+    later it must be what is in effect, since taking it on would collect other callers' items behind their backs.
+    """
+    for name, value in stated(asked).items():
+        before = getattr(held, name)
+        if before is None and (is_provisional(held) or name == "content_type"):
+            continue
+        in_effect = IN_EFFECT_UNSTATED.get(name) if before is None else before
+        if value != in_effect:
+            raise _contradiction(channel, name, before, in_effect, value)
+    merged = merge(held, asked)
+    if merged != held:
+        check_policy(channel, merged)
+    return merged
+
+
+def _contradiction(channel: str, field: str, before: object, in_effect: object, value: object) -> ChannelExists:
+    was = f"{field}={before!r}" if before is not None else f"{field} left out (in effect: {in_effect or 'no limit'})"
+    return ChannelExists(
+        f"channel {channel} was set up with {was}, and {field}={value!r} was asked for; leave {field} out to take the "
+        "channel as it is, or change it for everybody with configure() (UpdateChannel)",
+        metadata={"channel": channel, "field": field, "held": str(in_effect), "asked": str(value)},
+    )
+
+
+def merge(held: Policy, changes: Policy) -> Policy:
+    """`held` with the stated fields of `changes`."""
+    return replace(held, **stated(changes))  # type: ignore[arg-type]  # each value comes from the field of that name

@@ -1,0 +1,71 @@
+"""How the other supernodes do, as measured from here: asked for their clock every few seconds."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import grpc
+
+from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt_supernode.replication.interface import Member, ReplicatedLog
+
+PERIOD_SECONDS = 2.0
+PROBE_SECONDS = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What the last probe of a member found. `round_trip_nanos` is None if it did not answer."""
+
+    healthy: bool
+    round_trip_nanos: int | None
+
+
+class Probe:
+    """Probes every member but this one. Holds one connection per member."""
+
+    def __init__(self, log: ReplicatedLog, dial: Callable[[str], grpc.aio.Channel]) -> None:
+        self._log = log
+        self._dial = dial
+        self._channels: dict[str, grpc.aio.Channel] = {}
+        self._findings: dict[str, Finding] = {}
+
+    def finding(self, member_id: str) -> Finding | None:
+        """The last finding about a member, None before the first."""
+        return self._findings.get(member_id)
+
+    async def run(self) -> None:
+        """Probe until cancelled, then hang up."""
+        try:
+            while True:
+                await self.round()
+                await asyncio.sleep(PERIOD_SECONDS)
+        finally:
+            await self._hang_up(list(self._channels))
+
+    async def round(self) -> None:
+        """Probe each other member once."""
+        status = self._log.status()
+        others = [member for member in status.members if member.member_id != status.self_id]
+        await self._hang_up([one for one in self._channels if one not in {m.address for m in others}])
+        findings = await asyncio.gather(*(self._ask(member) for member in others))
+        self._findings = {member.member_id: found for member, found in zip(others, findings, strict=True)}
+
+    async def _ask(self, member: Member) -> Finding:
+        channel = self._channels.get(member.address)
+        if channel is None:
+            channel = self._channels[member.address] = self._dial(member.address)
+        stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+        began = time.monotonic_ns()
+        try:
+            pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
+        except grpc.aio.AioRpcError:  # for whatever reason: it cannot be used from here
+            return Finding(False, None)
+        return Finding(pong.ready, time.monotonic_ns() - began)
+
+    async def _hang_up(self, addresses: Sequence[str]) -> None:
+        for address in addresses:
+            await self._channels.pop(address).close()

@@ -1,0 +1,66 @@
+"""The directory as the replicated log drives it: bytes in, bytes out, from the log's own thread.
+
+Readers live on the event loop's thread. A short lock keeps them from seeing half of a command; nobody holds it across
+an await, and every read under it is bounded.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_supernode.command_codec import decode_command, encode_result
+from stampede_rt_supernode.commands import Refused
+from stampede_rt_supernode.directory import Directory
+from stampede_rt_supernode.snapshot_codec import decode_snapshot, encode_snapshot
+
+T = TypeVar("T")
+
+
+class DirectoryReplica:
+    """A `replication.interface.StateMachine`. `restored` counts how often the state was replaced as a whole."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._directory = Directory()
+        self._listener: Callable[[], None] = _nobody
+        self.restored = 0
+
+    def listen(self, listener: Callable[[], None]) -> None:
+        """Call `listener` after every applied command and every restore, on the log's thread; it must not block."""
+        self._listener = listener
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """Apply the command at log position `index`; what cannot be read is refused, alike on every replica."""
+        with self._lock:
+            try:
+                result = encode_result(self._directory.apply(index, decode_command(command)))
+            except StampedeError as error:
+                self._directory.skip(index)
+                result = encode_result(Refused.because(error))
+        self._listener()
+        return result
+
+    def snapshot(self) -> bytes:
+        """The whole state, as of the last applied command."""
+        with self._lock:
+            return encode_snapshot(self._directory)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Replace the whole state. Raises for a damaged snapshot: going on without it would answer wrongly."""
+        directory = decode_snapshot(snapshot)
+        with self._lock:
+            self._directory = directory
+            self.restored += 1
+        self._listener()
+
+    def read(self, question: Callable[[Directory], T]) -> T:
+        """The answer of `question`, which sees the state between two commands, and must neither keep nor change it."""
+        with self._lock:
+            return question(self._directory)
+
+
+def _nobody() -> None:
+    """Nobody listens yet."""

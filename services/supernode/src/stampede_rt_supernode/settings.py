@@ -1,0 +1,87 @@
+"""What a supernode can be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_runtime.settings import setting
+from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
+from stampede_rt_supernode.lease import LEASE_TTL_NANOS
+from stampede_rt_supernode.replication.interface import Member
+
+DEFAULT_ID = "supernode-1"
+MEMBERS_MAX = 9  # a majority of more costs more than it protects
+LEASE_TTL_NANOS_MIN, LEASE_TTL_NANOS_MAX = 10**9, 3600 * 10**9
+
+
+def parse_member(text: str) -> str:
+    """`ID=HOST:PORT`, checked and in its plain form. Raises ValueError."""
+    member_id, equals, address = text.partition("=")
+    if not equals or not member_id.strip():
+        raise ValueError('ID=HOST:PORT for each member, such as "s1=localhost:7581,s2=localhost:7582"')
+    return f"{member_id.strip()}={parse_target(address)}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupernodeSettings(ServiceSettings):
+    """One replica of the directory. Alone, or with the members that are named; together they need a majority."""
+
+    listen: str = field(
+        default="localhost:7590",
+        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where it serves; alone, port 0: any"),
+    )
+    advertise: str = field(
+        default="",
+        metadata=setting(
+            metavar="HOST:PORT",
+            parse=parse_target,
+            help="where others reach it; left out: its address among the members, or else where it listens",
+        ),
+    )
+    id: str = field(
+        default="",
+        metadata=setting(metavar="ID", help=f"its name among the members, never used again; alone: {DEFAULT_ID}"),
+    )
+    members: tuple[str, ...] = field(
+        default=(),
+        metadata=setting(
+            metavar="ID=HOST:PORT,...",
+            parse=parse_list(parse_member),
+            help="all members, this one included, the same list for each of them; left out: it is alone",
+        ),
+    )
+    data_dir: Path | None = field(
+        default=None,
+        metadata=setting(metavar="DIR", help="where its log is kept; left out: in memory, gone when it stops"),
+    )
+    zone: str = field(default="", metadata=setting(metavar="ZONE", help="the network or site that it is in"))
+    lease_ttl_nanos: int = field(
+        default=LEASE_TTL_NANOS,
+        metadata=setting(
+            metavar="DURATION",
+            parse=parse_duration,
+            minimum=LEASE_TTL_NANOS_MIN,
+            maximum=LEASE_TTL_NANOS_MAX,
+            help="how long a host's lease lasts; counts when the cluster is founded, and holds from then on",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        ids = [member.partition("=")[0] for member in self.members]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"--members names an id twice: {', '.join(ids)}; every member has an id of its own")
+        if len(ids) > MEMBERS_MAX:
+            raise ValueError(f"--members names {len(ids)} members; {MEMBERS_MAX} at most")
+        if self.members and self.id not in ids:
+            raise ValueError(f"--id is {self.id!r}; with --members it must be one of them: {', '.join(ids)}")
+        if self.members and parse_address(self.listen).port == 0:
+            raise ValueError(f"--listen is {self.listen}; with --members it must be a port that the others know, not 0")
+
+    def member_list(self, listening_at: str) -> list[Member]:
+        """Every member; alone, it is this one at `listening_at`."""
+        if not self.members:
+            return [Member(member_id=self.id or DEFAULT_ID, address=self.advertise or listening_at)]
+        pairs = (member.partition("=") for member in self.members)
+        return [Member(member_id=member_id, address=address) for member_id, _, address in pairs]
