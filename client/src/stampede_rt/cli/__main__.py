@@ -1,0 +1,7 @@
+"""`python -m stampede_rt.cli`, the same as the command `stampede`."""
+
+import sys
+
+from stampede_rt.cli.main import main
+
+sys.exit(main())

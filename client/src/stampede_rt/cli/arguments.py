@@ -1,0 +1,100 @@
+"""How times, bounds and policies are written on the command line."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from collections.abc import Callable
+from datetime import datetime
+from typing import Any
+
+from stampede_rt import Channel, Connection, connect
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
+
+_META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
+_META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
+
+
+def add_verb(
+    subparsers: Any, name: str, text: str, run: Callable[[argparse.Namespace], int], *, output: bool = True
+) -> argparse.ArgumentParser:
+    """A verb with the options that all verbs have."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(name, help=text, description=text)
+    parser.set_defaults(run=run)
+    parser.add_argument(
+        "--url", metavar="HOST:PORT", help="front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580"
+    )
+    if output:
+        parser.add_argument("-o", "--output", choices=("table", "json", "jsonl"), default="table", help="the form")
+    return parser
+
+
+def connected(arguments: argparse.Namespace) -> Connection:
+    """The connection that the common options name."""
+    return connect(arguments.url or os.environ.get("STAMPEDE_URL"))
+
+
+def existing(rt: Connection, name: str) -> Channel:
+    """A channel that must be there."""
+    return rt.channel(name, create=False)
+
+
+def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
+    """`parse` as argparse wants it: what it refuses is a usage error that says why."""
+
+    def parse_or_explain(text: str) -> Any:
+        try:
+            return parse(text)
+        except StampedeError as error:
+            raise argparse.ArgumentTypeError(error.message) from None
+
+    return parse_or_explain
+
+
+def parse_time(text: str) -> int:
+    """An instant: nanoseconds since the epoch, or ISO 8601 with a timezone."""
+    if re.fullmatch(r"[+-]?\d+", text):
+        return parse_instant(int(text))
+    try:
+        return parse_instant(datetime.fromisoformat(text))
+    except ValueError as error:
+        if isinstance(error, InvalidArgument):
+            raise
+        raise InvalidArgument(
+            f"{text!r} is no time; write nanoseconds since the epoch, or ISO 8601 such as 2026-01-31T12:00:00Z"
+        ) from None
+
+
+def parse_bound_text(text: str) -> Bound:
+    """A bound: a time, or now, newest, oldest with an offset, such as "newest-30ms"."""
+    match = _META_TEXT.fullmatch(text.strip())
+    if match is None:
+        return Bound(None, parse_time(text))
+    bound = _META[match[1]]
+    if match[2] is None:
+        return bound
+    return bound + match[3] if match[2] == "+" else bound - match[3]
+
+
+def parse_attribute(text: str) -> tuple[str, str]:
+    """An attribute, KEY=VALUE."""
+    key, separator, value = text.partition("=")
+    if not separator or not key:
+        raise InvalidArgument(f"{text!r} is no attribute; write KEY=VALUE")
+    return key, value
+
+
+def add_policy(parser: argparse.ArgumentParser) -> None:
+    """The options of a channel's set-up."""
+    parser.add_argument("--max-age", metavar="DURATION", help='keep items for so long, such as "10s"')
+    parser.add_argument("--max-items", type=int, metavar="N", help="keep so many items")
+    parser.add_argument("--max-bytes", type=int, metavar="N", help="keep so many bytes")
+    parser.add_argument("--content-type", metavar="MIME", help='what the items are, such as "image/jpeg"')
+
+
+def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The set-up as keyword arguments of `Connection.channel`."""
+    names = ("max_age", "max_items", "max_bytes", "content_type")
+    return {name: getattr(arguments, name) for name in names}

@@ -1,0 +1,182 @@
+"""`stampede put`, `stampede get` and `stampede echo`: items in and out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from stampede_rt import Channel
+from stampede_rt.cli.arguments import (
+    add_policy,
+    add_verb,
+    checked,
+    connected,
+    existing,
+    parse_attribute,
+    parse_bound_text,
+    parse_time,
+    policy_of,
+)
+from stampede_rt.cli.output import item_line, item_row
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import Item, Items, Reason
+from stampede_rt.timeline import NEWEST, NOW, OLDEST, format_instant
+
+NOTHING = 3
+STDIN_BYTES_MAX = 16 * 1024 * 1024
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the verbs of this module."""
+    _add_put(subparsers)
+    _add_get(subparsers)
+    echo = add_verb(subparsers, "echo", "print items as they come, until Ctrl-C", run_echo)
+    echo.add_argument("channel")
+    echo.add_argument("--from", dest="start", type=checked(parse_bound_text), metavar="TIME", help="held items, too")
+    echo.add_argument("--mode", choices=("all", "newest"), default="all", help="every item, or always the newest")
+    echo.add_argument("--count", type=int, metavar="N", help="stop after N items")
+    echo.add_argument("--no-payloads", action="store_true", help="times and lengths only")
+
+
+def _add_put(subparsers: Any) -> None:
+    put = add_verb(subparsers, "put", "put one item; the channel is created if it is absent", run_put)
+    put.add_argument("channel")
+    put.add_argument("payload", nargs="?", help="the payload as text; without it, standard input is read")
+    put.add_argument("--time", type=checked(parse_time), metavar="TIME", help="the item's time; default: on arrival")
+    put.add_argument("--duration", metavar="DURATION", help='how long it holds, such as "33ms"')
+    put.add_argument(
+        "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
+    )
+    add_policy(put)
+
+
+def _add_get(subparsers: Any) -> None:
+    get = add_verb(subparsers, "get", "get items by time; without times, the newest", run_get)
+    get.add_argument("channel")
+    get.add_argument(
+        "interval",
+        nargs="*",
+        type=checked(parse_bound_text),
+        metavar="TIME",
+        help='start and end: a time, or now, newest, oldest with an offset, such as "newest-30ms"',
+    )
+    which = get.add_mutually_exclusive_group()
+    which.add_argument("--last", metavar="DURATION", help='everything of the last, such as "30s"')
+    which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="what holds at that time")
+    which.add_argument("--before", type=checked(parse_bound_text), metavar="TIME", help="the newest before that time")
+    which.add_argument("--all", action="store_true", help="everything that is held")
+    get.add_argument("--bounds", choices=("[]", "[)", "(]", "()"), default="[]", help="which ends belong to it")
+    get.add_argument("--match", choices=("span", "whole", "start"), default="span", help="how items match")
+    get.add_argument("--limit", type=int, metavar="N", help="at most N items")
+    get.add_argument("--newest-first", action="store_true", help="the latest first")
+    get.add_argument("--timeout", type=float, default=0.0, metavar="SECONDS", help="wait so long for an item")
+    get.add_argument("--complete", action="store_true", help="wait until nothing more can come into the interval")
+    get.add_argument("--no-payloads", action="store_true", help="times and lengths only")
+    get.add_argument("--raw", action="store_true", help="write the payloads alone, one behind the other")
+
+
+def run_put(arguments: argparse.Namespace) -> int:
+    """Put one item and say where it went."""
+    payload = arguments.payload.encode() if arguments.payload is not None else _standard_input()
+    with connected(arguments) as rt:
+        channel = rt.channel(arguments.channel, **policy_of(arguments))
+        item = channel.put(
+            payload,
+            time=arguments.time,
+            duration=arguments.duration,
+            attributes=dict(arguments.attribute) if arguments.attribute else None,
+        )
+    if arguments.output == "table":
+        print(f"{arguments.channel} #{item.seq} at {format_instant(item.time)} ({item.time})")
+    else:
+        print(json.dumps({"channel": arguments.channel, "seq": item.seq, "time": item.time}))
+    return 0
+
+
+def _standard_input() -> bytes:
+    payload = sys.stdin.buffer.read(STDIN_BYTES_MAX + 1)
+    if len(payload) > STDIN_BYTES_MAX:
+        raise InvalidArgument(f"standard input has more than {STDIN_BYTES_MAX} bytes, the most of one item; split it")
+    return payload
+
+
+def run_get(arguments: argparse.Namespace) -> int:
+    """Get items and print them, or say why there are none."""
+    with connected(arguments) as rt:
+        items, reason = _get(existing(rt, arguments.channel), arguments)
+    if arguments.raw:
+        for item in items:
+            sys.stdout.buffer.write(item.payload or b"")
+        sys.stdout.flush()
+    else:
+        _print_items(items, arguments.output)
+    if reason is not None:
+        print(f"stampede: {reason}: {reason.detail}", file=sys.stderr)
+    return 0 if items else NOTHING
+
+
+def _get(channel: Channel, arguments: argparse.Namespace) -> tuple[Sequence[Item], Reason | None]:
+    payloads = not arguments.no_payloads
+    if arguments.at is not None:
+        items = channel.at(arguments.at, payloads=payloads, timeout=arguments.timeout)
+        return items, items.reason
+    items = _get_interval(channel, arguments, payloads)
+    return items, items.reason
+
+
+def _get_interval(channel: Channel, arguments: argparse.Namespace, payloads: bool) -> Items:
+    start, end = _interval(arguments)
+    newest_only = arguments.before is not None or not (arguments.interval or arguments.last or arguments.all)
+    return channel.get(
+        start,
+        end,
+        bounds="[)" if arguments.before is not None else arguments.bounds,
+        match="start" if newest_only else arguments.match,
+        limit=1 if newest_only else arguments.limit,
+        newest_first=newest_only or arguments.newest_first,
+        payloads=payloads,
+        timeout=arguments.timeout,
+        complete=arguments.complete,
+    )
+
+
+def _interval(arguments: argparse.Namespace) -> tuple[Any, Any]:
+    if arguments.interval and (arguments.last or arguments.all or arguments.before is not None):
+        raise InvalidArgument("give either times, or one of --last, --at, --before, --all")
+    if arguments.last:
+        return NOW - arguments.last, NOW
+    if arguments.before is not None:
+        return OLDEST, arguments.before
+    if arguments.all:
+        return OLDEST, NEWEST
+    if len(arguments.interval) not in (0, 2):
+        raise InvalidArgument("give two times, the start and the end, or none for the newest item")
+    return tuple(arguments.interval) if arguments.interval else (NEWEST, NEWEST)
+
+
+def _print_items(items: Sequence[Item], form: str) -> None:
+    if form == "json":
+        print(json.dumps([item_row(item) for item in items], indent=2))
+        return
+    for item in items:
+        print(json.dumps(item_row(item)) if form == "jsonl" else item_line(item))
+
+
+def run_echo(arguments: argparse.Namespace) -> int:
+    """Print items as they come."""
+    with (
+        connected(arguments) as rt,
+        existing(rt, arguments.channel).subscribe(
+            arguments.start, arguments.mode, payloads=not arguments.no_payloads
+        ) as subscription,
+    ):
+        for count, item in enumerate(subscription, 1):
+            print(item_line(item) if arguments.output == "table" else json.dumps(item_row(item)), flush=True)
+            if count == arguments.count:
+                break
+        if subscription.dropped:
+            print(f"stampede: {subscription.dropped} items were collected before they were read", file=sys.stderr)
+    return 0

@@ -1,0 +1,77 @@
+"""`stampede ls` and `stampede info`: what is there."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
+from stampede_rt.model import ChannelInfo
+from stampede_rt.timeline import format_duration, format_instant
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the verbs of this module."""
+    ls = add_verb(subparsers, "ls", "list channels", run_ls)
+    ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
+    info = add_verb(subparsers, "info", "tell everything about one channel", run_info)
+    info.add_argument("channel")
+
+
+def run_ls(arguments: argparse.Namespace) -> int:
+    """List channels from the directory."""
+    with connected(arguments) as rt:
+        rows = [_row(channel, arguments.output) for channel in rt.channels(arguments.glob)]
+    print_rows(rows, arguments.output, none=f"no channel matches {arguments.glob!r}")
+    return 0
+
+
+def _row(channel: ChannelInfo, form: str) -> dict[str, Any]:
+    return {
+        "channel": channel.name,
+        "host": channel.host if channel.host_alive or form != "table" else f"{channel.host} (lost)",
+        "keeps": policy_text(channel.policy),
+        "content_type": channel.policy.content_type,
+        "epoch": channel.epoch,
+    }
+
+
+def run_info(arguments: argparse.Namespace) -> int:
+    """Tell a channel's counters and bounds."""
+    with connected(arguments) as rt:
+        channel = existing(rt, arguments.channel)
+        stats = channel.stats()
+        info = channel.info
+    people = arguments.output == "table"
+    instant = format_instant if people else (lambda value: value)
+    facts: dict[str, Any] = {
+        "channel": info.name,
+        "host": info.host,
+        "epoch": info.epoch,
+        "incarnation": f"{stats.incarnation:016x}",
+        "keeps": policy_text(stats.policy),
+        "held": stats.held,
+        "held_bytes": bytes_text(stats.held_bytes) if people else stats.held_bytes,
+        "accepted": stats.accepted,
+        "collected": _counts(stats.collected) if people else dict(stats.collected),
+        "rejected": _counts(stats.rejected) if people else dict(stats.rejected),
+        "oldest": None if stats.oldest is None else instant(stats.oldest),
+        "newest": None if stats.newest is None else instant(stats.newest),
+        "age": _age(stats.newest, stats.host_time) if people else None,
+        "frontier": None if stats.frontier is None else instant(stats.frontier),
+        "subscriptions": stats.subscriptions,
+        "waiting_gets": stats.waiting_gets,
+        "waiting_puts": stats.waiting_puts,
+    }
+    print_facts(facts, arguments.output)
+    return 0
+
+
+def _counts(counts: Any) -> str:
+    shown = [f"{count} by {cause.replace('_', ' ')}" for cause, count in counts.items() if count]
+    return ", ".join(shown) or "none"
+
+
+def _age(newest: int | None, host_time: int) -> str | None:
+    return None if newest is None else format_duration(host_time - newest)

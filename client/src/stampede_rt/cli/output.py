@@ -1,0 +1,120 @@
+"""What the command line prints: tables for people, JSON for programs."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from stampede_rt.model import Item, Policy
+from stampede_rt.timeline import format_duration, format_instant
+
+PREVIEW_CHARACTERS_MAX = 60
+
+
+def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:
+    """Rows of the same keys as a table, a JSON array or JSON lines; `none` says what an empty table means."""
+    if form == "json":
+        print(json.dumps(rows, indent=2))
+    elif form == "jsonl":
+        for row in rows:
+            print(json.dumps(row))
+    elif not rows:
+        print(none)
+    else:
+        print_table(list(rows[0]), [[_cell(value) for value in row.values()] for row in rows])
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Columns as wide as their widest cell; numbers to the right."""
+    cells = [[head.replace("_", " ").upper() for head in heads], *rows]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
+    right = [all(_is_number(row[i]) for row in cells[1:]) for i in range(len(heads))]
+    for row in cells:
+        parts = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)]
+        print("  ".join(parts).rstrip())
+
+
+def _is_number(cell: str) -> bool:
+    return cell == "-" or cell.replace(".", "", 1).replace(",", "").lstrip("-").isdecimal()
+
+
+def print_facts(facts: Mapping[str, Any], form: str) -> None:
+    """One thing: a line for each fact, or a JSON object."""
+    if form != "table":
+        print(json.dumps(facts, indent=2 if form == "json" else None))
+        return
+    width = max(len(key) for key in facts)
+    for key, value in facts.items():
+        print(f"{key.replace('_', ' '):<{width}}  {_cell(value)}")
+
+
+def item_row(item: Item) -> dict[str, Any]:
+    """An item for JSON: text payloads as text, others in base64."""
+    row: dict[str, Any] = {
+        "time": item.time,
+        "end": item.end,
+        "duration": item.duration,
+        "seq": item.seq,
+        "length_bytes": item.payload_length_bytes,
+        "content_type": item.content_type,
+        "attributes": dict(item.attributes),
+    }
+    if item.payload is not None:
+        text = _text(item.payload)
+        row |= {"payload_base64": base64.b64encode(item.payload).decode()} if text is None else {"payload": text}
+    return row
+
+
+def item_line(item: Item) -> str:
+    """An item for people, on one line."""
+    duration = f" for {format_duration(item.duration)}" if item.duration is not None else ""
+    attributes = "".join(f" {key}={value}" for key, value in item.attributes.items())
+    return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes}  {_preview(item)}"
+
+
+def _preview(item: Item) -> str:
+    kind = f" {item.content_type}" if item.content_type else ""
+    text = None if item.payload is None else _text(item.payload)
+    if text is None or not text.isprintable():
+        return f"[{item.payload_length_bytes} bytes{kind}]"
+    return (
+        text if len(text) <= PREVIEW_CHARACTERS_MAX else f"{text[:PREVIEW_CHARACTERS_MAX]}... [{len(text)} characters]"
+    )
+
+
+def _text(payload: bytes) -> str | None:
+    try:
+        return payload.decode()
+    except UnicodeDecodeError:
+        return None
+
+
+def policy_text(policy: Policy) -> str:
+    """A set-up in a few words."""
+    parts = []
+    if policy.max_age_nanos is not None:
+        parts.append(f"{format_duration(policy.max_age_nanos)}")
+    if policy.max_items is not None:
+        parts.append(f"{policy.max_items} items")
+    if policy.max_bytes is not None:
+        parts.append(bytes_text(policy.max_bytes))
+    if policy.consumers is not None:
+        parts.append(f"{policy.consumers} consumers")
+    return ", ".join(parts) or "10 s (default)"
+
+
+def bytes_text(count: float) -> str:
+    """A number of bytes as people write it."""
+    for unit in ("B", "KiB", "MiB"):
+        if count < 1024:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1024
+    return f"{count:.1f} GiB"
