@@ -21,7 +21,7 @@ class LocalCluster:
 
     `listen` is the first front-end's address; the others and all other services take free ports of the same host.
     `durable` supernodes keep their log in `folder` and can be restarted; others forget everything. `folder` and
-    `secret_file` are made in a temporary folder unless named. `on_exit` hears of every process that ends.
+    `secret_file` are made in a temporary folder unless named. `on_line` and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -36,6 +36,7 @@ class LocalCluster:
         secret_file: Path | None = None,
         allow_insecure_anywhere: bool = False,
         log_level: str = "info",
+        on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
         if min(supernodes, frontends) < 1 or hosts < 0:
@@ -47,7 +48,7 @@ class LocalCluster:
         self.secret: Secret = make_secret_file(secret_file or self.folder / "secret")
         self._listen = parse_address(listen)
         self._durable = durable
-        self._on_exit = on_exit
+        self._on_line, self._on_exit = on_line, on_exit
         self._shared = ["--secret-file", str(self.secret.path), "--log-level", log_level]
         if allow_insecure_anywhere:
             self._shared.append("--allow-insecure-anywhere")
@@ -118,7 +119,7 @@ class LocalCluster:
         return str(Address(self._listen.host, port))
 
     def _process(self, name: str, module: str, *arguments: str) -> ServiceProcess:
-        return ServiceProcess(name, module, [*arguments, *self._shared], on_exit=self._on_exit)
+        return ServiceProcess(name, module, [*arguments, *self._shared], on_line=self._on_line, on_exit=self._on_exit)
 
     def _plan_supernodes(self, ports: list[int]) -> list[ServiceProcess]:
         members = {f"s{number}": self._at(port) for number, port in enumerate(ports, start=1)}

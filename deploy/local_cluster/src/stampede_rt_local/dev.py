@@ -90,6 +90,7 @@ def _run(settings: DevSettings, began: float) -> int:
         secret_file=settings.secret_file or secret_file(),
         allow_insecure_anywhere=settings.allow_insecure_anywhere,
         log_level=settings.log_level,
+        on_line=_pass_on,
         on_exit=ended.put,
     )
     try:
@@ -101,6 +102,10 @@ def _run(settings: DevSettings, began: float) -> int:
         return 0
     print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
     return 1
+
+
+def _pass_on(process: ServiceProcess, line: str) -> None:
+    print(f"{process.name}: {line}", file=sys.stderr)
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 
-GRACE_SECONDS = 5.0
+GRACE_SECONDS = 5.0  # more than a service needs to stop in order
 
 
 def _end_with_parent() -> None:

@@ -26,8 +26,9 @@ class ServiceFailed(Exception):
 class ServiceProcess:
     """A service of this machine. Ends with this process, however that ends.
 
-    `name` is for people; `module` is run as `python -m`; `on_exit`, called on a thread of its own, hears of each end of
-    the process, wanted or not. Not to be used by several threads at once.
+    `name` is for people; `module` is run as `python -m`. `on_line` hears of each line that the process prints once it
+    is ready, `on_exit` of each end of the process, wanted or not; both are called on a thread of their own and must not
+    block. Not to be used by several threads at once.
     """
 
     def __init__(
@@ -36,11 +37,13 @@ class ServiceProcess:
         module: str,
         arguments: Sequence[str],
         *,
+        on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
     ) -> None:
         self.name = name
         self.arguments = list(arguments)
         self._module = module
+        self._on_line = on_line
         self._on_exit = on_exit
         self._run: _Run | None = None
 
@@ -81,7 +84,7 @@ class ServiceProcess:
         if self.alive:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
         command = [sys.executable, "-m", "stampede_rt_local.leash", self._module, *self.arguments]
-        self._run = _Run(command, lambda: self._on_exit(self) if self._on_exit else None)
+        self._run = _Run(command, self._hear_line, self._hear_exit)
 
     def wait_ready(self, timeout: float) -> str:
         """Wait for the ready line, `timeout` seconds at most, and return the address in it. Raises ServiceFailed."""
@@ -128,6 +131,14 @@ class ServiceProcess:
         """For people: that it ended, how, and its last lines."""
         return self._story(f"ended with exit code {self.exit_code}")
 
+    def _hear_line(self, line: str) -> None:
+        if self._on_line is not None:
+            self._on_line(self, line)
+
+    def _hear_exit(self) -> None:
+        if self._on_exit is not None:
+            self._on_exit(self)
+
     def _started(self) -> _Run:
         if self._run is None:
             raise ServiceFailed(f"{self.name} was never started")
@@ -141,10 +152,11 @@ class ServiceProcess:
 class _Run:
     """One life of the process, with a thread that reads what it prints until its end."""
 
-    def __init__(self, command: list[str], on_exit: Callable[[], None]) -> None:
+    def __init__(self, command: list[str], on_line: Callable[[str], None], on_exit: Callable[[], None]) -> None:
         self.address: str | None = None
         self.lines: deque[str] = deque(maxlen=LAST_LINES_MAX)
         self.ready_or_ended = threading.Event()
+        self._on_line = on_line
         self._on_exit = on_exit
         self._asked = False
         self.popen = subprocess.Popen(
@@ -186,7 +198,9 @@ class _Run:
         with self.popen.stdout as output:
             for line in _lines(output):
                 self.lines.append(line)
-                if self.address is None and (match := _READY.fullmatch(line)):
+                if self.address is not None:
+                    self._on_line(line)
+                elif match := _READY.fullmatch(line):
                     self.address = match[1]
                     self.ready_or_ended.set()
         self.popen.wait()
