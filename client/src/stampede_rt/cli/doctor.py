@@ -121,9 +121,7 @@ def _host(ports: Ports, host: Any) -> Finding:
     address = host.gatekeepers[0].target if host.gatekeepers else "-"
     name = f"host {host.name}"
     if not host.alive:
-        return Finding(
-            name, address, "lost", "its lease has ended; start it again, or its channels are opened elsewhere"
-        )
+        return Finding(name, address, "lost", "its lease has ended; start it again, or open its channels anew")
     response, finding = _probe(ports, name, address, "gatekeeper", "Ping", gatekeeper_pb.GatekeeperServicePingRequest())
     if response is not None and not response.lease_held:
         return Finding(name, address, "fenced", "it cannot renew its lease; look at its way to the supernodes")
