@@ -1,0 +1,64 @@
+"""The channel core: values and `now` in, values out (paper, sections 3.1 to 3.4).
+
+Nothing here reads a clock, waits, locks, or knows the wire. The shell around it:
+
+- makes one `Channel` per channel from its Policy and incarnation, and passes `now` from one `HostTime` to every call;
+- puts: `channel.put(Offer(...), now, seal) -> PutOutcome`, `seal` giving the stored bytes once the first seq is known;
+  where `outcome.waiting` is set, it offers `offer.rest(waiting)` again after each change and at `outcome.retry_at`
+  (keeping later puts behind it), or calls `give_up_put`; a retried put is recognised by `RetryWindow` before;
+- reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (after each change and at the instant
+  of `WakeAt`), `give_up`;
+- subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
+- housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
+- counts: `counters(now)`; `reject_malformed` for what never became an offer.
+
+"After each change" means after every put that accepted something, every advance and every configure.
+"""
+
+from stampede_rt_channel_host.core.channel import Channel
+from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.host_clock import HostTime
+from stampede_rt_channel_host.core.limits import Limits
+from stampede_rt_channel_host.core.reading import Pending
+from stampede_rt_channel_host.core.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
+from stampede_rt_channel_host.core.subscribing import AllCursor, NewestCursor
+from stampede_rt_channel_host.core.values import (
+    Answer,
+    Counters,
+    DeliveredSlice,
+    Delivery,
+    Gap,
+    Offer,
+    Position,
+    PutOutcome,
+    Query,
+    Rejection,
+    Seal,
+    WakeAt,
+)
+
+__all__ = [
+    "ABSENT",
+    "ITEM_OVERHEAD_BYTES",
+    "AllCursor",
+    "Answer",
+    "Channel",
+    "Counters",
+    "DeliveredSlice",
+    "Delivery",
+    "Gap",
+    "HostTime",
+    "Limits",
+    "NewestCursor",
+    "Offer",
+    "Pending",
+    "Position",
+    "PutOutcome",
+    "Query",
+    "Rejection",
+    "RetryWindow",
+    "Run",
+    "Seal",
+    "Slice",
+    "WakeAt",
+]
