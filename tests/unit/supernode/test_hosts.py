@@ -1,0 +1,152 @@
+import pytest
+
+from stampede_rt_supernode import host_transitions
+from stampede_rt_supernode.commands import (
+    ChannelOpened,
+    HostDeregistered,
+    HostExpired,
+    HostRegistered,
+    Refused,
+    RegisterHost,
+    TenureBegun,
+)
+from stampede_rt_supernode.records import Channel, Endpoint, Host
+from tests.unit.supernode.deeds import Log, begin_tenure, deregister, expire, id_of, open_channel, register
+
+
+@pytest.fixture
+def log() -> Log:
+    log = Log()
+    log.apply(begin_tenure(1))
+    return log
+
+
+def registered(log: Log, deed: RegisterHost) -> Host:
+    result = log.apply(deed)
+    assert isinstance(result, HostRegistered), result
+    return result.host
+
+
+def channel_at(log: Log, host: str, name: str) -> Channel:
+    result = log.apply(open_channel(name, host=host))
+    assert isinstance(result, ChannelOpened)
+    return result.channel
+
+
+def now(log: Log, channel: Channel) -> Channel:
+    return log.directory.tables.channels[channel.channel_id]
+
+
+def test_registering_answers_with_the_host_and_the_cluster(log: Log) -> None:
+    result = log.apply(register(1))
+    assert isinstance(result, HostRegistered)
+    assert (result.host.alive, result.host.channels, result.cluster_id) == (True, 0, "c1")
+
+
+def test_a_new_boot_raises_epoch_and_incarnation_of_all_its_channels_in_one_entry(log: Log) -> None:
+    registered(log, register(1, name="one", boot=1))
+    mine = [channel_at(log, "one", f"cam/{number}") for number in range(3)]
+    registered(log, register(2, name="two"))
+    other = channel_at(log, "two", "other")
+    host = registered(log, register(1, name="one", boot=2, incarnation=4242))
+    for channel in mine:
+        assert (now(log, channel).epoch, now(log, channel).incarnation) == (channel.epoch + 1, 4242)
+    assert now(log, other) == other
+    assert host.channels == 3
+
+
+def test_entering_again_with_the_same_boot_leaves_the_channels_as_they_are(log: Log) -> None:
+    first = registered(log, register(1, name="one"))
+    channel = channel_at(log, "one", "cam")
+    log.apply(expire(1, registered_index=first.registered_index))
+    again = registered(log, register(1, name="one"))
+    assert again.alive
+    assert now(log, channel) == channel
+
+
+def test_a_name_belongs_to_one_live_host_at_a_time(log: Log) -> None:
+    registered(log, register(1, name="rig"))
+    result = log.apply(register(2, name="rig"))
+    assert isinstance(result, Refused)
+    assert result.reason == "HOST_EXISTS"
+    assert "rig" in result.message
+    log.apply(deregister(1))
+    assert registered(log, register(2, name="rig")).alive
+    taken = log.apply(register(1, name="rig"))
+    assert isinstance(taken, Refused)
+
+
+def test_a_host_may_take_another_name_and_frees_the_old_one(log: Log) -> None:
+    registered(log, register(1, name="old"))
+    registered(log, register(1, name="new"))
+    registered(log, register(2, name="old"))
+    assert list(log.directory.tables.host_ids) == ["new", "old"]
+
+
+def test_a_host_that_leaves_is_remembered_while_it_owns_channels(log: Log) -> None:
+    registered(log, register(1, name="one"))
+    channel = channel_at(log, "one", "cam")
+    assert isinstance(log.apply(deregister(1)), HostDeregistered)
+    assert not log.directory.tables.hosts[channel.host_id].alive
+    assert isinstance(log.apply(deregister(1)), HostDeregistered), "leaving twice is leaving once"
+
+
+def test_only_the_same_process_can_deregister_a_host(log: Log) -> None:
+    registered(log, register(1, boot=2))
+    result = log.apply(deregister(1, boot=1))
+    assert isinstance(result, Refused)
+    assert result.reason == "LEASE_EXPIRED"
+
+
+def test_an_expiry_counts_only_for_its_boot_registration_and_tenure(log: Log) -> None:
+    first = registered(log, register(1, boot=1))
+    again = registered(log, register(1, boot=1))
+    late = expire(1, registered_index=first.registered_index)
+    stranger = expire(1, boot=9, registered_index=again.registered_index)
+    deposed = expire(1, registered_index=again.registered_index, tenure=2)
+    for deed in (late, stranger, deposed, expire(7, registered_index=1)):
+        assert log.apply(deed) == HostExpired(expired=False)
+    assert log.directory.tables.hosts[id_of(1)].alive
+    assert log.apply(expire(1, registered_index=again.registered_index)) == HostExpired(expired=True)
+    assert id_of(1) not in log.directory.tables.hosts
+
+
+def test_an_expiry_of_a_replaced_leader_is_ignored(log: Log) -> None:
+    host = registered(log, register(1))
+    log.apply(begin_tenure(2))
+    assert log.apply(expire(1, registered_index=host.registered_index, tenure=1)) == HostExpired(expired=False)
+
+
+def test_the_first_tenure_founds_the_cluster_and_no_tenure_goes_back(log: Log) -> None:
+    assert log.apply(begin_tenure(5)) == TenureBegun(tenure=5, cluster_id="c1")
+    assert log.apply(begin_tenure(3)) == TenureBegun(tenure=5, cluster_id="c1")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"host_id": b"short"},
+        {"name": "Rig"},
+        {"gatekeepers": ()},
+        {"gatekeepers": (Endpoint(target=""),)},
+        {"gatekeepers": (Endpoint(target="a b:1"),)},
+        {"gatekeepers": (Endpoint(target="a:1"),) * 17},
+        {"version": "v" * 65},
+        {"boot_incarnation": 0},
+    ],
+)
+def test_a_registration_out_of_range_is_refused(log: Log, change: dict[str, object]) -> None:
+    from dataclasses import replace
+
+    result = log.apply(replace(register(1), **change))  # type: ignore[arg-type]
+    assert isinstance(result, Refused)
+    assert result.reason in ("INVALID_ARGUMENT", "INVALID_NAME")
+
+
+def test_the_number_of_hosts_is_bounded(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host_transitions, "HOSTS_MAX", 1)
+    registered(log, register(1))
+    result = log.apply(register(2))
+    assert isinstance(result, Refused)
+    assert result.reason == "OVERLOADED"
+    registered(log, register(1, boot=2))

@@ -1,0 +1,100 @@
+"""The leader's lease table, on a manual clock in seconds."""
+
+from dataclasses import replace
+
+import pytest
+
+from stampede_rt_supernode.lease import LEASE_TTL_NANOS, LeaseTable
+from stampede_rt_supernode.records import Host
+
+SECOND = 10**9
+TTL = LEASE_TTL_NANOS
+
+
+def host(number: int, *, registered_index: int = 1, boot: int = 1) -> Host:
+    return Host(
+        host_id=bytes([number]),
+        name=f"h{number}",
+        gatekeepers=(),
+        boot_incarnation=boot,
+        version="",
+        alive=True,
+        channels=0,
+        registered_index=registered_index,
+    )
+
+
+@pytest.fixture
+def table() -> LeaseTable:
+    table = LeaseTable()
+    table.lead(7, [host(1), host(2)], 0, ttl_nanos=TTL)
+    return table
+
+
+def pass_time(table: LeaseTable, start: int, end: int) -> list[tuple[bytes, int, int]]:
+    """What is due at `end`, with a look every second: a leader that runs."""
+    due: list[tuple[bytes, int, int]] = []
+    for now in range(start, end + 1, SECOND):
+        due = table.due(now)
+    return due
+
+
+def test_a_new_leader_grants_everybody_a_full_ttl(table: LeaseTable) -> None:
+    assert pass_time(table, 0, TTL - SECOND) == []
+    assert table.due(TTL - 1) == []
+    assert table.due(TTL) == [(b"\x01", 1, 1), (b"\x02", 1, 1)]
+
+
+def test_a_renewal_prolongs_by_a_ttl_from_its_receipt(table: LeaseTable) -> None:
+    assert table.renew(host(1), 3 * SECOND)
+    assert pass_time(table, 0, TTL) == [(b"\x02", 1, 1)]
+    table.follow([host(1)], TTL)
+    assert pass_time(table, TTL, 3 * SECOND + TTL - SECOND) == []
+    assert table.due(3 * SECOND + TTL) == [(b"\x01", 1, 1)]
+
+
+def test_a_renewal_received_earlier_does_not_shorten(table: LeaseTable) -> None:
+    assert table.renew(host(1), 3 * SECOND)
+    assert table.renew(host(1), 1 * SECOND)
+    assert pass_time(table, 0, TTL + SECOND) == [(b"\x02", 1, 1)]
+
+
+def test_once_an_end_is_proposed_renewals_are_refused_and_it_is_proposed_again(table: LeaseTable) -> None:
+    assert len(pass_time(table, 0, TTL)) == 2
+    assert not table.renew(host(1), TTL)
+    assert len(table.due(TTL + 1)) == 2
+
+
+def test_a_new_registration_gets_a_lease_of_its_own(table: LeaseTable) -> None:
+    pass_time(table, 0, TTL)
+    again = host(1, registered_index=9)
+    assert table.renew(again, TTL)
+    assert table.due(TTL + 1) == [(b"\x02", 1, 1)]
+
+
+def test_a_registration_seen_by_the_leader_gets_a_full_ttl_from_then(table: LeaseTable) -> None:
+    table.follow([host(1), host(2), host(3, registered_index=8)], 4 * SECOND)
+    assert pass_time(table, 0, TTL) == [(b"\x01", 1, 1), (b"\x02", 1, 1)]
+    table.follow([host(3, registered_index=8)], TTL)
+    assert pass_time(table, TTL, 8 * SECOND) == []
+    assert table.due(9 * SECOND) == [(b"\x03", 1, 8)]
+
+
+def test_a_leader_that_was_stalled_lets_nobody_pay_for_it(table: LeaseTable) -> None:
+    pass_time(table, 0, 2 * SECOND)
+    frozen_until = 60 * SECOND
+    assert table.due(frozen_until) == []
+    assert pass_time(table, frozen_until, frozen_until + TTL - SECOND) == []
+    assert len(table.due(frozen_until + TTL)) == 2
+
+
+def test_a_stall_does_not_call_back_an_end_that_is_proposed(table: LeaseTable) -> None:
+    pass_time(table, 0, TTL)
+    assert len(table.due(60 * SECOND)) == 2
+
+
+def test_nothing_is_granted_or_ended_without_a_tenure(table: LeaseTable) -> None:
+    table.resign()
+    assert table.tenure == 0
+    table.follow([replace(host(1))], 0)
+    assert table.due(100 * SECOND) == []
