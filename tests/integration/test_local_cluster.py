@@ -85,6 +85,7 @@ async def test_a_host_can_be_added(cluster: LocalCluster) -> None:
 def test_nothing_is_left_when_the_cluster_ends() -> None:
     with LocalCluster(hosts=0, supernodes=1) as made:
         folder = made.folder
+        assert folder is not None
         assert made.secret_file.stat().st_mode & 0o777 == 0o600
         assert (folder / "s1").is_dir()
     assert not any(one.alive for one in made.processes())
@@ -98,6 +99,12 @@ def test_a_cluster_that_cannot_start_says_why_and_leaves_nothing(tmp_path: Path)
     with pytest.raises(ServiceFailed, match="supernode s1 ended with exit code"):
         made.start()
     assert not any(one.alive for one in made.processes())
+
+
+def test_a_cluster_in_memory_with_a_secret_of_the_users_writes_nothing(tmp_path: Path) -> None:
+    with LocalCluster(hosts=0, supernodes=1, durable=False, secret_file=tmp_path / "secret") as made:
+        assert made.folder is None
+    assert [one.name for one in tmp_path.iterdir()] == ["secret"]
 
 
 @pytest.mark.parametrize("settings", [{"supernodes": 0}, {"frontends": 0}, {"hosts": -1}])

@@ -20,8 +20,9 @@ class LocalCluster:
     """Use as a context manager: everything is ready inside, and gone after it.
 
     `listen` is the first front-end's address; the others and all other services take free ports of the same host.
-    `durable` supernodes keep their log in `folder` and can be restarted; others forget everything. `folder` and
-    `secret_file` are made in a temporary folder unless named. `on_line` and `on_exit`: see ServiceProcess.
+    `durable` supernodes keep their log in `folder` and can be restarted; others forget everything. `folder` is a
+    temporary one unless named, None if nothing needs it; `secret_file` is made in it unless named. `on_line` and
+    `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -43,9 +44,10 @@ class LocalCluster:
             raise ValueError(
                 "a cluster needs at least one supernode and one front-end, and no negative number of hosts"
             )
-        self._temporary = folder is None
-        self.folder = folder or Path(tempfile.mkdtemp(prefix="stampede-"))
-        self.secret: Secret = make_secret_file(secret_file or self.folder / "secret")
+        # In memory and with the user's own secret nothing is written, so that even SIGKILL leaves no folder behind.
+        self._temporary = folder is None and (durable or secret_file is None)
+        self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
+        self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
         self._listen = parse_address(listen)
         self._durable = durable
         self._on_line, self._on_exit = on_line, on_exit
@@ -93,7 +95,7 @@ class LocalCluster:
                 process.ask_to_stop()
             for process in group:
                 process.stop()
-        if self._temporary:
+        if self._temporary and self.folder is not None:
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def add_host(self, timeout: float = READY_SECONDS) -> ServiceProcess:
@@ -110,6 +112,10 @@ class LocalCluster:
 
     def __exit__(self, *exc_info: object) -> None:
         self.stop()
+
+    def _inside(self, name: str) -> Path:
+        assert self.folder is not None, "there is a folder whenever something is written"
+        return self.folder / name
 
     def _first_dead(self) -> ServiceProcess | None:
         """A supernode that died explains a host that is not ready, not the other way round."""
@@ -128,7 +134,7 @@ class LocalCluster:
         return [self._plan_supernode(name, address) for name, address in members.items()]
 
     def _plan_supernode(self, name: str, address: str) -> ServiceProcess:
-        folder = ["--data-dir", str(self.folder / name)] if self._durable else []
+        folder = ["--data-dir", str(self._inside(name))] if self._durable else []
         arguments = ["--listen", address, "--id", name, "--members", self._members, *folder]
         return self._process(f"supernode {name}", "stampede_rt_supernode", *arguments)
 

@@ -129,7 +129,7 @@ def _interrupted_by_signals() -> Iterator[None]:
 
 def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> str:
     address = cluster.address
-    default = address == DEFAULT_ADDRESS
+    default = address == os.environ.get("STAMPEDE_URL", DEFAULT_ADDRESS) == DEFAULT_ADDRESS
     where = "" if default else f'"{address}"'
     export = "" if default else f"  export STAMPEDE_URL={address}\n"
     export += f"  export STAMPEDE_SECRET_FILE={cluster.secret_file}\n" if settings.secret_file else ""

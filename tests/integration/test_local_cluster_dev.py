@@ -1,0 +1,185 @@
+"""`stampede dev` as a user runs it: a process of its own, its screen, its exit codes, and what it leaves behind."""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+READY_SECONDS = 30  # generous: the machine may be busy; how long it takes on a quiet one is for the benchmarks
+DEV = [sys.executable, "-m", "stampede_rt_local"]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    return tmp_path
+
+
+class Dev:
+    """A running `stampede dev`; `screen` is what it printed until it was ready, `children` its services."""
+
+    def __init__(self, process: subprocess.Popen[str], screen: str) -> None:
+        self.process = process
+        self.screen = screen
+        self.children = {pid: os.pidfd_open(pid) for pid in children_of(process.pid)}
+
+    def ended(self, pid: int) -> bool:
+        """Wait for the end of a child, READY_SECONDS at most. A pidfd is readable when its process has ended."""
+        readable, _, _ = select.select([self.children[pid]], [], [], READY_SECONDS)
+        return bool(readable)
+
+    def all_ended(self) -> bool:
+        return all(self.ended(pid) for pid in self.children)
+
+    def child(self, word: str) -> int:
+        return next(pid for pid in self.children if word in command_of(pid))
+
+
+def children_of(parent: int) -> list[int]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and parent_of(int(entry.name)) == parent:
+            found.append(int(entry.name))
+    return found
+
+
+def parent_of(pid: int) -> int:
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:  # it ended while we looked
+        return 0
+    match = re.search(r"^PPid:\s+(\d+)", status, re.MULTILINE)
+    return int(match[1]) if match else 0
+
+
+def command_of(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_text()
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[Dev]:
+    command = [*DEV, "--listen", "localhost:0", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    with process.stdout, process.stderr:
+        screen = ""
+        while "Ctrl-C stops it." not in screen and (line := process.stdout.readline()):
+            screen += line
+        dev = Dev(process, screen)
+        try:
+            yield dev
+        finally:
+            process.kill()
+            process.wait()
+            for handle in dev.children.values():
+                os.close(handle)
+
+
+def test_the_screen_tells_the_address_and_what_to_type_next(home: Path) -> None:
+    with running() as dev:
+        match = re.match(r"Stampede RT is ready at (localhost:\d+) \(1 supernode, 1 host, 1 front-end; ", dev.screen)
+        assert match is not None, dev.screen + dev.process.stderr.read()
+        host, port = match[1].split(":")
+        assert f'st.connect("{match[1]}")' in dev.screen
+        assert f"export STAMPEDE_URL={match[1]}" in dev.screen
+        assert str(home / "stampede" / "secret") in dev.screen
+        assert "stampede put cam/left" in dev.screen
+        socket.create_connection((host, int(port)), timeout=10).close()
+
+
+def test_it_runs_as_many_hosts_and_supernodes_as_asked(home: Path) -> None:
+    with running("--hosts", "2", "--supernodes", "3") as dev:
+        assert "(3 supernodes, 2 hosts, 1 front-end; " in dev.screen
+        assert len(dev.children) == 6
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_wish_to_stop_ends_it_in_order_with_code_0(home: Path, number: signal.Signals) -> None:
+    with running() as dev:
+        dev.process.send_signal(number)
+        out, err = dev.process.communicate(timeout=READY_SECONDS)
+        assert (dev.process.returncode, err) == (0, "")
+        assert "nothing is left running" in out
+        assert dev.all_ended()
+
+
+def test_a_second_ctrl_c_does_not_disturb_the_first(home: Path) -> None:
+    with running() as dev:
+        dev.process.send_signal(signal.SIGINT)
+        dev.process.send_signal(signal.SIGINT)
+        _, err = dev.process.communicate(timeout=READY_SECONDS)
+        assert (dev.process.returncode, err) == (0, "")
+        assert dev.all_ended()
+
+
+def test_killing_it_leaves_no_process_behind(home: Path) -> None:
+    with running() as dev:
+        assert len(dev.children) == 3
+        dev.process.kill()
+        assert dev.all_ended()
+
+
+@pytest.mark.parametrize("service", ["supernode", "channel_host", "frontend"])
+def test_when_one_service_dies_everything_stops_with_code_1(home: Path, service: str) -> None:
+    with running() as dev:
+        os.kill(dev.child(service), signal.SIGKILL)
+        _, err = dev.process.communicate(timeout=READY_SECONDS)
+        assert dev.process.returncode == 1
+        name = {"supernode": "supernode s1", "channel_host": "host h1", "frontend": "front-end 1"}[service]
+        assert f"{name} ended with exit code -9" in err
+        assert dev.all_ended()
+
+
+def complaint_of(*arguments: str) -> tuple[int, str]:
+    done = subprocess.run([*DEV, *arguments], capture_output=True, text=True, timeout=READY_SECONDS, check=False)
+    assert done.stdout == ""
+    return done.returncode, done.stderr
+
+
+def test_a_port_in_use_is_one_line_and_code_1(home: Path) -> None:
+    with socket.create_server(("localhost", 0)) as holder:
+        port = holder.getsockname()[1]
+        code, said = complaint_of("--listen", f"localhost:{port}")
+    assert code == 1
+    assert said == (
+        f"stampede dev: localhost:{port} is in use by another process; stop that one, or choose another port with "
+        "--listen\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--host", "2"), "there is no flag --host; did you mean --hosts?"),
+        (("--hosts", "0"), "--hosts: '0' cannot be used; allowed: 1 to 16"),
+        (("--supernodes", "many"), "--supernodes: 'many' cannot be used; allowed: a whole number"),
+        (("--listen", "192.0.2.1:1"), "--allow-insecure-anywhere"),
+        (("--listen", "0.0.0.0:1", "--allow-insecure-anywhere"), "name one address of this machine"),
+    ],
+)
+def test_a_bad_flag_is_one_line_and_code_2(home: Path, arguments: tuple[str, ...], message: str) -> None:
+    code, said = complaint_of(*arguments)
+    assert code == 2
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_a_secret_that_others_can_read_is_refused(home: Path) -> None:
+    place = home / "secret"
+    place.write_text("known to all")
+    place.chmod(0o644)
+    code, said = complaint_of("--listen", "localhost:0", "--secret-file", str(place))
+    assert code == 1
+    assert said == f"stampede dev: the secret file {place} can be read by every user; run: chmod 600 {place}\n"
