@@ -10,6 +10,7 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from stampede_rt.transports import grpc_options
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen
@@ -179,3 +180,31 @@ async def test_metadata_beyond_the_limit_is_refused() -> None:
         with pytest.raises(grpc.aio.AioRpcError) as caught:
             await call
     assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+
+
+async def test_a_caller_that_pings_within_the_limit_keeps_an_idle_stream_and_a_faster_one_loses_it() -> None:
+    """Both ping each second, the shortest time that gRPC takes; the third ping too many ends the one."""
+    probe = Probe()
+    pinging = Limits(keepalive_millis=1_000)
+    lenient, strict = Limits(ping_interval_millis_min=500), Limits(ping_interval_millis_min=60_000)
+    async with (
+        serving(probe.register, limits=lenient) as lenient_server,
+        serving(probe.register, limits=strict) as strict_server,
+        dial(lenient_server.address, secret=None, limits=pinging) as kept,
+        dial(strict_server.address, secret=None, limits=pinging) as cut,
+    ):
+        idle = kept.unary_stream("/test.Probe/Hold")(b"", timeout=30)
+        doomed = cut.unary_stream("/test.Probe/Hold")(b"", timeout=30)
+        assert await idle.read() == await doomed.read() == b"held"
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await doomed.read()
+        probe.let_go.set()
+        assert await idle.read() == b"bye"
+    assert "ping" in str(caught.value.details())
+
+
+def test_no_caller_of_ours_pings_more_often_than_servers_allow() -> None:
+    """A client of 10 s met a server that allowed 10 s: half of the pings came a moment too early."""
+    allowed = dict(Limits().server_options())["grpc.http2.min_ping_interval_without_data_ms"]
+    for options in (Limits().channel_options(), grpc_options.CHANNEL_OPTIONS):
+        assert int(dict(options)["grpc.keepalive_time_ms"]) >= 2 * int(allowed)

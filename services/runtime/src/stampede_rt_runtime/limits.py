@@ -12,13 +12,18 @@ Option = tuple[str, int | str]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """`concurrent_rpcs_max` counts open streams, too; a call beyond it gets RESOURCE_EXHAUSTED."""
+    """`concurrent_rpcs_max` counts open streams, too; a call beyond it gets RESOURCE_EXHAUSTED.
+
+    A server hangs up on a peer that pings more often than each `ping_interval_millis_min` while nothing else is sent;
+    it must lie well below every caller's keepalive time, or an idle subscription is cut after three pings.
+    """
 
     message_bytes_max: int = 20 * 2**20
     metadata_bytes_max: int = 16 * 2**10
     concurrent_rpcs_max: int = 4096
     keepalive_millis: int = 20_000
     keepalive_timeout_millis: int = 10_000
+    ping_interval_millis_min: int = 4_000
     reconnect_millis_max: int = 1_000
 
     def server_options(self) -> list[Option]:
@@ -26,7 +31,7 @@ class Limits:
         return [
             *self._shared(),
             ("grpc.so_reuseport", 0),
-            ("grpc.http2.min_ping_interval_without_data_ms", self.keepalive_millis // 2),
+            ("grpc.http2.min_ping_interval_without_data_ms", self.ping_interval_millis_min),
         ]
 
     def channel_options(self) -> list[Option]:
