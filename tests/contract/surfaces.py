@@ -1,0 +1,94 @@
+"""One awaitable face for every way to reach a channel, so that one suite holds for all of them."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import stampede_rt as st
+
+_names = itertools.count()
+
+
+class Blocking:
+    """A blocking object whose methods are awaited, each in a thread of a pool of its own."""
+
+    def __init__(self, wrapped: Any, pool: ThreadPoolExecutor) -> None:
+        self._wrapped = wrapped
+        self._pool = pool
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._wrapped, name)
+        if not callable(value):
+            return value
+
+        async def call(*args: Any, **kwargs: Any) -> Any:
+            return await asyncio.get_running_loop().run_in_executor(self._pool, lambda: value(*args, **kwargs))
+
+        return call
+
+    def subscribe(self, *args: Any, **kwargs: Any) -> BlockingIterator:
+        return BlockingIterator(lambda: self._wrapped.subscribe(*args, **kwargs), self._pool)
+
+    def producer(self) -> BlockingProducer:
+        return BlockingProducer(self._wrapped.producer(), self._pool)
+
+
+class BlockingIterator:
+    """A blocking iterator, stepped in threads."""
+
+    def __init__(self, make: Any, pool: ThreadPoolExecutor) -> None:
+        self._make = make
+        self._pool = pool
+        self._made: Any = None
+
+    async def _run(self, function: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._pool, function)
+
+    async def __aenter__(self) -> BlockingIterator:
+        self._made = await self._run(self._make)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._made.close()
+
+    def __aiter__(self) -> BlockingIterator:
+        return self
+
+    async def __anext__(self) -> Any:
+        item = await self._run(lambda: next(self._made, None))
+        if item is None:
+            raise StopAsyncIteration
+        return item
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._made, name)
+
+
+class BlockingProducer(Blocking):
+    async def __aenter__(self) -> BlockingProducer:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await asyncio.get_running_loop().run_in_executor(self._pool, lambda: self._wrapped.__exit__(*error))
+
+
+class Surface:
+    """Opens channels of names that no other test has."""
+
+    def __init__(self, connection: Any, pool: ThreadPoolExecutor | None = None) -> None:
+        self.connection = Blocking(connection, pool) if pool else connection
+        self._pool = pool
+
+    async def channel(self, name: str | None = None, **policy: Any) -> Any:
+        channel = await self.connection.channel(name or f"contract/{next(_names)}-{st.now()}", **policy)
+        return Blocking(channel, self._pool) if self._pool else channel
+
+
+async def take(items: AsyncIterator[Any], count: int) -> list[Any]:
+    """The next `count` items, within 10 s."""
+    async with asyncio.timeout(10):
+        return [await anext(items) for _ in range(count)]

@@ -1,0 +1,222 @@
+"""The time model's rules of reading, on every surface (docs/time-model.md)."""
+
+from __future__ import annotations
+
+import pytest
+
+import stampede_rt as st
+from tests.contract.surfaces import Surface
+
+MS = 1_000_000
+
+
+async def filled(surface: Surface, *times: int, **policy: object) -> tuple[object, int]:
+    """A channel with an item at each of `times` (milliseconds after a base two seconds ago), and the base."""
+    channel = await surface.channel(**({"max_age": "60s"} | policy))
+    base = st.now() - 2_000 * MS
+    for time in times:
+        await channel.put(str(time).encode(), time=base + time * MS)
+    return channel, base
+
+
+def shown(items: object) -> list[str]:
+    return [item.payload.decode() for item in items]
+
+
+async def test_an_item_keeps_what_its_producer_said_of_it(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s", content_type="text/plain")
+    time = st.now() - 5 * MS
+    put = await channel.put(b"hello", time=time, duration="33ms", attributes={"enc": "none"})
+    item = await channel.newest()
+    assert (item.time, item.duration, item.payload, item.content_type) == (time, 33 * MS, b"hello", "text/plain")
+    assert item.attributes == {"enc": "none"}
+    assert item.end == time + 33 * MS
+    assert (put.time, put.seq) == (item.time, item.seq)
+
+
+async def test_a_put_without_a_time_is_stamped_when_accepted(surface: Surface) -> None:
+    channel = await surface.channel()
+    before = st.now()
+    item = await channel.put(b"x")
+    assert before - 50 * MS <= item.time <= st.now() + 50 * MS
+
+
+async def test_items_come_in_the_order_of_time_whatever_the_order_of_arrival(surface: Surface) -> None:
+    channel, _ = await filled(surface, 30, 10, 20, 40, 0)
+    assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["0", "10", "20", "30", "40"]
+
+
+async def test_items_of_one_time_share_a_bucket_and_none_is_lost(surface: Surface) -> None:
+    channel, base = await filled(surface, 10, 10, 10, 20)
+    items = await channel.get(base + 10 * MS, base + 10 * MS)
+    assert [item.seq for item in items] == sorted(item.seq for item in items)
+    assert len(items) == 3
+    assert {item.end for item in items} == {base + 20 * MS}
+
+
+async def test_an_item_spans_until_the_next_one(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 100)
+    assert shown(await channel.at(base)) == ["0"]
+    assert shown(await channel.at(base + 99 * MS)) == ["0"]
+    assert shown(await channel.at(base + 100 * MS)) == ["100"]
+
+
+async def test_the_newest_item_holds_up_to_now_and_no_longer(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 100)
+    assert shown(await channel.at(st.NOW)) == ["100"]
+    assert shown(await channel.at(st.now() + 3_600_000 * MS)) == []
+
+
+async def test_a_duration_ends_a_span_before_the_next_item(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s")
+    base = st.now() - 1_000 * MS
+    await channel.put(b"short", time=base, duration="10ms")
+    await channel.put(b"next", time=base + 100 * MS)
+    assert shown(await channel.at(base + 9 * MS)) == ["short"]
+    assert shown(await channel.at(base + 10 * MS)) == []
+
+
+async def test_a_duration_of_zero_is_a_single_instant(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s")
+    base = st.now() - 1_000 * MS
+    await channel.put(b"event", time=base, duration="0s")
+    assert shown(await channel.at(base)) == ["event"]
+    assert shown(await channel.at(base + 1)) == []
+
+
+@pytest.mark.parametrize(
+    ("bounds", "expected"),
+    [("[]", ["10", "20", "30"]), ("[)", ["10", "20"]), ("(]", ["20", "30"]), ("()", ["20"])],
+)
+async def test_each_bound_is_inclusive_or_exclusive(surface: Surface, bounds: str, expected: list[str]) -> None:
+    channel, base = await filled(surface, 0, 10, 20, 30, 40)
+    items = await channel.get(base + 10 * MS, base + 30 * MS, bounds=bounds, match="start")
+    assert shown(items) == expected
+
+
+async def test_partly_contained_items_are_returned_whole(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 100, 200)
+    assert shown(await channel.get(base + 50 * MS, base + 150 * MS)) == ["0", "100"]
+
+
+async def test_match_whole_returns_only_what_lies_inside(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 100, 200, 300)
+    assert shown(await channel.get(base + 50 * MS, base + 300 * MS, match="whole")) == ["100", "200"]
+
+
+async def test_adjoining_half_open_intervals_return_every_item_once(surface: Surface) -> None:
+    channel, base = await filled(surface, *range(0, 100, 7))
+    found = []
+    for start in range(0, 100, 10):
+        ends = base + start * MS, base + (start + 10) * MS
+        found += shown(await channel.get(*ends, bounds="[)", match="start"))
+    assert found == [str(time) for time in range(0, 100, 7)]
+
+
+async def test_meta_times_take_offsets(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 10, 20, 30)
+    assert shown(await channel.get(st.NEWEST - "10ms", st.NEWEST, match="start")) == ["20", "30"]
+    assert shown(await channel.get(st.OLDEST, st.OLDEST + "10ms", match="start")) == ["0", "10"]
+
+
+async def test_the_last_seconds_are_an_interval_up_to_now(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 1_900)
+    assert shown(await channel.get(*st.last("500ms"), match="start")) == ["1900"]
+
+
+async def test_the_resolved_interval_is_returned(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 30)
+    items = await channel.get(st.NEWEST - "10ms", st.NEWEST)
+    assert (items.interval.start, items.interval.end) == (base + 20 * MS, base + 30 * MS)
+
+
+async def test_before_gives_the_newest_older_item_and_of_a_bucket_the_last(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 10, 10, 20)
+    item = await channel.before(base + 20 * MS)
+    bucket = await channel.get(base + 10 * MS, base + 10 * MS)
+    assert item == bucket[-1]
+    assert await channel.before(base) is None
+
+
+async def test_oldest_gives_the_first_of_its_bucket_and_newest_the_last(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 0, 10, 10)
+    items = await channel.get(st.OLDEST, st.NEWEST)
+    assert (await channel.oldest(), await channel.newest()) == (items[0], items[-1])
+
+
+async def test_newest_after_wants_a_strictly_later_item(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 10)
+    newest = await channel.newest()
+    assert await channel.newest(after=newest) is None
+    assert await channel.newest(after=base + 10 * MS) is None
+    assert await channel.newest(after=base) == newest
+    await channel.put(b"again", time=base + 10 * MS)
+    assert (await channel.newest(after=newest)).payload == b"again"
+
+
+async def test_limit_keeps_the_earliest_and_pages_on(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 10, 10, 20, 30)
+    found, after = [], None
+    while True:
+        page = await channel.get(st.OLDEST, st.NEWEST, limit=2, after=after)
+        found += shown(page)
+        if not page.more:
+            break
+        after = page[-1]
+    assert found == ["0", "10", "10", "20", "30"]
+
+
+async def test_newest_first_turns_the_order_round_and_pages_on(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 10, 10, 20, 30)
+    first = await channel.get(st.OLDEST, st.NEWEST, limit=3, newest_first=True)
+    rest = await channel.get(st.OLDEST, st.NEWEST, newest_first=True, after=first[-1])
+    assert shown(first) + shown(rest) == ["30", "20", "10", "10", "0"]
+    assert first.more
+    assert not rest.more
+
+
+async def test_reads_change_nothing(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 10)
+    assert shown(await channel.get(st.OLDEST, st.NEWEST)) == shown(await channel.get(st.OLDEST, st.NEWEST))
+
+
+async def test_a_read_without_payloads_has_their_lengths(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0, 10)
+    items = await channel.get(st.OLDEST, st.NEWEST, payloads=False)
+    assert [item.payload for item in items] == [None, None]
+    assert [item.payload_length_bytes for item in items] == [1, 2]
+
+
+async def test_an_interval_upside_down_names_both_ends(surface: Surface) -> None:
+    channel, base = await filled(surface, 0)
+    with pytest.raises(st.InvalidInterval, match=f"{base + 1}.*{base}"):
+        await channel.get(base + 1, base)
+
+
+async def test_an_interval_that_meta_times_turn_upside_down_is_empty(surface: Surface) -> None:
+    channel, _ = await filled(surface, 0)
+    assert len(await channel.get(st.NEWEST + "1ms", st.NEWEST)) == 0
+
+
+async def test_an_empty_channel_answers_not_yet(surface: Surface) -> None:
+    channel = await surface.channel()
+    items = await channel.get(st.OLDEST, st.NEWEST)
+    assert (len(items), items.reason, items.interval) == (0, st.Reason.NOT_YET, None)
+    assert items.reason.detail
+
+
+async def test_a_finished_interval_without_items_was_never_filled(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s")
+    base = st.now() - 2_000 * MS
+    await channel.put(b"a", time=base, duration="1ms")
+    await channel.put(b"b", time=base + 100 * MS)
+    items = await channel.get(base + 50 * MS, base + 60 * MS)
+    assert (len(items), items.reason, items.complete) == (0, st.Reason.NEVER, True)
+
+
+async def test_what_a_policy_collected_is_explained_by_it(surface: Surface) -> None:
+    channel, base = await filled(surface, 0, 10, 20, 30, max_items=2, max_age=None)
+    items = await channel.get(base, base + 5 * MS, match="start")
+    assert (len(items), items.reason) == (0, st.Reason.COLLECTED)
+    assert "max_items" in items.reason.detail
+    assert (await channel.get(base, st.NEWEST)).truncated
