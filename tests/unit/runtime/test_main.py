@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -13,11 +14,16 @@ from stampede_rt_runtime.main import ServiceSettings, announce, run_service
 from stampede_rt_runtime.settings import setting
 
 
+WHAT = ("", "fail", "listen", "file", "defect", "7")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Settings(ServiceSettings):
     """A service for tests."""
 
-    what: str = field(default="", metadata=setting(help="what to do", choices=("", "fail", "listen", "7")))
+    what: str = field(
+        default="", metadata=setting(help="what to do", choices=("", "fail", "listen", "file", "defect", "7"))
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -35,6 +41,10 @@ async def serve(settings: Settings) -> int | None:
         raise Unavailable("the supernodes are away")
     if settings.what == "listen":
         check_listen("192.0.2.1:0", allow_insecure_anywhere=settings.allow_insecure_anywhere)
+    if settings.what == "file":
+        os.mkdir("/nowhere/at/all")
+    if settings.what == "defect":
+        raise OSError("not about a file")
     announce(f"served on {type(asyncio.get_running_loop()).__module__}")
     return int(settings.what) if settings.what else None
 
@@ -44,8 +54,9 @@ async def serve(settings: Settings) -> int | None:
     [
         ((), 0, ""),
         (("--what", "7"), 7, ""),
-        (("--what", "9"), 2, "stampede sample: --what: '9' cannot be used; allowed: , fail, listen, 7\n"),
+        (("--what", "9"), 2, "stampede sample: --what: '9' cannot be used; allowed: , fail, listen, file, defect, 7\n"),
         (("--what", "fail"), 1, "stampede sample: the supernodes are away\n"),
+        (("--what", "file"), 1, "stampede sample: /nowhere/at/all cannot be used: No such file or directory\n"),
         (("--secret-file", "/nowhere/secret"), 1, None),
     ],
 )
@@ -63,6 +74,11 @@ def test_a_service_ends_with_a_code_and_at_most_one_line(
     assert "Traceback" not in said
     if complaint is not None:
         assert said == complaint
+
+
+def test_a_defect_is_not_hidden() -> None:
+    with pytest.raises(OSError, match="not about a file"):
+        run_service(Settings, "sample", ["--what", "defect"], serve)
 
 
 def test_listening_beyond_loopback_needs_its_flag(capsys: pytest.CaptureFixture[str]) -> None:

@@ -70,11 +70,15 @@ def run_service(
         return _complain(service, error, EXIT_BAD_SETTINGS)
     except (CannotListen, StampedeError) as error:
         return _complain(service, error, EXIT_FAILED)
+    except OSError as error:
+        if error.filename is None:
+            raise  # a defect of ours; what concerns a file is for the user to put right
+        return _complain(service, f"{error.filename} cannot be used: {error.strerror}", EXIT_FAILED)
     except KeyboardInterrupt:  # before the service had its own way to stop
         return 130
 
 
-def _complain(service: str, error: Exception, code: int) -> int:
+def _complain(service: str, error: Exception | str, code: int) -> int:
     sys.stderr.write(f"stampede {service}: {error}\n")
     return code
 

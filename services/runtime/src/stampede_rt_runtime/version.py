@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
-from importlib import metadata
+from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-PROTOCOL_VERSION = 1  # of proto/stampede_rt/v1; grows only when old callers cannot go on
+__all__ = ["PROTOCOL_VERSION", "software_version"]
 
 
-@cache
 def software_version() -> str:
-    """The version of the installed distribution, the same for client and services."""
-    return metadata.version("stampede-rt")
+    """The version of this software, the same for client and services: the workspace has one."""
+    return VERSION
