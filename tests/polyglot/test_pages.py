@@ -1,0 +1,53 @@
+"""What docs/wire.md shows is what the contract says."""
+
+from __future__ import annotations
+
+import re
+
+from stampede_rt.v1 import item_pb2
+from tests.polyglot.toolchains import PROTO, ROOT
+
+WIRE = (ROOT / "docs" / "wire.md").read_text()
+HEX_LINE = re.compile(r"^((?:[0-9a-f]{2} )+ +)", re.MULTILINE)
+
+
+def shown_bytes() -> list[bytes]:
+    """The bytes of each block that shows some, in the order of the page."""
+    blocks = re.findall(r"^```\n(.*?)^```", WIRE, re.MULTILINE | re.DOTALL)
+    shown = ["".join(HEX_LINE.findall(block)) for block in blocks]
+    return [bytes.fromhex(text) for text in shown if text]
+
+
+def test_the_run_in_the_picture_is_a_run_and_the_host_appends_its_seq() -> None:
+    producer, host, _ = shown_bytes()
+    run = item_pb2.ItemRun.FromString(producer)
+    assert len(producer) == 45
+    assert (list(run.time_unix_nano), list(run.duration_nanos)) == ([1_760_000_000_000_000_000], [33_000_000])
+    assert (list(run.payload_length_bytes), run.content_type, run.payloads) == ([5], "text/plain", b"hello")
+    assert (run.first_seq, item_pb2.ItemRun.FromString(producer + host).first_seq) == (0, 41)
+
+
+def test_the_run_of_two_in_the_picture_has_two_items() -> None:
+    *_, shown = shown_bytes()
+    run = item_pb2.ItemRun.FromString(shown)
+    first, second = run.time_unix_nano
+    assert (len(shown), second - first) == (37, 33_000_000)
+    assert (list(run.payload_length_bytes), run.payloads) == ([5, 2], b"hellohi")
+
+
+def test_the_page_names_every_service_of_the_contract() -> None:
+    services = {
+        name
+        for source in PROTO.rglob("*.proto")
+        for name in re.findall(r"^service (\w+)", source.read_text(), re.MULTILINE)
+    }
+    assert services
+    assert {name for name in services if f"`{name}`" not in WIRE} == set()
+
+
+def test_the_page_says_what_to_do_with_every_reason_that_can_be_repeated() -> None:
+    known = set(re.findall(r"ERROR_REASON_(\w+) =", (PROTO / "stampede_rt/v1/error.proto").read_text()))
+    table = WIRE.split("What to do with a reason:")[1].split("A newer server")[0]
+    named = set(re.findall(r"`([A-Z_]+)`", table))
+    assert named
+    assert named <= known
