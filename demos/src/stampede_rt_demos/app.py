@@ -1,0 +1,78 @@
+"""`stampede demo NAME`: demonstrations on real media, through a real cluster."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher.film import require_libraries
+
+EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+SECONDS_DEFAULT = 20
+
+DEMOS = {"tv-watcher": "a film's video, sound and captions, analysed and watched in step (paper, section 5)"}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a demo, or list them. Returns the exit code: 0, 1 after a failure told in a sentence, 130 after Ctrl-C."""
+    arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
+    if arguments.demo is None:
+        print(_listing())
+        return 0
+    on_terminate = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        run: Callable[[argparse.Namespace], int] = arguments.run
+        return run(arguments)
+    except DemoFailed as failure:
+        print(f"stampede demo {arguments.demo}: {failure}", file=sys.stderr)
+        return EXIT_FAILED
+    except KeyboardInterrupt:
+        print(f"\nstampede demo {arguments.demo}: interrupted; nothing is left running", file=sys.stderr)
+        return EXIT_INTERRUPTED
+    finally:
+        signal.signal(signal.SIGTERM, on_terminate)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="stampede demo", description=_listing(), formatter_class=_Formatter)
+    demos = parser.add_subparsers(dest="demo", metavar="NAME")
+    watcher = demos.add_parser("tv-watcher", description=DEMOS["tv-watcher"], formatter_class=_Formatter)
+    watcher.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="how long it runs (default: 20)")
+    watcher.add_argument("--picture", type=Path, metavar="PATH", help="where to draw what happened, as a PNG")
+    watcher.set_defaults(run=_tv_watcher)
+    return parser
+
+
+def _tv_watcher(arguments: argparse.Namespace) -> int:
+    """The parts are imported here, when what they import is known to be there: a list of demos needs none of it."""
+    require_libraries()
+    from stampede_rt_demos.tv_watcher.app import run
+
+    return run(seconds=arguments.seconds, picture=arguments.picture)
+
+
+def _seconds(text: str) -> int:
+    """Whole seconds in the range that the TV watcher's roles take."""
+    if not text.isdecimal() or not 2 <= int(text) <= 600:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of seconds from 2 to 600")
+    return int(text)
+
+
+def _listing() -> str:
+    lines = [f"  {name}   {what}" for name, what in DEMOS.items()]
+    return "\n".join(["Demonstrations on real media, through a real cluster on this machine:", "", *lines])
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """SIGTERM ends a demo as Ctrl-C does: in order, with nothing left running."""
+    raise KeyboardInterrupt
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    pass

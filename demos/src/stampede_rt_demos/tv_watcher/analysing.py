@@ -1,0 +1,47 @@
+"""Turns a stream into a stream of features with the same times: the loop that both analysers share."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+
+import stampede_rt as st
+from stampede_rt_demos.tv_watcher.programme import PUT_TIME_ATTRIBUTE, Stream
+from stampede_rt_demos.tv_watcher.receiving import receive
+from stampede_rt_demos.tv_watcher.role import Stage
+
+Feature = Callable[[bytes], Mapping[str, object]]
+
+
+def analyse(stage: Stage, source: Stream, target: Stream, feature: Feature) -> dict[str, object]:
+    """Put `feature(payload)` as JSON for every item of `source`, with the source's time and duration.
+
+    A transformation that keeps its source's timestamps (paper, section 3.1) stays in step with it for every later
+    reader. After each one it advances the channel to the end of what it has analysed.
+    """
+    with st.connect(stage.settings.address, name=f"{target.name}-analyser") as rt:
+        sources = rt.channel(source.channel, create=False)
+        features = rt.channel(target.channel, create=False)
+        start = stage.wait_for_start()
+        analysed = 0
+
+        def handle(item: st.Item) -> None:
+            nonlocal analysed
+            encoded = json.dumps(feature(item.payload or b"")).encode()
+            features.put(
+                encoded,
+                time=item.time,
+                duration=item.duration,
+                attributes={PUT_TIME_ATTRIBUTE: str(time.time_ns())},
+            )
+            end = item.time + (item.duration or 0)
+            if end <= time.time_ns():
+                features.advance(end)
+            analysed += 1
+            stage.tell_progress(items=analysed)
+
+        until = start + stage.settings.length_nanos
+        receipts = receive(sources, start, until, handle)
+        features.advance(until)
+        return {"receipts": {source.name: receipts.as_record()}}

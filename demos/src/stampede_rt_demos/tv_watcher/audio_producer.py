@@ -1,0 +1,29 @@
+"""The audio producer: the clip's sound in blocks of 125 ms, as a sound card would hand them over, looped."""
+
+from __future__ import annotations
+
+import sys
+
+import stampede_rt as st
+from stampede_rt_demos.tv_watcher.clip import decode_audio, one_loop, video_loop_nanos
+from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.tv_watcher.producing import produce
+from stampede_rt_demos.tv_watcher.programme import AUDIO, AUDIO_BLOCK_NANOS, AUDIO_RATE_HZ
+from stampede_rt_demos.tv_watcher.role import Stage, run_role
+from stampede_rt_demos.tv_watcher.schedule import planned_blocks
+
+
+def play(stage: Stage) -> dict[str, object]:
+    """Decode everything first; then put every block when its last sample has been heard."""
+    path = locate_film()
+    samples = one_loop(decode_audio(path, AUDIO_RATE_HZ), AUDIO_RATE_HZ, video_loop_nanos(path))
+    length = stage.settings.length_nanos
+    with st.connect(stage.settings.address, name="audio-producer") as rt:
+        channel = rt.channel(AUDIO.channel, create=False)
+        start = stage.wait_for_start()
+        plan = planned_blocks(samples, AUDIO_RATE_HZ, AUDIO_BLOCK_NANOS, start, length)
+        return produce(stage, channel, plan, start + length)
+
+
+if __name__ == "__main__":
+    sys.exit(run_role(play))

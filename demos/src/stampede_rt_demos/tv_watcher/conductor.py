@@ -1,0 +1,201 @@
+"""Starts the cluster and the roles, and puts together what they report: the only part that knows all the others.
+
+The data never pass through here. The roles meet in the channels; to the conductor they only report.
+"""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import stampede_rt as st
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.tv_watcher.picture_data import PictureSpan, picture_spans
+from stampede_rt_demos.tv_watcher.programme import (
+    AUDIO,
+    CAPTION_NANOS,
+    CAPTIONS,
+    NANOS_PER_SECOND,
+    SOURCE_OF_FEATURE,
+    STREAM_MAX_AGE,
+    STREAMS,
+    VIDEO,
+)
+from stampede_rt_demos.tv_watcher.progress import Progress
+from stampede_rt_demos.tv_watcher.report import RunReport
+from stampede_rt_demos.tv_watcher.role_processes import RoleProcesses, role_command
+from stampede_rt_demos.tv_watcher.statistics import Step, stream_figures
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceFailed
+
+FRONTENDS, SUPERNODES, HOSTS = 1, 3, 2
+READY_SECONDS = 30.0
+END_SECONDS = 15.0
+LEAD_NANOS = 400_000_000
+
+PRODUCERS = {
+    "video producer": ("video_producer", VIDEO.name),
+    "audio producer": ("audio_producer", AUDIO.name),
+    "caption producer": ("caption_producer", CAPTIONS.name),
+}
+READERS = {"motion analyser": "motion_analyser", "loudness analyser": "loudness_analyser", "viewer": "viewer"}
+MODULES = {name: module for name, (module, _) in PRODUCERS.items()} | READERS
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Outcome:
+    """A run's report and what the picture needs."""
+
+    report: RunReport
+    spans: Sequence[PictureSpan]
+
+
+@dataclass(slots=True)
+class _Collected:
+    """What the roles have reported so far: results by role, the viewer's steps, the last item counts."""
+
+    results: dict[str, messages.Message] = field(default_factory=dict)
+    steps: list[Step] = field(default_factory=list)  # one per caption of a run that is bounded in time
+    items: dict[str, int] = field(default_factory=dict)
+    picture: messages.Message = field(default_factory=lambda: {"spans": []})
+
+    def add(self, role: str, message: messages.Message) -> None:
+        """Take one event in."""
+        match message["event"]:
+            case "progress":
+                self.items[role] = message["items"]
+            case "step":
+                self.steps.append(messages.step_of(message))
+            case "picture":
+                self.picture = message
+            case "result":
+                self.results[role] = message
+
+
+def conduct(seconds: int, progress: Progress) -> Outcome:
+    """Run the whole programme for `seconds` seconds: blocks for about eight seconds more than that.
+
+    Raises DemoFailed, with every process ended, if anything that it needs is missing, does not start, or dies.
+    """
+    locate_film()
+    cpu_before = _children_cpu_seconds()
+    progress.say(f"Starting a cluster: {FRONTENDS} front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
+    try:
+        with LocalCluster(frontends=FRONTENDS, supernodes=SUPERNODES, hosts=HOSTS) as cluster:
+            collected, accepted, placed = _run_programme(cluster, seconds, progress)
+    except (ServiceFailed, OSError) as error:
+        raise DemoFailed(f"the cluster did not start: {_one_sentence(str(error))}") from error
+    except st.StampedeError as error:
+        raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
+    cpu_seconds = _children_cpu_seconds() - cpu_before
+    report = _report(collected, accepted, placed, seconds, cpu_seconds)
+    return Outcome(report=report, spans=picture_spans(collected.picture))
+
+
+def _run_programme(
+    cluster: LocalCluster, seconds: int, progress: Progress
+) -> tuple[_Collected, Mapping[str, int], Mapping[str, str]]:
+    """Inside the running cluster: what was reported, what the hosts accepted, and where the streams were."""
+    with st.connect(cluster.address, name="conductor", secret=cluster.secret.text) as rt:
+        channels = _create_channels(rt)
+        with RoleProcesses({"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}) as roles:
+            for name, module in MODULES.items():
+                roles.start(name, role_command(module, cluster.address, seconds))
+            progress.say(f"Starting {len(MODULES)} processes: {', '.join(MODULES)} ...")
+            _wait_ready(roles)
+            collected = _play(roles, seconds, progress)
+        accepted = {name: channel.stats().accepted for name, channel in channels.items()}
+        return collected, accepted, {name: channel.host for name, channel in channels.items()}
+
+
+def _create_channels(rt: st.Connection) -> Mapping[str, st.Channel]:
+    """All channels, spread over both hosts."""
+    hosts = sorted(host.name for host in rt.hosts())
+    return {
+        stream.name: rt.channel(
+            stream.channel,
+            max_age=STREAM_MAX_AGE,
+            content_type=stream.content_type,
+            host=hosts[stream.host_index % len(hosts)],
+        )
+        for stream in STREAMS
+    }
+
+
+def _wait_ready(roles: RoleProcesses) -> None:
+    waiting = set(MODULES)
+    for name, message in roles.events(READY_SECONDS, "getting ready"):
+        if message["event"] == "ready":
+            waiting.discard(name)
+        if not waiting:
+            return
+
+
+def _play(roles: RoleProcesses, seconds: int, progress: Progress) -> _Collected:
+    """Start the programme and listen until every role has given its result."""
+    collected = _Collected()
+    start = time.time_ns() + LEAD_NANOS
+    roles.begin(start)
+    for name, message in roles.events(seconds + END_SECONDS, "the programme"):
+        collected.add(name, message)
+        if message["event"] in ("progress", "step"):
+            progress.show(_progress_line(collected, time.time_ns() - start, seconds))
+    progress.close()
+    return collected
+
+
+def _progress_line(collected: _Collected, elapsed_nanos: int, seconds: int) -> str:
+    elapsed = min(max(elapsed_nanos / NANOS_PER_SECOND, 0.0), seconds)
+    items = "  ".join(f"{stream} {collected.items.get(role, 0):>3}" for role, (_, stream) in PRODUCERS.items())
+    last = collected.steps[-1].text if collected.steps else ""
+    return f"{elapsed:4.1f} of {seconds} s  {items}  in step {len(collected.steps):>2}  {last}"
+
+
+def _report(
+    collected: _Collected, accepted: Mapping[str, int], placed: Mapping[str, str], seconds: int, cpu_seconds: float
+) -> RunReport:
+    results = collected.results
+    receipts = {name: record for role in READERS for name, record in results[role]["receipts"].items()}
+    role_cpu = {role: float(result["cpu_seconds"]) for role, result in results.items()}
+    return RunReport(
+        figures=[
+            stream_figures(
+                stream.name,
+                host=placed[stream.name],
+                accepted=accepted[stream.name],
+                receipts=receipts[stream.name],
+                steps=collected.steps,
+                reference=CAPTIONS.name,
+                seconds=seconds,
+            )
+            for stream in STREAMS
+        ],
+        steps=collected.steps,
+        expected=_expected(results),
+        lateness_max_nanos={role: results[role]["lateness_max_nanos"] for role in PRODUCERS},
+        role_cpu_percent={role: 100 * used / seconds for role, used in role_cpu.items()},
+        cluster_cpu_percent=100 * (cpu_seconds - sum(role_cpu.values())) / seconds,
+    )
+
+
+def _expected(results: Mapping[str, messages.Message]) -> dict[str, int]:
+    """How many items of each stream begin in a caption's span, from the periods that the producers report."""
+    sources = {stream: CAPTION_NANOS // results[role]["period_nanos"] for role, (_, stream) in PRODUCERS.items()}
+    return {stream.name: sources[SOURCE_OF_FEATURE.get(stream.name, stream.name)] for stream in STREAMS}
+
+
+def _children_cpu_seconds() -> float:
+    """User and system time of all child processes that have ended."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
+
+
+def _one_sentence(story: str) -> str:
+    """The first line of a service's story and the last thing that it said."""
+    lines = [line.strip() for line in story.splitlines() if line.strip()]
+    first = lines[0].removesuffix("; its last lines:")
+    return first if len(lines) == 1 else f"{first}: {lines[-1]}"

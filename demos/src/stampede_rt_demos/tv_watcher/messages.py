@@ -1,0 +1,77 @@
+"""What a role and the conductor say to each other: one JSON object a line. Pure.
+
+A role says `ready` once, then any number of `progress`, `step` and `picture`, and at last `result` or `failed`. The
+conductor says one thing: when to start.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from stampede_rt_demos.tv_watcher.statistics import Step
+
+LINE_BYTES_MAX = 4 * 1024 * 1024  # the picture's thumbnails are the longest line, about a quarter of a megabyte
+EVENTS = frozenset({"ready", "progress", "step", "picture", "result", "failed"})
+
+Message = Mapping[str, Any]
+
+
+class BadMessage(ValueError):
+    """A line is no message of a role."""
+
+
+def encode(event: str, **fields: object) -> str:
+    """One line, without its line feed. Raises BadMessage for an event that the conductor does not know."""
+    if event not in EVENTS:
+        raise BadMessage(f"a role has no event {event!r}; there are {', '.join(sorted(EVENTS))}")
+    return json.dumps({"event": event, **fields}, separators=(",", ":"), allow_nan=False)
+
+
+def decode(line: str) -> Message:
+    """The message of a line. Raises BadMessage, which quotes the line's beginning, if it is none."""
+    try:
+        message = json.loads(line)
+    except json.JSONDecodeError:
+        raise BadMessage(f"no JSON: {line[:80]!r}") from None
+    if not isinstance(message, dict) or message.get("event") not in EVENTS:
+        raise BadMessage(f"no event of a role: {line[:80]!r}")
+    return message
+
+
+def encode_start(start_unix_nano: int) -> str:
+    """The conductor's only line: the programme's first instant."""
+    return json.dumps({"start_unix_nano": start_unix_nano})
+
+
+def decode_start(line: str) -> int:
+    """The programme's first instant. Raises BadMessage if the line says anything else."""
+    try:
+        start = json.loads(line)["start_unix_nano"]
+    except (ValueError, KeyError, TypeError):
+        raise BadMessage(f"no start: {line[:80]!r}") from None
+    if type(start) is not int:
+        raise BadMessage(f"the start is {start!r}; it is an int, nanoseconds since the epoch")
+    return start
+
+
+def step_fields(step: Step) -> dict[str, object]:
+    """A step as the fields of a `step` event."""
+    return {
+        "time": step.time,
+        "end": step.end,
+        "text": step.text,
+        "counts": dict(step.counts),
+        "complete": step.complete,
+        "features_keep_times": step.features_keep_times,
+        "received_unix_nano": dict(step.received_unix_nano),
+    }
+
+
+def step_of(message: Message) -> Step:
+    """The step of a `step` event. Raises BadMessage if fields are missing."""
+    try:
+        return Step(**{name: message[name] for name in Step.__dataclass_fields__})
+    except KeyError as error:
+        raise BadMessage(f"a step without {error}") from None

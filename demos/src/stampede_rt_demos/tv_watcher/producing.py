@@ -1,0 +1,54 @@
+"""Puts planned items when they are due: the real-time loop that the three producers share."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+import stampede_rt as st
+from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND, PUT_TIME_ATTRIBUTE
+from stampede_rt_demos.tv_watcher.role import Stage
+from stampede_rt_demos.tv_watcher.schedule import PlannedItem
+from stampede_rt_demos.tv_watcher.statistics import percentile
+
+PUT_TIMEOUT_SECONDS = 5.0
+
+
+def wait_until(unix_nano: int) -> None:
+    """Sleep until the wall clock has come to `unix_nano`; returns at once if it has."""
+    while (delay := unix_nano - time.time_ns()) > 0:
+        time.sleep(delay / NANOS_PER_SECOND)
+
+
+def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], until: int) -> dict[str, object]:
+    """Put every item of `plan` when it is due, then promise that nothing before `until` will come.
+
+    An item that is due at its end is followed by an advance to that end, so that readers who wait for a whole interval
+    need not wait for the next item. Returns the figures for the producer's result; lateness is how long after its due
+    time the put of an item began.
+    """
+    lateness: list[int] = []
+    period_nanos = 0
+    for planned in plan:
+        wait_until(planned.due)
+        now = time.time_ns()
+        lateness.append(now - planned.due)
+        channel.put(
+            planned.payload,
+            time=planned.time,
+            duration=planned.duration,
+            attributes={PUT_TIME_ATTRIBUTE: str(now), "clip_nanos": str(planned.clip_nanos)},
+            timeout=PUT_TIMEOUT_SECONDS,
+        )
+        if planned.due > planned.time:
+            channel.advance(planned.due)
+        period_nanos = planned.duration
+        stage.tell_progress(items=len(lateness))
+    wait_until(until)
+    channel.advance(until)
+    return {
+        "put": len(lateness),
+        "period_nanos": period_nanos,
+        "lateness_p99_nanos": percentile(lateness, 99),
+        "lateness_max_nanos": max(lateness, default=None),
+    }

@@ -1,0 +1,49 @@
+"""Reads every item of a channel until the programme's end, and accounts for each: the loop that all readers share."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import stampede_rt as st
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND, PUT_TIME_ATTRIBUTE
+from stampede_rt_demos.tv_watcher.statistics import Receipts
+
+GRACE_SECONDS = 5.0
+
+
+def note(receipts: Receipts, item: st.Item, received_unix_nano: int) -> None:
+    """Account for one item that a producer of this demo has put."""
+    receipts.add(
+        seq=item.seq,
+        payload_bytes=len(item.payload or b""),
+        put_unix_nano=int(item.attributes[PUT_TIME_ATTRIBUTE]),
+        received_unix_nano=received_unix_nano,
+    )
+
+
+def receive(channel: st.Channel, start: int, until: int, handle: Callable[[st.Item], None]) -> Receipts:
+    """Hand every item with a time of `start` or later to `handle`, up to the one whose span ends at `until`.
+
+    Blocks until then. Raises DemoFailed if that one has not come GRACE_SECONDS after `until`.
+    """
+    receipts = Receipts()
+    with channel.subscribe(start=start) as subscription:
+        patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
+        watch = threading.Timer(max(0.0, patience), subscription.close)
+        watch.daemon = True
+        watch.start()
+        try:
+            for item in subscription:
+                note(receipts, item, time.time_ns())
+                handle(item)
+                if item.time + (item.duration or 0) >= until:
+                    return receipts
+        finally:
+            watch.cancel()
+    raise DemoFailed(
+        f"the channel {channel.name} brought {receipts.account.received} items and then nothing more until "
+        f"{GRACE_SECONDS:g} s after the programme's end; is its producer too slow for this machine?"
+    )

@@ -1,0 +1,113 @@
+"""The frame of a role's process: settings, the conductor's start, reports, and an end in good order.
+
+A role never outlives the conductor: its standard input is a pipe that only the conductor holds, and when the kernel
+closes that, however the conductor ended, the role ends at once. Ctrl-C at the terminal is the conductor's business.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import stampede_rt as st
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND
+
+SECONDS_MIN = 2
+SECONDS_MAX = 600
+EXIT_ORPHANED = 3
+PROGRESS_NANOS = 500_000_000
+_START_LINE_BYTES_MAX = 256
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RoleSettings:
+    """What every role is told: where the cluster is and for how many whole seconds the programme runs."""
+
+    address: str
+    seconds: int
+
+    def __post_init__(self) -> None:
+        if not SECONDS_MIN <= self.seconds <= SECONDS_MAX:
+            raise ValueError(
+                f"--seconds is {self.seconds}; the programme runs for {SECONDS_MIN} to {SECONDS_MAX} whole seconds"
+            )
+
+    @property
+    def length_nanos(self) -> int:
+        """The programme's length."""
+        return self.seconds * NANOS_PER_SECOND
+
+
+class Stage:
+    """A role's line to the conductor. Methods may be called from several threads, except `wait_for_start`."""
+
+    def __init__(self, settings: RoleSettings) -> None:
+        self.settings = settings
+        self._lock = threading.Lock()
+        self._told_nanos = 0
+
+    def wait_for_start(self) -> int:
+        """Say that the role is ready and wait for the programme's first instant, in nanoseconds since the epoch.
+
+        Call it once, when everything slow is done. If the conductor goes meanwhile or later, the process ends.
+        """
+        self.tell("ready")
+        with open(0, "rb", buffering=0, closefd=False) as conductor:
+            line = conductor.readline(_START_LINE_BYTES_MAX)
+        if not line:
+            os._exit(EXIT_ORPHANED)
+        threading.Thread(target=_end_with_conductor, name="conductor watch", daemon=True).start()
+        return messages.decode_start(line.decode())
+
+    def tell(self, event: str, **fields: object) -> None:
+        """Send one event. Blocks while the conductor does not read."""
+        line = messages.encode(event, **fields)
+        with self._lock:
+            print(line, flush=True)
+
+    def tell_progress(self, **fields: object) -> None:
+        """Send a `progress` event, or nothing if the last one is less than PROGRESS_NANOS ago."""
+        now = time.monotonic_ns()
+        with self._lock:
+            if now - self._told_nanos < PROGRESS_NANOS:
+                return
+            self._told_nanos = now
+        self.tell("progress", **fields)
+
+
+def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] | None = None) -> int:
+    """Main of every role: play it and report what it returns. Returns the exit code, 1 after a reported failure.
+
+    Any other exception is a defect of this demo: its traceback goes to standard error, which the conductor quotes.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stage = Stage(_parse(argv))
+    try:
+        result = play(stage)
+    except (DemoFailed, st.StampedeError) as failure:
+        stage.tell("failed", message=str(failure))
+        return 1
+    stage.tell("result", cpu_seconds=time.process_time(), **result)
+    return 0
+
+
+def _parse(argv: Sequence[str] | None) -> RoleSettings:
+    parser = argparse.ArgumentParser(description="One role of the TV watcher; the conductor starts it.")
+    parser.add_argument("--address", required=True, help="of the cluster's front-end")
+    parser.add_argument("--seconds", required=True, type=int, help="how long the programme runs")
+    found = parser.parse_args(sys.argv[1:] if argv is None else argv)
+    return RoleSettings(address=found.address, seconds=found.seconds)
+
+
+def _end_with_conductor() -> None:
+    while os.read(0, 4096):  # nobody writes any more; it returns nothing when the other end is closed
+        pass
+    os._exit(EXIT_ORPHANED)

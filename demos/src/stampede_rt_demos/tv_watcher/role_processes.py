@@ -1,0 +1,180 @@
+"""The roles' processes: started by spawning, listened to, and ended in every case.
+
+Each role has two reader threads here, for what it reports and for its last words. Nothing is unbounded: the events wait
+in a queue of EVENTS_MAX, behind which a talkative role waits, and of the last words LAST_LINES_MAX lines are kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import IO
+
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher import messages
+
+EVENTS_MAX = 1000
+LAST_LINES_MAX = 20
+END_SECONDS = 3.0
+_POLL_SECONDS = 0.2
+
+
+@dataclass(slots=True)
+class _Role:
+    name: str
+    process: subprocess.Popen[str]
+    last_lines: deque[str] = field(default_factory=lambda: deque(maxlen=LAST_LINES_MAX))
+    readers: list[threading.Thread] = field(default_factory=list)
+    finished: bool = False  # its result has been read
+
+
+class RoleProcesses:
+    """A set of role processes; a context manager that leaves none of them behind.
+
+    Use from one thread. `start` them, wait for `ready`, then `begin`; `events` gives what they report.
+    """
+
+    def __init__(self, environment: Mapping[str, str] | None = None) -> None:
+        self._environment = {**os.environ, **(environment or {})}
+        self._roles: dict[str, _Role] = {}
+        self._events: queue.Queue[tuple[str, str | None]] = queue.Queue(EVENTS_MAX)
+        self._closing = threading.Event()
+
+    def __enter__(self) -> RoleProcesses:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.end()
+
+    @property
+    def process_ids(self) -> Mapping[str, int]:
+        """The roles' process ids, by name."""
+        return {name: role.process.pid for name, role in self._roles.items()}
+
+    def start(self, name: str, command: Sequence[str]) -> None:
+        """Start a role. Raises DemoFailed if the program cannot be run."""
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env=self._environment,
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+                process_group=0,  # Ctrl-C comes to the conductor alone, which ends the roles in order
+            )
+        except OSError as error:
+            raise DemoFailed(f"the {name} cannot be started with {command[0]}: {error.strerror}") from error
+        role = self._roles[name] = _Role(name, process)
+        for target in (self._read_events, self._read_last_lines):
+            reader = threading.Thread(target=target, args=(role,), name=f"{target.__name__} {name}", daemon=True)
+            reader.start()
+            role.readers.append(reader)
+
+    def begin(self, start_unix_nano: int) -> None:
+        """Tell every role when the programme starts."""
+        for role in self._roles.values():
+            with contextlib.suppress(BrokenPipeError):  # it has died; `events` says so, and why
+                assert role.process.stdin is not None
+                role.process.stdin.write(messages.encode_start(start_unix_nano) + "\n")
+                role.process.stdin.flush()
+
+    def events(self, timeout: float, doing: str) -> Iterator[tuple[str, messages.Message]]:
+        """What the roles report, as it comes, until every role has given its result.
+
+        Raises DemoFailed if a role fails, dies, talks nonsense, or if this takes more than `timeout` seconds; `doing`
+        then says what they had to do. A caller may stop early and ask again, for the next phase.
+        """
+        deadline = time.monotonic() + timeout
+        while unfinished := [role.name for role in self._roles.values() if not role.finished]:
+            try:
+                name, line = self._events.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                waiting = ", ".join(unfinished)
+                raise DemoFailed(f"{doing} took more than {timeout:.0f} s; still waiting for {waiting}") from None
+            message = self._message(self._roles[name], line)
+            if message is not None:
+                yield name, message
+
+    def end(self) -> None:
+        """End every role that still runs: kindly, and after END_SECONDS by force. Idempotent."""
+        self._closing.set()
+        for role in self._roles.values():
+            if role.process.poll() is None:
+                role.process.terminate()
+        for role in self._roles.values():
+            self._end(role)
+
+    def _end(self, role: _Role) -> None:
+        try:
+            role.process.wait(END_SECONDS)
+        except subprocess.TimeoutExpired:
+            role.process.kill()
+            role.process.wait()
+        for reader in role.readers:
+            reader.join(END_SECONDS)
+        with contextlib.suppress(BrokenPipeError):  # closing flushes a start line that a dead role never read
+            if role.process.stdin is not None:
+                role.process.stdin.close()
+
+    def _message(self, role: _Role, line: str | None) -> messages.Message | None:
+        if line is None:
+            if not role.finished:
+                raise DemoFailed(self._obituary(role))
+            return None
+        try:
+            message = messages.decode(line)
+        except messages.BadMessage as error:
+            raise DemoFailed(f"the {role.name} reported something that is no report: {error}") from error
+        if message["event"] == "failed":
+            raise DemoFailed(f"the {role.name} failed: {message['message']}")
+        role.finished = message["event"] == "result"
+        return message
+
+    def _obituary(self, role: _Role) -> str:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            role.process.wait(END_SECONDS)
+        role.readers[1].join(END_SECONDS)
+        code = role.process.returncode
+        how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
+        said = next((line for line in reversed(role.last_lines) if line.strip()), None)
+        return f"the {role.name} {how} before its work was done" + (f"; it said last: {said.strip()}" if said else "")
+
+    def _read_events(self, role: _Role) -> None:
+        assert role.process.stdout is not None
+        for line in _lines(role.process.stdout):
+            self._report(role.name, line)
+        self._report(role.name, None)
+
+    def _report(self, name: str, line: str | None) -> None:
+        while not self._closing.is_set():
+            with contextlib.suppress(queue.Full):
+                self._events.put((name, line), timeout=_POLL_SECONDS)
+                return
+
+    def _read_last_lines(self, role: _Role) -> None:
+        assert role.process.stderr is not None
+        for line in _lines(role.process.stderr):
+            role.last_lines.append(line)
+
+
+def role_command(module: str, address: str, seconds: int) -> list[str]:
+    """The command that runs a role of the TV watcher with this interpreter."""
+    name = f"stampede_rt_demos.tv_watcher.{module}"
+    return [sys.executable, "-m", name, "--address", address, "--seconds", str(seconds)]
+
+
+def _lines(output: IO[str]) -> Iterator[str]:
+    with output:
+        while line := output.readline(messages.LINE_BYTES_MAX):
+            yield line.rstrip("\n")

@@ -1,0 +1,28 @@
+"""The video producer: the clip's frames as JPEG, at the clip's own rate, looped."""
+
+from __future__ import annotations
+
+import sys
+
+import stampede_rt as st
+from stampede_rt_demos.tv_watcher.clip import decode_video
+from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.tv_watcher.producing import produce
+from stampede_rt_demos.tv_watcher.programme import FRAME_HEIGHT, FRAME_WIDTH, JPEG_QUALITY, VIDEO
+from stampede_rt_demos.tv_watcher.role import Stage, run_role
+from stampede_rt_demos.tv_watcher.schedule import planned_frames
+
+
+def play(stage: Stage) -> dict[str, object]:
+    """Decode everything first, so that the real-time loop only puts; then put until the programme's end."""
+    video = decode_video(locate_film(), FRAME_WIDTH, FRAME_HEIGHT, JPEG_QUALITY)
+    length = stage.settings.length_nanos
+    with st.connect(stage.settings.address, name="video-producer") as rt:
+        channel = rt.channel(VIDEO.channel, create=False)
+        start = stage.wait_for_start()
+        plan = planned_frames(video.clock, video.frames, start, length)
+        return produce(stage, channel, plan, start + length)
+
+
+if __name__ == "__main__":
+    sys.exit(run_role(play))

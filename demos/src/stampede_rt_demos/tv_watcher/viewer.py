@@ -1,0 +1,117 @@
+"""The viewer: takes the newest caption as the reference and watches everything that lies in its span, in step.
+
+Nobody tells it how many frames or blocks belong to a caption: the channels do (paper, sections 3.3 and 5).
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import stampede_rt as st
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.tv_watcher.picture_data import PICTURE_SPANS_MAX, picture_record
+from stampede_rt_demos.tv_watcher.programme import (
+    CAPTION_NANOS,
+    CAPTIONS,
+    NANOS_PER_SECOND,
+    SOURCE_OF_FEATURE,
+    STREAMS,
+)
+from stampede_rt_demos.tv_watcher.receiving import GRACE_SECONDS, note, receive
+from stampede_rt_demos.tv_watcher.role import Stage, run_role
+from stampede_rt_demos.tv_watcher.statistics import Receipts, Step
+
+SPAN_GRACE_SECONDS = 2.0
+Span = Mapping[str, st.Items]
+
+
+def play(stage: Stage) -> dict[str, object]:
+    """Watch until the programme's end. The features are also received live, so that none of them goes uncounted."""
+    with (
+        st.connect(stage.settings.address, name="viewer") as rt,
+        ThreadPoolExecutor(len(STREAMS) + len(SOURCE_OF_FEATURE)) as pool,
+    ):
+        channels = {stream.name: rt.channel(stream.channel, create=False) for stream in STREAMS}
+        start = stage.wait_for_start()
+        until = start + stage.settings.length_nanos
+        live = {
+            name: pool.submit(receive, channels[name], start, until, lambda item: None) for name in SOURCE_OF_FEATURE
+        }
+        captions, spans = _watch(stage, channels, pool, until)
+        receipts = {CAPTIONS.name: captions} | {name: future.result() for name, future in live.items()}
+    stage.tell("picture", **picture_record(spans, start))
+    return {"receipts": {name: each.as_record() for name, each in receipts.items()}}
+
+
+def _watch(
+    stage: Stage, channels: Mapping[str, st.Channel], pool: ThreadPoolExecutor, until: int
+) -> tuple[Receipts, deque[Span]]:
+    """Caption by caption, up to the one that ends at `until`; keeps the last few spans for the picture."""
+    receipts = Receipts()
+    spans: deque[Span] = deque(maxlen=PICTURE_SPANS_MAX)
+    caption: st.Item | None = None
+    while caption is None or caption.time + (caption.duration or 0) < until:
+        caption = _next_caption(channels[CAPTIONS.name], caption, until)
+        note(receipts, caption, time.time_ns())
+        step, span = _read_span(caption, channels, pool)
+        spans.append(span)
+        stage.tell("step", **messages.step_fields(step))
+    return receipts, spans
+
+
+def _next_caption(captions: st.Channel, before: st.Item | None, until: int) -> st.Item:
+    """The newest caption, once there is a later one than `before`. Raises DemoFailed if none comes."""
+    patience = max(0.0, (until - time.time_ns()) / NANOS_PER_SECOND) + GRACE_SECONDS
+    caption = captions.newest(after=before, timeout=patience)
+    if caption is None:
+        raise DemoFailed(f"no caption came for {patience:.0f} s; is the caption producer too slow for this machine?")
+    return caption
+
+
+def _read_span(caption: st.Item, channels: Mapping[str, st.Channel], pool: ThreadPoolExecutor) -> tuple[Step, Span]:
+    """Everything that begins in the caption's span, of every stream, when the span is finished.
+
+    All streams are asked at once, the captions too: each answer comes when its own channel has passed the span's end,
+    and how far apart they come is the skew.
+    """
+    start, end = caption.time, caption.time + (caption.duration or CAPTION_NANOS)
+    patience = max(0.0, (end - time.time_ns()) / NANOS_PER_SECOND) + SPAN_GRACE_SECONDS
+    asked: dict[str, Future[tuple[st.Items, int]]] = {
+        name: pool.submit(_read_finished, channel, start, end, patience) for name, channel in channels.items()
+    }
+    answers = {name: future.result() for name, future in asked.items()}
+    span = {name: items for name, (items, _) in answers.items()}
+    step = Step(
+        time=start,
+        end=end,
+        text=(caption.payload or b"").decode(),
+        counts={name: len(items) for name, items in span.items()},
+        complete=all(items.complete for items in span.values()),
+        features_keep_times=features_keep_times(span),
+        received_unix_nano={name: received for name, (_, received) in answers.items()},
+    )
+    return step, span
+
+
+def _read_finished(channel: st.Channel, start: int, end: int, patience: float) -> tuple[st.Items, int]:
+    """The items that begin in `[start, end)`, and when they were in hand; waits for all of them up to `patience` s."""
+    items = channel.get(start, end, bounds="[)", match="start", complete=True, timeout=patience)
+    return items, time.time_ns()
+
+
+def features_keep_times(span: Span) -> bool:
+    """Every feature has the time and the duration of the item that it was made from, one for one."""
+    return all(_times(span[feature]) == _times(span[source]) for feature, source in SOURCE_OF_FEATURE.items())
+
+
+def _times(items: st.Items) -> list[tuple[int, int | None]]:
+    return [(item.time, item.duration) for item in items]
+
+
+if __name__ == "__main__":
+    sys.exit(run_role(play))
