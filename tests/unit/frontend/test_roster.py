@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import SUPERNODES_MAX, Answer, MemberList, Roster
@@ -147,3 +151,40 @@ def test_a_cluster_founded_anew_at_the_same_addresses_is_taken_up() -> None:
     roster.listed(members("n1", term=1, index=1))
     assert roster.cluster_id == "c2"
     assert list(known(roster)) == ["n1"]
+
+
+EVENTS = st.one_of(
+    st.builds(
+        lambda target, name, ready, cluster: ("answered", target, answer(name, ready=ready, cluster=cluster)),
+        st.sampled_from(["s1:1", "s2:1", "s3:1"]),
+        st.sampled_from(["s1", "s2"]),
+        st.booleans(),
+        st.sampled_from(["", "c1", "c2"]),
+    ),
+    st.builds(lambda target: ("failed", target, "refused"), st.sampled_from(["s1:1", "s2:1", "s3:1"])),
+    st.builds(
+        lambda names, term: ("listed", members(*names, term=term)),
+        st.sets(st.sampled_from(["s1", "s2", "s3", "s4"])),
+        st.integers(0, 3),
+    ),
+)
+
+
+@given(st.lists(EVENTS, max_size=30))
+def test_whatever_happens_seeds_are_probed_ids_are_told_once_and_health_is_what_the_last_probe_said(
+    events: list[tuple[Any, ...]],
+) -> None:
+    roster = Roster(("s1:1", "s9:1"))
+    last_probe: dict[str, bool] = {}
+    for kind, *arguments in events:
+        accepted = getattr(roster, kind)(*arguments)
+        if kind != "listed":
+            target, what = arguments
+            last_probe[target] = kind == "answered" and accepted and what.ready
+        last_probe = {target: last_probe.get(target, False) for target in roster.targets()}
+        assert {"s1:1", "s9:1"} <= set(roster.targets())
+        ids = [one.supernode_id for one in roster.known()]
+        assert len(ids) == len(set(ids))
+        assert "" not in ids
+        assert roster.any_healthy() == any(last_probe.values())
+        assert all(one.healthy == last_probe[one.target] for one in roster.known())

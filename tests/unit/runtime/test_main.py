@@ -13,7 +13,6 @@ from stampede_rt_runtime.listen import check_listen
 from stampede_rt_runtime.main import ServiceSettings, announce, run_service
 from stampede_rt_runtime.settings import setting
 
-
 WHAT = ("", "fail", "listen", "file", "defect", "7")
 
 
