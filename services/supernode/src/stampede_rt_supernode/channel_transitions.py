@@ -18,7 +18,7 @@ from stampede_rt_supernode.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.lookups import channel_by_id, host_by_name, no_such_channel
-from stampede_rt_supernode.policies import agree, check_policy, merge
+from stampede_rt_supernode.policies import agree, check_policy, check_ranges, merge
 from stampede_rt_supernode.records import Channel, Host
 from stampede_rt_supernode.tables import Tables
 from stampede_rt_supernode.validation import check_id, check_incarnation, check_name
@@ -26,11 +26,25 @@ from stampede_rt_supernode.validation import check_id, check_incarnation, check_
 CHANNELS_MAX = 200_000
 
 
-def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
-    """Get or create; a channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
+def check_open(deed: OpenChannel) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
     check_name(deed.name, "channel")
+    if deed.host_name:
+        check_name(deed.host_name, "host")
+    check_ranges(deed.name, deed.policy)
     check_id(deed.new_channel_id, "new_channel_id")
     check_incarnation(deed.new_incarnation, "new_incarnation")
+
+
+def check_update(deed: UpdateChannel) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.channel_id, "channel_id")
+    check_ranges(deed.channel_id.hex(), deed.policy)
+
+
+def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
+    """Get or create; a channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
+    check_open(deed)
     channel = tables.channel_named(deed.name)
     if channel is None:
         return _create(tables, deed)
@@ -45,7 +59,7 @@ def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
 
 def open_unchanged(tables: Tables, deed: OpenChannel) -> ChannelOpened | None:
     """The answer to `deed` if it changes nothing, else None. Raises as `open_channel` does where that is certain."""
-    check_name(deed.name, "channel")
+    check_open(deed)
     channel = tables.channel_named(deed.name)
     if channel is None:
         if not deed.create:
@@ -59,6 +73,7 @@ def open_unchanged(tables: Tables, deed: OpenChannel) -> ChannelOpened | None:
 
 def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
     """Change the stated fields; others stay."""
+    check_update(deed)
     channel = channel_by_id(tables, deed.channel_id)
     if deed.epoch != channel.epoch:
         raise StaleBinding(

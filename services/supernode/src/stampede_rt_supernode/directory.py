@@ -10,7 +10,13 @@ from collections.abc import Iterable
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_supernode.answered import Answer, Answered
-from stampede_rt_supernode.channel_transitions import delete_channel, open_channel, update_channel
+from stampede_rt_supernode.channel_transitions import (
+    check_open,
+    check_update,
+    delete_channel,
+    open_channel,
+    update_channel,
+)
 from stampede_rt_supernode.commands import (
     BeginTenure,
     Command,
@@ -30,10 +36,30 @@ from stampede_rt_supernode.commands import (
     UpdateChannel,
     subject_of,
 )
-from stampede_rt_supernode.host_transitions import deregister_host, expire_host, register_host
+from stampede_rt_supernode.host_transitions import check_register, deregister_host, expire_host, register_host
 from stampede_rt_supernode.records import Channel, Host
 from stampede_rt_supernode.tables import Tables
 from stampede_rt_supernode.validation import check_id
+
+
+def check_deed(deed: Deed) -> None:
+    """What can be said of `deed` without any state, so that what cannot be meant never comes into the log.
+
+    A deed that passes fits into a log entry. Raises InvalidName or InvalidArgument.
+    """
+    match deed:
+        case OpenChannel():
+            check_open(deed)
+        case UpdateChannel():
+            check_update(deed)
+        case DeleteChannel(channel_id=channel_id):
+            check_id(channel_id, "channel_id")
+        case RegisterHost():
+            check_register(deed)
+        case DeregisterHost(host_id=host_id):
+            check_id(host_id, "host_id")
+        case ExpireHost() | BeginTenure():
+            pass  # made by supernodes themselves
 
 
 class Directory:

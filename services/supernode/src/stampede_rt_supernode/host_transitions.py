@@ -22,7 +22,7 @@ HOSTS_MAX = 10_000
 def register_host(tables: Tables, deed: RegisterHost) -> Host:
     """A host enters, or enters again. A new boot incarnation means that it lost its items: all its channels get a new
     epoch and incarnation in this one step."""
-    _check(deed)
+    check_register(deed)
     _check_name_is_free(tables, deed)
     before = tables.hosts.get(deed.host_id)
     if before is None and len(tables.hosts) >= HOSTS_MAX:
@@ -45,7 +45,8 @@ def register_host(tables: Tables, deed: RegisterHost) -> Host:
     return tables.hosts[deed.host_id]
 
 
-def _check(deed: RegisterHost) -> None:
+def check_register(deed: RegisterHost) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
     check_id(deed.host_id, "host_id")
     check_name(deed.name, "host")
     check_gatekeepers(deed.gatekeepers, deed.name)

@@ -43,18 +43,23 @@ def stated(policy: Policy) -> dict[str, int | str]:
     return {name: value for name, value in named.items() if value is not None}
 
 
-def check_policy(channel: str, policy: Policy) -> None:
-    """Raises InvalidArgument if `policy` cannot be the set-up of `channel`, a name."""
+def check_ranges(channel: str, policy: Policy) -> None:
+    """Raises InvalidArgument if a stated field of `policy` can hold for no channel. `channel`: its name, or id."""
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(policy, name)
         if value is not None and not low <= value <= high:
             raise _invalid(channel, name, f"{name} is {value}; it must be {allowed}")
     if policy.on_full is not None and policy.on_full not in ON_FULL:
         raise _invalid(channel, "on_full", f"on_full is {policy.on_full!r}; it must be one of {', '.join(ON_FULL)}")
+    _check_content_type(channel, policy.content_type)
+
+
+def check_policy(channel: str, policy: Policy) -> None:
+    """Raises InvalidArgument if `policy` cannot be the whole set-up of `channel`."""
+    check_ranges(channel, policy)
     if policy.on_full == "block" and policy.max_age_nanos is None and policy.consumers is None:
         text = 'on_full="block" waits for ever if nothing makes room; state max_age or consumers with it'
         raise _invalid(channel, "on_full", text)
-    _check_content_type(channel, policy.content_type)
 
 
 def _check_content_type(channel: str, content_type: str | None) -> None:

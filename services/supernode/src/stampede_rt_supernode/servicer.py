@@ -16,7 +16,7 @@ from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.version import software_version
 from stampede_rt_supernode import commands, page_tokens
 from stampede_rt_supernode.channel_transitions import open_unchanged
-from stampede_rt_supernode.directory import Directory
+from stampede_rt_supernode.directory import Directory, check_deed
 from stampede_rt_supernode.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
 from stampede_rt_supernode.members import Members
@@ -248,6 +248,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     async def _submit(self, context: Any, deed: commands.Deed, kind: type[S], op_id: bytes) -> S:
         check_id(op_id, "request_id")
+        check_deed(deed)
         return await self._submission.submit(deed, kind, op_id=op_id, seconds=_seconds(context))
 
 

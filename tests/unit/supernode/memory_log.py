@@ -1,0 +1,77 @@
+"""A ReplicatedLog of one replica that applies at once, and whose failures and leadership a test decides."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from enum import Enum
+
+from stampede_rt_supernode.replication.interface import (
+    Ambiguous,
+    Member,
+    ReplicationStatus,
+    StateMachine,
+    Unavailable,
+)
+
+SELF, OTHER = Member(member_id="s1", address="localhost:7581"), Member(member_id="s2", address="localhost:7582")
+
+
+class Fate(Enum):
+    """What becomes of a proposal."""
+
+    REFUSED = "not taken"
+    LOST = "unknown, and not done"
+    DONE_UNHEARD = "unknown, and done"
+
+
+class MemoryLog:
+    """`fates` are those of the next proposals; an empty queue: all goes well. `quorum` False: nothing goes."""
+
+    def __init__(self, machine: StateMachine) -> None:
+        self.machine = machine
+        self.index = 0
+        self.tenure = 1
+        self.leader_id: str | None = SELF.member_id
+        self.quorum = True
+        self.fates: deque[Fate] = deque()
+        self.reads_may_end = asyncio.Event()
+        self.reads_may_end.set()
+        self.read_waits = asyncio.Event()
+        self.fate_met = asyncio.Event()
+
+    async def propose(self, command: bytes, *, timeout: float) -> bytes:
+        fate = self.fates.popleft() if self.fates else None
+        if fate is not None:
+            self.fate_met.set()
+        if fate is Fate.REFUSED or not self.quorum:
+            raise Unavailable("told so")
+        if fate is Fate.LOST:
+            raise Ambiguous("told so")
+        self.index += 1
+        result = self.machine.apply(self.index, command)
+        if fate is Fate.DONE_UNHEARD:
+            raise Ambiguous("told so")
+        return result
+
+    async def confirm_read(self, *, timeout: float) -> int:
+        if not self.quorum:
+            raise Unavailable("told so")
+        self.read_waits.set()
+        await self.reads_may_end.wait()
+        return self.index
+
+    def status(self) -> ReplicationStatus:
+        leads = self.leader_id == SELF.member_id
+        return ReplicationStatus(
+            self_id=SELF.member_id,
+            leader_id=self.leader_id,
+            is_leader=leads,
+            tenure=self.tenure if leads else 0,
+            term=self.tenure,
+            applied_index=self.index,
+            members=[SELF, OTHER],
+        )
+
+    async def close(self) -> None:
+        self.quorum = False

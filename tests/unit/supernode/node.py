@@ -1,0 +1,115 @@
+"""One supernode on an in-memory log, served over gRPC, with a manual clock."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import grpc
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import serving
+from stampede_rt_supernode.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.members import Members
+from stampede_rt_supernode.probe import Probe
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.servicer import DirectoryServicer
+from stampede_rt_supernode.submission import Submission
+from stampede_rt_supernode.watch import Watches
+from tests.support.clock import ManualClock
+from tests.unit.supernode.deeds import TTL_NANOS, id_of
+from tests.unit.supernode.memory_log import MemoryLog
+
+T = TypeVar("T")
+
+
+@dataclass
+class Node:
+    """A running supernode and a stub to call it."""
+
+    log: MemoryLog
+    replica: DirectoryReplica
+    leases: LeaseKeeper
+    watches: Watches
+    probe: Probe
+    clock: ManualClock
+    stub: Any
+
+    async def open(self, name: str, **fields: Any) -> pb.OpenChannelResponse:
+        fields = {"request_id": secrets.token_bytes(16), "create": True, **fields}
+        return await self.call(self.stub.OpenChannel(pb.OpenChannelRequest(name=name, **fields), timeout=10))
+
+    async def register(self, number: int, *, boot: int = 1, name: str = "") -> pb.RegisterHostResponse:
+        request = pb.RegisterHostRequest(
+            request_id=secrets.token_bytes(16),
+            host_id=id_of(number),
+            name=name or f"host-{number}",
+            gatekeepers=[directory_pb2.Endpoint(target=f"localhost:{7000 + number}")],
+            boot_incarnation=boot,
+        )
+        return await self.call(self.stub.RegisterHost(request, timeout=10))
+
+    async def renew(self, number: int, *, boot: int = 1) -> pb.RenewHostLeaseResponse:
+        request = pb.RenewHostLeaseRequest(host_id=id_of(number), boot_incarnation=boot)
+        return await self.call(self.stub.RenewHostLease(request, timeout=10))
+
+    async def host(self, number: int) -> directory_pb2.HostRecord:
+        request = pb.ResolveHostRequest(host_id=id_of(number))
+        found: pb.ResolveHostResponse = await self.call(self.stub.ResolveHost(request, timeout=10))
+        return found.host
+
+    @staticmethod
+    async def call(pending: Awaitable[T]) -> T:
+        """The answer. Raises the StampedeError that the call ended with."""
+        try:
+            return await pending
+        except grpc.aio.AioRpcError as error:
+            raise from_rpc_error(error, "the supernode") from error
+
+    async def pass_seconds(self, seconds: float) -> None:
+        """The clock goes on in steps of a second, and the leader looks at its leases at each."""
+        while seconds > 0:
+            step = min(seconds, 1.0)
+            self.clock.advance(round(step * 1e9))
+            await self.leases.tick()
+            seconds -= step
+
+
+@asynccontextmanager
+async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[Node]:
+    replica, clock = DirectoryReplica(), ManualClock()
+    log = MemoryLog(replica)
+    submission = Submission(log, time_unix_nano=clock.time_unix_nano)
+    leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=TTL_NANOS)
+    watches = Watches(replica, log, sign_of_life_seconds=sign_of_life_seconds)
+    probe = Probe(log, lambda target: dial(target, secret=None))
+    members = Members(log, probe, advertise="rig:7581", zone="lab")
+    servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
+    await leases.tick()
+    register = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server
+    async with (
+        serving(lambda server: register(servicer, server)) as server,
+        dial(server.address, secret=None) as channel,
+    ):
+        stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+        yield Node(log, replica, leases, watches, probe, clock, stub)
+        watches.close()
+
+
+async def reason_of(pending: Awaitable[Any]) -> StampedeError:
+    """The error that `pending` ends with."""
+    with pytest.raises(StampedeError) as caught:
+        await Node.call(pending)
+    return caught.value
+
+
+def spec(**limits: int) -> channel_pb2.ChannelSpec:
+    return channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(**limits))
