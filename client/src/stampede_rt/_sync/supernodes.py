@@ -100,20 +100,22 @@ class Supernodes:
         `timeout_s` is over.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
+        failure: StampedeError = Unavailable("no supernode is known; is a front-end running?")
         while True:
             try:
-                return self._call_each(method, request, backoff.deadline_s)
+                return self._call_each(method, request, backoff.deadline_s, failure)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
+                failure = error
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
                 if delay_s is None:
                     raise
                 sleep(delay_s)
             self._rebind(backoff.deadline_s)
 
-    def _call_each(self, method: str, request: Any, deadline_s: float) -> Any:
-        failure: StampedeError = Unavailable("no supernode is known; is a front-end running?")
+    def _call_each(self, method: str, request: Any, deadline_s: float, failure: StampedeError) -> Any:
+        """Ask one supernode after the other; raises what the last one met, or the `failure` from before if none was."""
         if time.monotonic() - self._measured_s > MEASURE_EVERY_S:
             self._measure()
         for target in list(self._targets):
