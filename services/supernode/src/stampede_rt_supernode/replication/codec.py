@@ -12,13 +12,12 @@ from google.protobuf.message import DecodeError
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.library import COMMAND, NO_OP
-from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX
+from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, SNAPSHOT_PIECE_BYTES_MAX
 from stampede_rt_supernode.replication.storage import Entry
 
 Message = dict[str, Any]
 
 INT_MAX = 2**63 - 1
-CHUNK_BYTES_MAX = 1 << 20
 SNAPSHOT_BYTES_MAX = 1 << 30
 
 
@@ -91,7 +90,7 @@ def _checked_chunk(chunk: pb.RaftSnapshotChunk) -> pb.RaftSnapshotChunk:
     end = chunk.offset_bytes + len(chunk.data)
     if not 0 < chunk.total_bytes <= SNAPSHOT_BYTES_MAX or end > chunk.total_bytes:
         raise MalformedMessage(f"a snapshot piece ends at {end} of {chunk.total_bytes} bytes")
-    if not 0 < len(chunk.data) <= CHUNK_BYTES_MAX or len(chunk.sha256) != 32:
+    if not 0 < len(chunk.data) <= SNAPSHOT_PIECE_BYTES_MAX or len(chunk.sha256) != 32:
         raise MalformedMessage("a snapshot piece is empty, too large or without checksum")
     _number(chunk.last_log_index)
     return chunk

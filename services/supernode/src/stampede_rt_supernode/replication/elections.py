@@ -30,7 +30,8 @@ class TrialElections(RaftRules):
         if not due or self._SyncObj__raftState == LEADER or not self._SyncObj__otherNodes:
             return
         term = self._SyncObj__raftCurrentTerm + 1
-        if self._trial_won_term == term or not self._SyncObj__connectedNodes:
+        self._lose_leader()
+        if self._trial_won_term == term:
             return
         self._put_off_election()
         self._trial = (term, set())
@@ -46,6 +47,13 @@ class TrialElections(RaftRules):
                     "last_log_term": last_term,
                 },
             )
+
+    def _lose_leader(self) -> None:
+        """Nothing was heard of the leader for an election timeout: nobody's commands or reads go to it any more."""
+        if self._SyncObj__raftLeader is not None:
+            self._SyncObj__raftLeader = None
+            self._SyncObj__onLeaderChanged()
+            self.reads.on_leader_lost()
 
     def _on_vote_request(self, node: Any, message: Message) -> None:
         if not message["trial"]:

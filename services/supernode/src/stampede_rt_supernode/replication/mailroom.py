@@ -32,6 +32,20 @@ class Disconnected:
 
 
 @dataclass(frozen=True, slots=True)
+class StreamOpened:
+    """A member has opened a new stream to us: what it sent before and we have not received is lost."""
+
+    member_id: str
+
+
+@dataclass(frozen=True, slots=True)
+class StreamEnded:
+    """A member's stream to us has ended, and no newer one has taken its place."""
+
+    member_id: str
+
+
+@dataclass(frozen=True, slots=True)
 class Received:
     """A checked message from a member."""
 
@@ -39,7 +53,7 @@ class Received:
     message: Message
 
 
-NetworkEvent = Connected | Disconnected | Received
+NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received
 Outgoing = tuple[str, pb.RaftMessage]
 NodeCallback = Callable[[Any], None]
 
@@ -53,10 +67,14 @@ class Mailroom:
         # The configuration: whoever is not in here is neither heard nor sent to.
         self._nodes: dict[str, Any] = {node.id: node for node in nodes}
         self._connected: set[str] = set()
+        # Members whose answers reach us at present.
+        self._heard: set[str] = set()
         self._outbox: list[Outgoing] = []
         self._on_message: Callable[[Any, Message], None] | None = None
         self._on_connected: NodeCallback | None = None
         self._on_disconnected: NodeCallback | None = None
+        # Called when a member has opened a new stream.
+        self.on_stream_opened: NodeCallback = lambda node: None
         # Stamped on every append message; the replies echo it (see reads.py).
         self.round = 0
 
@@ -74,6 +92,11 @@ class Mailroom:
             case Disconnected():
                 self._connected.discard(node.id)
                 self._on_disconnected(node)
+            case StreamOpened():
+                self._heard.add(node.id)
+                self.on_stream_opened(node)
+            case StreamEnded():
+                self._heard.discard(node.id)
 
     def send(self, node: Any, message: Message) -> bool:
         """Queue a message for the next release; False when the member is not connected. Never blocks."""
@@ -84,9 +107,9 @@ class Mailroom:
         self._outbox.append((node.id, encode_message(message)))
         return True
 
-    def is_connected(self, member_id: str) -> bool:
-        """Whether messages to this member leave at present."""
-        return member_id in self._connected
+    def is_reachable(self, member_id: str) -> bool:
+        """Whether this member can be asked something: our messages leave, and its answers arrive."""
+        return member_id in self._connected and member_id in self._heard
 
     def take_outbox(self) -> list[Outgoing]:
         """Everything queued since the last call, in order."""
@@ -122,6 +145,7 @@ class Mailroom:
         """Neither hear nor send to this member any more."""
         self._nodes.pop(node.id, None)
         self._connected.discard(node.id)
+        self._heard.discard(node.id)
 
     def destroy(self) -> None:
         """Forget what was not released."""

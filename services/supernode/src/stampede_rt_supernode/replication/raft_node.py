@@ -8,6 +8,7 @@ at the top of each class, and library.py pins the file they are in.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from stampede_rt_supernode.replication.codec import Message
@@ -16,6 +17,9 @@ from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.library import CANDIDATE, COMMAND, FOLLOWER, LEADER
 from stampede_rt_supernode.replication.mailroom import Mailroom
 from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
+
+# How many batches of entries one member is sent at a time.
+BATCHES_PER_ROUND = 4
 
 
 class InvariantViolation(RuntimeError):
@@ -29,6 +33,9 @@ class BytesNode:
     _SyncObj__raftLog: Journal
     _SyncObj__raftLeader: Any
     state_machine: StateMachine
+
+    def on_stream_opened(self, node: Any) -> None:
+        """A member has opened a new stream; the library itself would not care."""
 
     def _SyncObj__doApplyCommand(self, command: bytes) -> bytes | None:  # noqa: N802
         # The library unpickles here and picks a method by number.
@@ -59,10 +66,13 @@ class RaftRules(BytesNode):
     _SyncObj__onLeaderChanged: Any
     _SyncObj__onBecomeLeader: Any
     _SyncObj__generateRaftTimeout: Any
-    _SyncObj__sendAppendEntries: Any
+    _SyncObj__newAppendEntriesTime: float
+    _SyncObj__getEntries: Any
     _SyncObj__connectedNodes: set[Any]
 
+    conf: Any
     mailroom: Mailroom
+    has_room: Callable[[str], bool]
     keeper: SnapshotKeeper
     clock: Any
     reads: Any
@@ -107,8 +117,14 @@ class RaftRules(BytesNode):
         super()._SyncObj__onNodeDisconnected(node)  # type: ignore[misc]
         # Pieces of a snapshot may be lost with the link; the library would go on in the middle.
         self.keeper.cancelTransmisstion(node)
+        self.on_stream_opened(node)
+
+    def on_stream_opened(self, node: Any) -> None:
+        """Our stream to a member broke, or it opened a new one to us: requests or replies may be lost.
+
+        The library lets the callers of forwarded commands wait for ever.
+        """
         if node == self._SyncObj__raftLeader:
-            # Replies to forwarded commands may be lost too; their callers would wait for ever.
             self._SyncObj__onLeaderChanged()
             self.reads.on_leader_lost()
 
@@ -314,3 +330,60 @@ class RaftRules(BytesNode):
             self._SyncObj__raftNextIndex[node] = max(next_index, self._SyncObj__raftMatchIndex[node] + 1, 2)
         self._SyncObj__lastResponseTime[node] = self.clock()
         self.reads.on_echo(node.id, message["round"])
+
+    def _SyncObj__sendAppendEntries(self) -> None:  # noqa: N802
+        """Send every connected member what it lacks, or a heartbeat.
+
+        The library sends a whole log or snapshot in one go, and spins for a heartbeat's time while a snapshot
+        has nothing to send; here both have a bound, and the next heartbeat goes on.
+        """
+        self._SyncObj__newAppendEntriesTime = self.clock() + self.conf.appendEntriesPeriod
+        for node in self._SyncObj__otherNodes:
+            if node not in self._SyncObj__connectedNodes:
+                self.keeper.cancelTransmisstion(node)
+            elif self._SyncObj__raftNextIndex[node] > self._SyncObj__raftLog[0][1] or self._send_snapshot(node):
+                self._send_entries(node)
+
+    def _send_snapshot(self, node: Any) -> bool:
+        """Send the next pieces; True when the last one is among them."""
+        header = {
+            "type": "append_entries",
+            "term": self._SyncObj__raftCurrentTerm,
+            "commit_index": self._SyncObj__raftCommitIndex,
+        }
+        while (piece := self.keeper.getTransmissionData(node)) is not None:
+            self.mailroom.send(node, {**header, "serialized": piece})
+            if piece.is_last:
+                self._SyncObj__raftNextIndex[node] = piece.chunk.last_log_index + 1
+                return True
+        self.mailroom.send(node, {**header, "serialized": None})
+        return False
+
+    def _send_entries(self, node: Any) -> None:
+        end = self._SyncObj__raftLog[-1][1]
+        for _ in range(BATCHES_PER_ROUND):
+            next_index = self._SyncObj__raftNextIndex[node]
+            previous = self._SyncObj__raftLog.entry_at(next_index - 1)
+            if previous is None:
+                raise InvariantViolation(f"{node.id} is to be sent entry {next_index}, but the log ends at {end}")
+            entries = self._entries_from(next_index) if self.has_room(node.id) else []
+            self.mailroom.send(
+                node,
+                {
+                    "type": "append_entries",
+                    "term": self._SyncObj__raftCurrentTerm,
+                    "commit_index": self._SyncObj__raftCommitIndex,
+                    "entries": entries,
+                    "prevLogIdx": next_index - 1,
+                    "prevLogTerm": previous.term,
+                },
+            )
+            self._SyncObj__raftNextIndex[node] = next_index + len(entries)
+            if not entries or self._SyncObj__raftNextIndex[node] > end:
+                return
+
+    def _entries_from(self, log_index: int) -> list[Any]:
+        if log_index > self._SyncObj__raftLog[-1][1]:
+            return []
+        entries: list[Any] = self._SyncObj__getEntries(log_index, None, self.conf.appendEntriesBatchSizeBytes)
+        return entries

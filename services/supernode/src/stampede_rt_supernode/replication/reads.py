@@ -144,7 +144,7 @@ class ConfirmedReads:
         leader = self._node.leader_node()
         if not self._new or self._asked is not None or leader is None:
             return
-        if not self._mailroom.is_connected(leader.id):
+        if not self._mailroom.is_reachable(leader.id):
             return
         self._next_request_id += 1
         self._mailroom.send(leader, {"type": "read_index", "request_id": self._next_request_id})

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import ReplicationStatus, StateMachine, Unavailable
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.library import COMMAND, Dice
@@ -50,8 +51,12 @@ class Replica:
         clock: Callable[[], float],
         dice: Dice,
         wake: Callable[[], None] = lambda: None,
+        rules: type = TrialElections,
     ) -> None:
-        """Load the state; blocks. Raises StoreDamaged, LibraryMismatch and what `restore` raises."""
+        """Load the state; blocks. Tests plant faults through `rules`.
+
+        Raises StoreDamaged, LibraryMismatch and what `restore` raises.
+        """
         self._settings = settings
         self._network = network
         self._clock = clock
@@ -69,6 +74,7 @@ class Replica:
             has_room=network.has_room,
             clock=clock,
             dice=dice,
+            rules=rules,
         )
         self._node.open_snapshot()
         self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
@@ -163,7 +169,7 @@ class Replica:
         if leader is None:
             return False
         is_self = leader.id == self._settings.self_member.member_id
-        return bool(is_self or self._node.mailroom.is_connected(leader.id))
+        return bool(is_self or self._node.mailroom.is_reachable(leader.id))
 
     def _commits_alone(self) -> bool:
         """A cluster of one has nobody to wake it up after its own disk."""

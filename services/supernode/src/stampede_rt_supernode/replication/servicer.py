@@ -15,7 +15,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message
 from stampede_rt_supernode.replication.links import REQUEST_MESSAGES_MAX
-from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received
+from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.replica import InboxFull
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
@@ -43,10 +43,11 @@ class RaftServicer:
     async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
         """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
         member_id = await self._welcome(context)
-        reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
         replaced = self._readers.pop(member_id, None)
         if replaced is not None:
             replaced.cancel()
+        self._deliver(StreamOpened(member_id))
+        reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
         self._readers[member_id] = reader
         try:
             await asyncio.wait((reader,))
@@ -54,6 +55,7 @@ class RaftServicer:
             reader.cancel()
             if self._readers.get(member_id) is reader:
                 del self._readers[member_id]
+                self._deliver(StreamEnded(member_id))
         await self._explain(reader, context)
 
     def close(self) -> None:

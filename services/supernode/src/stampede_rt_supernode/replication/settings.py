@@ -10,6 +10,16 @@ from stampede_rt_supernode.replication.interface import Member
 
 COMMAND_BYTES_MAX = 64 * 1024
 PROTOCOL_VERSION = 1
+SNAPSHOT_PIECE_BYTES_MAX = 1 << 20
+
+_POSITIVE = (
+    "proposals_max",
+    "reads_max",
+    "inbox_items_max",
+    "link_queue_bytes_max",
+    "snapshot_every_seconds",
+    "snapshot_piece_bytes",
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,6 +63,7 @@ class ReplicationSettings:
     reads_max: int = 10_000
     snapshot_every_entries: int = 5000
     snapshot_every_seconds: float = 300.0
+    snapshot_piece_bytes: int = 256 * 1024
     inbox_items_max: int = 20_000
     link_queue_bytes_max: int = 32 << 20
 
@@ -67,8 +78,10 @@ class ReplicationSettings:
                 f"this member, {self.self_member.member_id!r} at {self.self_member.address!r}, is not among the "
                 f"members {sorted(ids)}: list every member, this one included, with the same address"
             )
-        for name in ("proposals_max", "reads_max", "inbox_items_max", "link_queue_bytes_max", "snapshot_every_seconds"):
+        for name in _POSITIVE:
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+        if self.snapshot_piece_bytes > SNAPSHOT_PIECE_BYTES_MAX:
+            raise ValueError(f"snapshot_piece_bytes must be at most {SNAPSHOT_PIECE_BYTES_MAX}")
         if self.snapshot_every_entries < 2:
             raise ValueError(f"snapshot_every_entries must be 2 or more, not {self.snapshot_every_entries}")

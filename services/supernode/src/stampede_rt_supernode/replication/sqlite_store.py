@@ -68,7 +68,7 @@ class SqliteStore:
 
     def _connect(self) -> sqlite3.Connection:
         # The log hands the store to its own thread, and nobody else uses it then.
-        db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=1.0)
+        db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.2)
         db.execute("PRAGMA locking_mode=EXCLUSIVE")
         db.execute("PRAGMA journal_mode=WAL")
         db.execute("PRAGMA synchronous=FULL")

@@ -1,0 +1,88 @@
+"""The replicated state of the simulator and of the tests: a list of commands, and what must hold of it."""
+
+from __future__ import annotations
+
+import json
+
+
+class PromiseBroken(AssertionError):
+    """The log broke a promise; the message says which."""
+
+
+class History:
+    """What all replicas together have shown. Every new fact is checked against the ones before."""
+
+    def __init__(self) -> None:
+        self.command_at: dict[int, bytes] = {}
+        self._index_of: dict[bytes, int] = {}
+        self._leader_of_term: dict[int, str] = {}
+        self.acknowledged: dict[bytes, int] = {}
+        self.refused: set[bytes] = set()
+        self.highest_acknowledged = 0
+
+    def applied(self, index: int, command: bytes) -> None:
+        """A replica applied a command at a position."""
+        if self.command_at.setdefault(index, command) != command:
+            raise PromiseBroken(f"position {index} holds {self.command_at[index]!r} and {command!r}")
+        if self._index_of.setdefault(command, index) != index:
+            raise PromiseBroken(f"{command!r} was applied twice, at {self._index_of[command]} and {index}")
+
+    def acknowledge(self, command: bytes, index: int) -> None:
+        """A caller was told that its command is at a position."""
+        if self.command_at.get(index) != command:
+            raise PromiseBroken(f"{command!r} was acknowledged at {index}, which holds {self.command_at.get(index)!r}")
+        self.acknowledged[command] = index
+        self.highest_acknowledged = max(self.highest_acknowledged, index)
+
+    def refuse(self, command: bytes) -> None:
+        """A caller was told that its command was certainly not taken."""
+        self.refused.add(command)
+
+    def read(self, *, acknowledged_before: int, index: int) -> None:
+        """A confirmed read gave a position; `acknowledged_before` was the highest one when it began."""
+        if index < acknowledged_before:
+            raise PromiseBroken(f"a read saw {index}, but {acknowledged_before} was acknowledged before it began")
+
+    def leads(self, member_id: str, term: int) -> None:
+        """A replica believes that it leads."""
+        if self._leader_of_term.setdefault(term, member_id) != member_id:
+            raise PromiseBroken(f"term {term} has two leaders: {self._leader_of_term[term]} and {member_id}")
+
+    def check_end(self, survivors: list[ListMachine]) -> None:
+        """After everything healed: all replicas agree, nothing acknowledged is lost, nothing refused is there."""
+        first = survivors[0].entries
+        for other in survivors[1:]:
+            if other.entries != first:
+                raise PromiseBroken("two replicas ended with different commands")
+        held = dict(first)
+        for command, index in self.acknowledged.items():
+            if held.get(index) != command:
+                raise PromiseBroken(f"acknowledged {command!r} at {index} is lost")
+        for command in self.refused & set(held.values()):
+            raise PromiseBroken(f"{command!r} was applied although its caller was told that it was not taken")
+
+
+class ListMachine:
+    """A state machine that remembers every command, and reports to a history."""
+
+    def __init__(self, history: History | None = None) -> None:
+        self.entries: list[tuple[int, bytes]] = []
+        self._history = history or History()
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """Append, and answer with the position."""
+        if self.entries and index <= self.entries[-1][0]:
+            raise PromiseBroken(f"position {index} was applied after {self.entries[-1][0]}")
+        self._history.applied(index, command)
+        self.entries.append((index, command))
+        return b"%d" % index
+
+    def snapshot(self) -> bytes:
+        """All commands."""
+        return json.dumps([[index, command.decode()] for index, command in self.entries]).encode()
+
+    def restore(self, snapshot: bytes) -> None:
+        """Replace all commands, and check them."""
+        self.entries = [(index, text.encode()) for index, text in json.loads(snapshot)]
+        for index, command in self.entries:
+            self._history.applied(index, command)

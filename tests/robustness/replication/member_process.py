@@ -1,0 +1,52 @@
+"""One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `status`.
+
+Arguments: member id, folder for stores and sockets, and the ids of all members. Every answer is one line.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+
+import grpc
+import grpc.aio
+
+from stampede_rt_supernode.replication import (
+    CHANNEL_OPTIONS,
+    Ambiguous,
+    Member,
+    ReplicationSettings,
+    Unavailable,
+    open_replicated_log,
+)
+from tests.robustness.replication.machine import ListMachine
+
+
+async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
+    members = [Member(member_id=each, address=f"unix:{folder / each}.sock") for each in ids]
+    [self_member] = [member for member in members if member.member_id == member_id]
+    server, machine = grpc.aio.server(), ListMachine()
+    server.add_insecure_port(self_member.address)
+    settings = ReplicationSettings(
+        self_member=self_member, initial_members=members, data_dir=folder / member_id, snapshot_every_entries=50
+    )
+    log = await open_replicated_log(
+        settings, machine, lambda address: grpc.aio.insecure_channel(address, options=CHANNEL_OPTIONS), server
+    )
+    await server.start()
+    while line := await asyncio.to_thread(sys.stdin.readline):
+        verb, _, text = line.strip().partition(" ")
+        try:
+            if verb == "propose":
+                answer = (await log.propose(text.encode(), timeout=10.0)).decode()
+            else:
+                await log.confirm_read(timeout=10.0)
+                answer = " ".join(command.decode() for _, command in machine.entries)
+        except (Ambiguous, Unavailable) as error:
+            answer = type(error).__name__
+        print(answer, flush=True)
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(sys.argv[1], Path(sys.argv[2]), sys.argv[3:]))

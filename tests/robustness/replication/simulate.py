@@ -1,0 +1,182 @@
+"""Runs the replicated log through seeded bad weather: `python -m tests.robustness.replication.simulate --seeds 1000`.
+
+One seed is one run, the same every time: `--first SEED --seeds 1` replays a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+import time
+import traceback
+
+from stampede_rt_supernode.replication.elections import TrialElections
+from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.world import SimMember, Weather, World
+
+STORM_SECONDS = 12.0
+# After everything is healed: an election, and a round of catching up by snapshot, with slow wires.
+HEAL_SECONDS = 30.0
+
+
+def weather_of(dice: random.Random) -> Weather:
+    """Some kind of bad weather."""
+    return Weather(
+        loss=dice.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
+        delay_mean=dice.choice([0.001, 0.005, 0.03, 0.15]),
+        unruly=dice.choice([0.0, 0.0, 0.05, 0.3]),
+        crashes=dice.choice([0.0, 0.2, 0.6]),
+        disk_crash=dice.choice([0.0, 0.0, 0.002, 0.01]),
+        partitions=dice.choice([0.0, 0.2, 0.5]),
+        freezes=dice.choice([0.0, 0.0, 0.3]),
+        link_breaks=dice.choice([0.0, 0.3, 2.0]),
+    )
+
+
+class Storm:
+    """Faults and callers over a world, until it ends."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._commands = 0
+        self.over = False
+        weather = world.weather
+        for rate, happen in (
+            (weather.crashes, self._crash),
+            (weather.partitions, self._partition),
+            (weather.freezes, self._freeze),
+            (weather.link_breaks, self._break_wire),
+            (25.0, self._propose),
+            (8.0, self._read),
+        ):
+            if rate > 0:
+                self._repeat(rate, happen)
+
+    def _repeat(self, rate: float, happen: object) -> None:
+        def once() -> None:
+            if self.over:
+                return
+            assert callable(happen)
+            happen()
+            self._repeat(rate, happen)
+
+        self._world.after(self._world.dice.expovariate(rate), once)
+
+    def _some(self) -> SimMember | None:
+        alive = self._world.alive()
+        return self._world.dice.choice(alive) if alive else None
+
+    def _crash(self) -> None:
+        dice, world = self._world.dice, self._world
+        everybody = dice.random() < 0.15
+        for member in world.alive() if everybody else [self._some()]:
+            if member is not None:
+                member.crash()
+
+    def _freeze(self) -> None:
+        if (member := self._some()) is not None:
+            member.frozen_until = self._world.now + self._world.dice.uniform(0.2, 4.0)
+
+    def _break_wire(self) -> None:
+        self._world.break_wire(self._world.dice.choice(list(self._world.wires)))
+
+    def _partition(self) -> None:
+        dice, world = self._world.dice, self._world
+        names = list(world.members)
+        kind = dice.choice(["split", "one way", "bridge"])
+        side = set(dice.sample(names, dice.randint(1, len(names) - 1)))
+        if kind == "bridge":
+            a, b = dice.sample(names, 2)
+            pairs = [(a, b), (b, a)]
+        else:
+            pairs = [(a, b) for a, b in world.wires if a in side and b not in side]
+            if kind == "split":
+                pairs += [(b, a) for a, b in pairs]
+        world.block(pairs)
+        world.after(dice.uniform(0.3, 5.0), lambda: world.unblock(pairs))
+
+    def _propose(self) -> None:
+        if (member := self._some()) is not None:
+            self._commands += 1
+            command = f"command-{self._commands}-{'x' * self._world.dice.randint(0, 30)}"
+            self._world.propose(member, command.encode(), timeout=self._world.dice.uniform(0.2, 4.0))
+
+    def _read(self) -> None:
+        if (member := self._some()) is not None:
+            self._world.read(member, timeout=self._world.dice.uniform(0.2, 3.0))
+
+
+def _revive(world: World) -> None:
+    """Crashed members come back after a while, for as long as the world turns."""
+    for member in world.members.values():
+        if member.replica is None and world.dice.random() < 0.3:
+            world.restart(member)
+    world.after(0.4, lambda: _revive(world))
+
+
+def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
+    """One seed: storm, calm, check. Raises PromiseBroken. `rules` and `forgets` plant faults."""
+    dice = random.Random(f"weather-{seed}")
+    world = World(seed, size=dice.choice([3, 3, 3, 5]), weather=weather_of(dice), rules=rules)
+    for member in world.members.values():
+        member.disk.forgets = forgets
+        member.start()
+    _revive(world)
+    storm = Storm(world)
+    world.run_until(STORM_SECONDS)
+    storm.over = True
+    calm(world)
+    return world
+
+
+def calm(world: World) -> None:
+    """Heal everything; then every member must answer and agree."""
+    world.weather = Weather()
+    world.unblock(list(world.wires))
+    for member in world.members.values():
+        member.frozen_until = 0.0
+        world.restart(member)
+    end = world.now + HEAL_SECONDS
+    for number, member in enumerate(world.members.values()):
+        command, served = f"calm-{number}".encode(), False
+        while not served and world.now < end:
+            outcomes = world.propose(member, command, timeout=4.0)
+            world.run_until(end, lambda outcomes=outcomes: bool(outcomes))
+            served = bool(outcomes) and isinstance(outcomes[0], bytes)
+            command += b"'"
+        if not served:
+            raise PromiseBroken(f"{member.member.member_id} does not serve {HEAL_SECONDS} s after everything healed")
+    machines = [member.machine for member in world.members.values()]
+    target = world.history.highest_acknowledged
+
+    def caught_up() -> bool:
+        return all(machine.entries and machine.entries[-1][0] >= target for machine in machines)
+
+    if not world.run_until(end, caught_up):
+        raise PromiseBroken("a member does not catch up after everything healed")
+    world.run_until(world.now + 1.0)
+    world.history.check_end(machines)
+
+
+def main() -> int:
+    """Run many seeds and name those that fail."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    arguments = parser.parse_args()
+    failed, acknowledged, began = [], 0, time.monotonic()
+    for seed in range(arguments.first, arguments.first + arguments.seeds):
+        try:
+            acknowledged += len(run(seed).history.acknowledged)
+        except Exception:  # noqa: BLE001 - every failure is reported with its seed
+            failed.append(seed)
+            print(f"seed {seed} failed:", file=sys.stderr)
+            traceback.print_exc()
+    took = time.monotonic() - began
+    print(f"{arguments.seeds} seeds, {acknowledged} acknowledged writes, {took:.0f} s; failed: {failed or 'none'}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""Members as processes of their own, killed without warning."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+IDS = ["m0", "m1", "m2"]
+SERVING_AGAIN_SECONDS = 5.0
+
+
+class MemberProcess:
+    """One member: its folder stays, its process comes and goes."""
+
+    def __init__(self, member_id: str, folder: Path) -> None:
+        self._arguments = ["-m", "tests.robustness.replication.member_process", member_id, str(folder), *IDS]
+        self._socket = folder / f"{member_id}.sock"
+        self._process: asyncio.subprocess.Process | None = None
+
+    async def start(self) -> None:
+        self._socket.unlink(missing_ok=True)
+        pipe = asyncio.subprocess.PIPE
+        self._process = await asyncio.create_subprocess_exec(sys.executable, *self._arguments, stdin=pipe, stdout=pipe)
+
+    async def ask(self, line: str) -> str:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(line.encode() + b"\n")
+        return (await self._process.stdout.readline()).decode().strip()
+
+    async def kill(self) -> None:
+        """SIGKILL: nothing is flushed, nobody is told."""
+        if self._process is not None and self._process.returncode is None:
+            self._process.kill()
+            await self._process.communicate()
+
+
+@pytest.fixture
+async def cluster() -> AsyncIterator[list[MemberProcess]]:
+    # Socket paths have a short limit, and pytest's own folders are long.
+    with tempfile.TemporaryDirectory(prefix="srt-") as folder:
+        members = [MemberProcess(member_id, Path(folder)) for member_id in IDS]
+        for member in members:
+            await member.start()
+        yield members
+        for member in members:
+            await member.kill()
+
+
+async def write(member: MemberProcess, names: list[str]) -> None:
+    for name in names:
+        assert (await member.ask(f"propose {name}")).isdigit()
+
+
+async def test_what_was_acknowledged_survives_the_killing_of_every_member(cluster: list[MemberProcess]) -> None:
+    first, second, third = cluster
+    await write(first, [f"a{n}" for n in range(40)])
+    await write(second, [f"b{n}" for n in range(40)])
+    for member in cluster:
+        await member.kill()
+    for member in cluster:
+        await member.start()
+    held = (await third.ask("entries")).split()
+    assert held == [f"a{n}" for n in range(40)] + [f"b{n}" for n in range(40)]
+
+
+async def test_the_others_serve_again_soon_after_one_is_killed(cluster: list[MemberProcess]) -> None:
+    await write(cluster[0], ["before"])
+    for victim in range(3):
+        witness = cluster[(victim + 1) % 3]
+        await cluster[victim].kill()
+        began = time.monotonic()
+        while not (answer := await witness.ask(f"propose after{victim}")).isdigit():
+            assert answer in ("Ambiguous", "Unavailable")
+        assert time.monotonic() - began < SERVING_AGAIN_SECONDS
+        await cluster[victim].start()
+        assert (await cluster[victim].ask("entries")).split()[0] == "before"

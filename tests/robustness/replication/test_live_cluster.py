@@ -1,0 +1,199 @@
+"""Three members over real gRPC with real stores: serve, lose one, catch up, keep strangers out."""
+
+from __future__ import annotations
+
+import asyncio
+import pickle
+from pathlib import Path
+from typing import Any
+
+import grpc
+import grpc.aio
+import pytest
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication import RaftTiming, Unavailable
+from tests.robustness.replication.live_cluster import LiveCluster, dial, running, until
+
+EXCHANGE = "/stampede_rt.v1.RaftService/Exchange"
+
+
+async def test_one_member_alone_commits_at_once(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path, timing=RaftTiming()) as cluster:
+        [member] = cluster.all
+        async with asyncio.timeout(1.0):
+            assert await running(member).propose(b"hello", timeout=1.0) == b"3"
+            assert await running(member).confirm_read(timeout=1.0) == 3
+
+
+async def test_a_member_without_a_folder_serves_from_memory() -> None:
+    async with LiveCluster(1, None) as cluster:
+        assert await running(cluster.all[0]).propose(b"hello", timeout=1.0) == b"3"
+
+
+async def test_with_the_default_periods_a_cluster_serves_within_three_seconds(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path, timing=RaftTiming()) as cluster:
+        assert int(await running(cluster.all[0]).propose(b"hello", timeout=3.5)) > 1
+
+
+async def test_every_member_takes_commands_and_sees_all_of_them(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        for number, member in enumerate(cluster.all * 3):
+            await running(member).propose(b"command %d" % number, timeout=5.0)
+        for member in cluster.all:
+            index = await running(member).confirm_read(timeout=5.0)
+            assert member.machine.entries[-1][0] == index
+            assert [command for _, command in member.machine.entries] == [b"command %d" % n for n in range(9)]
+
+
+async def test_the_leader_knows_its_tenure_and_the_others_have_none(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        status = running(await cluster.leader()).status()
+        assert status.tenure == status.term > 0
+        for follower in await cluster.followers():
+            assert running(follower).status().tenure == 0
+
+
+@pytest.mark.parametrize("who", ["leader", "follower"])
+async def test_the_loss_of_one_member_is_survived_and_it_catches_up_from_its_disk(tmp_path: Path, who: str) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        await running(cluster.all[0]).propose(b"before", timeout=5.0)
+        lost = await cluster.leader() if who == "leader" else (await cluster.followers())[0]
+        await lost.stop()
+        survivor = next(each for each in cluster.all if each.log)
+        await running(survivor).propose(b"meanwhile", timeout=5.0)
+        await cluster.start(lost)
+        await running(lost).propose(b"after", timeout=5.0)
+        assert [command for _, command in lost.machine.entries] == [b"before", b"meanwhile", b"after"]
+
+
+async def test_a_member_that_missed_much_catches_up_by_snapshot(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path, snapshot_every=20) as cluster:
+        lost = (await cluster.followers())[0]
+        await lost.stop()
+        leader = running(await cluster.leader())
+        await asyncio.gather(*(leader.propose(b"command %d" % n, timeout=5.0) for n in range(60)))
+        await cluster.start(lost)
+        index = await running(lost).confirm_read(timeout=5.0)
+        assert lost.machine.entries[-1][0] == index
+        assert len(lost.machine.entries) == 60
+
+
+async def test_without_a_majority_nothing_is_promised(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        first, second, third = cluster.all
+        await running(first).propose(b"before", timeout=5.0)
+        await second.stop()
+        await third.stop()
+        await until(lambda: running(first).status().leader_id is None)
+        with pytest.raises(Unavailable):
+            await running(first).propose(b"alone", timeout=0.3)
+        with pytest.raises(Unavailable):
+            await running(first).confirm_read(timeout=0.3)
+
+
+async def test_everything_stopped_comes_back_with_all_that_was_acknowledged(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        await asyncio.gather(*(running(cluster.all[n % 3]).propose(b"%d" % n, timeout=5.0) for n in range(30)))
+        for member in cluster.all:
+            await member.stop()
+        for member in cluster.all:
+            await cluster.start(member)
+        await running(cluster.all[0]).confirm_read(timeout=5.0)
+        assert {command for _, command in cluster.all[0].machine.entries} == {b"%d" % n for n in range(30)}
+
+
+async def test_a_closed_log_refuses_and_closing_twice_is_harmless(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path) as cluster:
+        log = running(cluster.all[0])
+        await log.close()
+        await log.close()
+        with pytest.raises(Unavailable, match="closed"):
+            await log.propose(b"late", timeout=1.0)
+
+
+# -- strangers at the port ---------------------------------------------------------------------------------------
+
+EXECUTED: list[str] = []
+
+
+def execute(what: str) -> None:
+    EXECUTED.append(what)
+
+
+class Bomb:
+    """A pickle that runs code when it is loaded."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return execute, ("unpickled",)
+
+
+def hello(**changes: Any) -> pb.RaftServiceExchangeRequest:
+    fields = {"member_id": "m1", "peer_member_id": "m0", "protocol_version": 1, **changes}
+    return pb.RaftServiceExchangeRequest(hello=pb.RaftHello(**fields))
+
+
+async def refusal(address: str, *requests: bytes) -> grpc.StatusCode:
+    """Send raw requests on a stream, and return how the member ended it."""
+    channel = dial(address)
+    try:
+        call = channel.stream_stream(EXCHANGE)()
+        try:
+            for request in requests:
+                await call.write(request)
+            while await call.read() is not grpc.aio.EOF:
+                pass
+        except (grpc.aio.AioRpcError, asyncio.InvalidStateError):
+            pass
+        return await call.code()
+    finally:
+        await channel.close()
+
+
+async def test_pickles_and_random_bytes_at_the_port_execute_nothing(tmp_path: Path) -> None:
+    EXECUTED.clear()
+    bomb = pickle.dumps(Bomb())
+    command = pb.RaftMessage(forwarded_command=pb.RaftForwardedCommand(request_id=1, command=b"\x00" + bomb))
+    async with LiveCluster(1, tmp_path) as cluster:
+        [member] = cluster.all
+        before = await running(member).propose(b"before", timeout=1.0)
+        for raw in (bomb, b"\x80\x04garbage", bytes(range(256)), b""):
+            assert await refusal(member.member.address, raw) != grpc.StatusCode.OK
+        reader, writer = await asyncio.open_connection("127.0.0.1", member.port)
+        writer.write(bomb * 20)
+        await writer.drain()
+        await reader.read()
+        writer.close()
+        stream = pb.RaftServiceExchangeRequest(messages=[command]).SerializeToString()
+        assert await refusal(member.member.address, hello().SerializeToString(), stream) != grpc.StatusCode.OK
+        after = await running(member).propose(bomb, timeout=1.0)
+        assert int(after) == int(before) + 1
+    assert EXECUTED == []
+    pickle.loads(bomb)
+    assert EXECUTED == ["unpickled"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"member_id": "stranger"}, grpc.StatusCode.PERMISSION_DENIED),
+        ({"member_id": "m0"}, grpc.StatusCode.PERMISSION_DENIED),
+        ({"peer_member_id": "m2"}, grpc.StatusCode.FAILED_PRECONDITION),
+        ({"cluster_id": "other"}, grpc.StatusCode.FAILED_PRECONDITION),
+        ({"protocol_version": 2}, grpc.StatusCode.FAILED_PRECONDITION),
+    ],
+)
+async def test_a_caller_that_is_no_member_is_turned_away(
+    tmp_path: Path, changes: dict[str, Any], code: grpc.StatusCode
+) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        assert await refusal(cluster.all[0].member.address, hello(**changes).SerializeToString()) == code
+
+
+async def test_a_malformed_message_ends_the_stream_and_not_the_member(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        empty = pb.RaftServiceExchangeRequest(messages=[pb.RaftMessage()])
+        first = hello().SerializeToString()
+        code = await refusal(cluster.all[0].member.address, first, empty.SerializeToString())
+        assert code == grpc.StatusCode.INVALID_ARGUMENT
+        assert int(await running(cluster.all[0]).propose(b"still here", timeout=5.0)) > 1

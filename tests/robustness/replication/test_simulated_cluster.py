@@ -1,0 +1,92 @@
+"""The production replica through seeded bad weather, and planted faults that the same check must find."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_supernode.replication.codec import Message
+from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.raft_node import InvariantViolation
+from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.simulate import run
+
+SEEDS_IN_SUITE = 40
+
+
+@pytest.mark.parametrize("block", range(8))
+def test_nothing_acknowledged_is_lost_in_bad_weather(block: int) -> None:
+    for seed in range(block, SEEDS_IN_SUITE, 8):
+        try:
+            run(seed)
+        except Exception as error:
+            error.add_note(f"replay: python -m tests.robustness.replication.simulate --first {seed} --seeds 1")
+            raise
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_nothing_acknowledged_is_lost_in_very_much_bad_weather() -> None:
+    for seed in range(100_000, 103_000):
+        run(seed)
+
+
+def test_a_seed_gives_the_same_run_every_time() -> None:
+    first, second = run(7), run(7)
+    assert first.history.command_at == second.history.command_at
+    assert first.history.acknowledged == second.history.acknowledged
+    assert first.history.acknowledged
+
+
+class CutsOffWhatAgrees(TrialElections):
+    """The unchanged library's way with late appends."""
+
+    def _merge(self, entries: list[object]) -> None:
+        journal = self._SyncObj__raftLog
+        if entries and journal.entry_at(entries[0][1]) is not None:  # type: ignore[index]
+            journal.deleteEntriesFrom(entries[0][1] - journal[0][1])  # type: ignore[index]
+        for entry in entries:
+            journal.add(*entry)  # type: ignore[misc]
+
+
+class CommitsByPieces(TrialElections):
+    """The unchanged library's way with the commit index of a snapshot's pieces."""
+
+    def _on_snapshot_piece(self, node: object, message: Message) -> None:
+        self._raise_commit_index(min(message["commit_index"], self._SyncObj__raftLog[-1][1]))
+        super()._on_snapshot_piece(node, message)
+
+
+class ReadsTooEarly(TrialElections):
+    """A leader that answers reads before it has applied an entry of its own term."""
+
+    def can_confirm_reads(self) -> bool:
+        return self._isLeader()  # type: ignore[attr-defined,no-any-return]
+
+
+class VotesTwice(TrialElections):
+    """A member that forgets whom it voted for."""
+
+    def _on_vote_request(self, node: object, message: Message) -> None:
+        if not message["trial"]:
+            self._SyncObj__votedForNodeId = None
+        super()._on_vote_request(node, message)
+
+
+# The first seed saves time: the fault shows soon after it.
+@pytest.mark.parametrize(
+    ("fault", "first_seed"), [(CutsOffWhatAgrees, 0), (CommitsByPieces, 0), (ReadsTooEarly, 0), (VotesTwice, 40)]
+)
+def test_a_planted_fault_in_the_rules_is_found(fault: type, first_seed: int) -> None:
+    assert any(is_caught(seed, rules=fault) for seed in range(first_seed, first_seed + 100))
+
+
+def test_a_disk_that_forgets_what_it_acknowledged_is_found() -> None:
+    assert any(is_caught(seed, forgets=1) for seed in range(60))
+
+
+def is_caught(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> bool:
+    try:
+        run(seed, rules=rules, forgets=forgets)
+    except (PromiseBroken, InvariantViolation):
+        return True
+    return False

@@ -1,0 +1,297 @@
+"""A cluster in one thread: real replicas under a false clock, network and disk, all driven by one seed."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.codec import decode_message
+from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.interface import Ambiguous, Member, Unavailable
+from stampede_rt_supernode.replication.mailroom import (
+    Connected,
+    Disconnected,
+    Outgoing,
+    Received,
+    StreamEnded,
+    StreamOpened,
+)
+from stampede_rt_supernode.replication.proposals import Outcome, Proposal
+from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
+from tests.robustness.replication.disk import Crash, Disk, DiskStore
+from tests.robustness.replication.machine import History, ListMachine
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weather:
+    """How bad a run is. Rates are per simulated second and cluster; times in seconds."""
+
+    loss: float = 0.0
+    delay_mean: float = 0.002
+    # Share of messages that overtake others or, commands aside, come twice.
+    unruly: float = 0.0
+    crashes: float = 0.0
+    disk_crash: float = 0.0
+    partitions: float = 0.0
+    freezes: float = 0.0
+    link_breaks: float = 0.0
+
+
+@dataclass
+class Wire:
+    """The connection from one member to another, as its sender sees it."""
+
+    up: bool = False
+    blocked: bool = False
+    # Messages of an earlier connection are lost with it.
+    generation: int = 0
+    last_arrival: float = 0.0
+
+
+class SimMember:
+    """One member: a disk that stays, and a replica that comes and goes. It is its replica's Network."""
+
+    def __init__(self, world: World, member: Member) -> None:
+        self.world = world
+        self.member = member
+        self.disk = Disk(crash_at_commit=self._dice_for_disk)
+        self.machine = ListMachine(world.history)
+        self.replica: Replica | None = None
+        self.frozen_until = 0.0
+        self._next_step = float("inf")
+
+    def start(self) -> None:
+        """Come up from the disk, with every connection still to be made."""
+        self.machine = ListMachine(self.world.history)
+        self.replica = Replica(
+            self.world.settings_of(self.member),
+            self.machine,
+            store=DiskStore(self.disk),
+            network=self,
+            clock=lambda: self.world.now,
+            dice=random.Random(self.world.dice.getrandbits(64)),
+            wake=lambda: self._plan(0.0),
+            rules=self.world.rules,
+        )
+        self._next_step = float("inf")
+        self._plan(0.0)
+
+    def crash(self) -> None:
+        """Lose everything but the disk."""
+        self.replica = None
+        self.world.on_crash(self)
+
+    def release(self, messages: Sequence[Outgoing]) -> None:
+        for to, message in messages:
+            self.world.send(self.member.member_id, to, message)
+
+    def has_room(self, member_id: str) -> bool:
+        return True
+
+    def _dice_for_disk(self) -> str | None:
+        if self.world.dice.random() >= self.world.weather.disk_crash:
+            return None
+        return self.world.dice.choice(["before", "after"])
+
+    def _plan(self, delay: float) -> None:
+        at = max(self.world.now + delay + self.world.dice.random() * 0.001, self.frozen_until)
+        if at < self._next_step:
+            self._next_step = at
+            replica = self.replica
+            self.world.at(at, lambda: self._step(replica, at))
+
+    def _step(self, replica: Replica | None, at: float) -> None:
+        if replica is None or replica is not self.replica or at != self._next_step:
+            return
+        self._next_step = float("inf")
+        if self.frozen_until > self.world.now:
+            self._plan(0.0)
+            return
+        try:
+            again = replica.step()
+        except Crash:
+            self.crash()
+            return
+        status = replica.status()
+        if status.is_leader:
+            self.world.history.leads(self.member.member_id, status.term)
+        self._plan(0.0 if again else self.world.timing.tick_seconds)
+
+
+class World:
+    """Time, members and wires. `at` plans a call; `run_until` makes time pass."""
+
+    def __init__(self, seed: int, *, size: int, weather: Weather, rules: type = TrialElections) -> None:
+        self.dice = random.Random(seed)
+        self.weather = weather
+        self.rules = rules
+        self.now = 0.0
+        self.timing = RaftTiming(tick_seconds=0.05)
+        self.history = History()
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._order = itertools.count()
+        roster = [Member(member_id=f"m{number}", address=f"m{number}:1") for number in range(size)]
+        self.members = {member.member_id: SimMember(self, member) for member in roster}
+        self.wires = {(a, b): Wire() for a in self.members for b in self.members if a != b}
+        for wire in self.wires:
+            self._plan_connect(wire)
+
+    def settings_of(self, member: Member) -> ReplicationSettings:
+        return ReplicationSettings(
+            self_member=member,
+            initial_members=[each.member for each in self.members.values()],
+            timing=self.timing,
+            snapshot_every_entries=15,
+            snapshot_piece_bytes=200,
+        )
+
+    def at(self, when: float, call: Callable[[], None]) -> None:
+        heapq.heappush(self._events, (when, next(self._order), call))
+
+    def after(self, delay: float, call: Callable[[], None]) -> None:
+        self.at(self.now + delay, call)
+
+    def run_until(self, end: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Let time pass; True as soon as `until` holds, False when the end came first."""
+        while self._events and self._events[0][0] <= end:
+            self.now, _, call = heapq.heappop(self._events)
+            call()
+            if until():
+                return True
+        self.now = end
+        return until()
+
+    def alive(self) -> list[SimMember]:
+        return [member for member in self.members.values() if member.replica is not None]
+
+    # -- network ---------------------------------------------------------------------------------------------
+
+    def send(self, sender: str, to: str, message: pb.RaftMessage) -> None:
+        wire = self.wires[sender, to]
+        if not wire.up or wire.blocked or self.dice.random() < self.weather.loss:
+            return
+        data, generation = message.SerializeToString(), wire.generation
+        arrival = self.now + self.dice.expovariate(1 / self.weather.delay_mean)
+        if self.dice.random() < self.weather.unruly:
+            arrival += self.dice.random() * 0.5
+            if not message.HasField("forwarded_command") and self.dice.random() < 0.5:
+                self.at(self.now + self.dice.random(), lambda: self._arrive(sender, to, generation, data))
+        else:
+            arrival = wire.last_arrival = max(arrival, wire.last_arrival)
+        self.at(arrival, lambda: self._arrive(sender, to, generation, data))
+
+    def _arrive(self, sender: str, to: str, generation: int, data: bytes) -> None:
+        replica = self.members[to].replica
+        if replica is not None and self.wires[sender, to].generation == generation:
+            replica.deliver(Received(sender, decode_message(pb.RaftMessage.FromString(data))))
+
+    def break_wire(self, ends: tuple[str, str]) -> None:
+        """The connection is gone, with what is on it; its sender notices and connects again."""
+        wire = self.wires[ends]
+        if not wire.up:
+            return
+        wire.up = False
+        wire.generation += 1
+        replica = self.members[ends[0]].replica
+        if replica is not None:
+            replica.deliver(Disconnected(ends[1]))
+        self._stream_ends(ends)
+        self._plan_connect(ends)
+
+    def _stream_ends(self, ends: tuple[str, str]) -> None:
+        """The receiver notices at once or a while later, unless a new connection comes first."""
+        generation = self.wires[ends].generation
+
+        def notice() -> None:
+            wire, replica = self.wires[ends], self.members[ends[1]].replica
+            if replica is not None and not wire.up and wire.generation == generation:
+                replica.deliver(StreamEnded(ends[0]))
+
+        self.after(self.dice.choice([0.0, 0.3]), notice)
+
+    def _plan_connect(self, ends: tuple[str, str]) -> None:
+        self.after(self.dice.uniform(0.1, 0.5), lambda: self._connect(ends))
+
+    def _connect(self, ends: tuple[str, str]) -> None:
+        wire, sender, receiver = self.wires[ends], self.members[ends[0]].replica, self.members[ends[1]].replica
+        if wire.up or sender is None:
+            return
+        if wire.blocked or receiver is None or self.wires[ends[1], ends[0]].blocked:
+            self._plan_connect(ends)
+            return
+        wire.up = True
+        sender.deliver(Connected(ends[1]))
+        receiver.deliver(StreamOpened(ends[0]))
+
+    def block(self, pairs: Sequence[tuple[str, str]]) -> None:
+        """Nothing passes on these wires; their senders notice some time later, or never."""
+        for ends in pairs:
+            self.wires[ends].blocked = True
+            if self.dice.random() < 0.7:
+                self.after(self.dice.uniform(0.0, 3.0), lambda ends=ends: self._notice(ends))
+
+    def _notice(self, ends: tuple[str, str]) -> None:
+        if self.wires[ends].blocked:
+            self.break_wire(ends)
+
+    def unblock(self, pairs: Sequence[tuple[str, str]]) -> None:
+        for ends in pairs:
+            self.wires[ends].blocked = False
+
+    def on_crash(self, member: SimMember) -> None:
+        """The others see their connections break; its own are gone without a word."""
+        for ends, wire in self.wires.items():
+            if ends[0] == member.member.member_id:
+                wire.up, wire.generation = False, wire.generation + 1
+                self._stream_ends(ends)
+            elif ends[1] == member.member.member_id:
+                self.after(self.dice.random() * 0.2, lambda ends=ends: self.break_wire(ends))
+
+    def restart(self, member: SimMember) -> None:
+        if member.replica is not None:
+            return
+        for ends, wire in self.wires.items():
+            if member.member.member_id in ends and wire.up:
+                self.break_wire(ends)
+        member.start()
+        for ends in self.wires:
+            if ends[0] == member.member.member_id:
+                self._plan_connect(ends)
+
+    # -- callers ---------------------------------------------------------------------------------------------
+
+    def propose(self, member: SimMember, command: bytes, *, timeout: float) -> list[Outcome]:
+        """Propose on a live member; the outcome appears in the list returned."""
+        outcomes: list[Outcome] = []
+
+        def done(outcome: Outcome) -> None:
+            outcomes.append(outcome)
+            if isinstance(outcome, bytes):
+                self.history.acknowledge(command, int(outcome))
+            elif isinstance(outcome, Unavailable):
+                self.history.refuse(command)
+            else:
+                assert isinstance(outcome, Ambiguous)
+
+        assert member.replica is not None
+        member.replica.propose(Proposal(command, self.now + timeout, done))
+        return outcomes
+
+    def read(self, member: SimMember, *, timeout: float) -> list[int | None]:
+        """Begin a confirmed read on a live member; what it gave appears in the list returned."""
+        before, outcomes = self.history.highest_acknowledged, []
+
+        def done(index: int | None) -> None:
+            outcomes.append(index)
+            if index is not None:
+                self.history.read(acknowledged_before=before, index=index)
+
+        assert member.replica is not None
+        member.replica.read(Read(self.now + timeout, done))
+        return outcomes

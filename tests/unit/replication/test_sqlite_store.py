@@ -1,0 +1,105 @@
+"""A folder is told apart from another's, from an empty one, and from a damaged one."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication.journal import Journal
+from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME, SqliteStore, holds_store
+from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
+
+
+def open_store(folder: Path, *, member_id: str = "m", cluster_id: str = "c", create: bool = True) -> SqliteStore:
+    return SqliteStore(folder, cluster_id=cluster_id, member_id=member_id, create=create)
+
+
+def fill(folder: Path) -> None:
+    journal = Journal(open_store(folder))
+    for index in range(1, 6):
+        journal.add(b"\x00command %d" % index, index, 1)
+    journal.setCurrentTerm(1, "m")
+    journal.close()
+
+
+def edit(folder: Path, statement: str) -> None:
+    with sqlite3.connect(folder / DATABASE_NAME) as db:
+        db.execute(statement)
+    db.close()
+
+
+def damage_found(folder: Path) -> str:
+    store = open_store(folder)
+    try:
+        with pytest.raises(StoreDamaged, match="join again under a new id") as caught:
+            store.load()
+    finally:
+        store.close()
+    return str(caught.value)
+
+
+def test_an_empty_folder_is_refused_where_a_store_must_be(tmp_path: Path) -> None:
+    assert not holds_store(tmp_path)
+    with pytest.raises(StoreRefused, match="holds no replicated log"):
+        open_store(tmp_path, create=False)
+    assert not holds_store(tmp_path)
+
+
+def test_an_existing_store_opens_without_leave_to_create(tmp_path: Path) -> None:
+    fill(tmp_path)
+    assert holds_store(tmp_path)
+    store = open_store(tmp_path, create=False)
+    assert len(store.load().entries) == 5
+    store.close()
+
+
+@pytest.mark.parametrize("other", [{"member_id": "n"}, {"cluster_id": "d"}])
+def test_another_members_folder_is_refused(tmp_path: Path, other: dict[str, str]) -> None:
+    fill(tmp_path)
+    with pytest.raises(StoreRefused, match="use that member's own folder"):
+        open_store(tmp_path, **other)
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    with pytest.raises(StoreRefused, match="in use by another process"):
+        open_store(tmp_path)
+    store.close()
+
+
+def test_a_changed_entry_is_found_and_not_applied(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "UPDATE entry SET command = x'00ff' WHERE log_index = 3")
+    assert "entry 3 fails its checksum" in damage_found(tmp_path)
+
+
+def test_a_missing_entry_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM entry WHERE log_index = 3")
+    assert "entries before 4 are missing" in damage_found(tmp_path)
+
+
+def test_a_changed_term_or_vote_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "UPDATE hard_state SET voted_for = 'x'")
+    assert "term and vote fail their checksum" in damage_found(tmp_path)
+
+
+def test_a_forgotten_vote_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM hard_state")
+    assert "lost its term and vote" in damage_found(tmp_path)
+
+
+def test_a_log_that_begins_late_without_a_snapshot_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM entry WHERE log_index < 3")
+    assert "without a snapshot" in damage_found(tmp_path)
+
+
+def test_a_file_that_is_no_database_is_found(tmp_path: Path) -> None:
+    (tmp_path / DATABASE_NAME).write_bytes(b"not a database at all" * 100)
+    with pytest.raises(StoreDamaged, match="join again under a new id"):
+        open_store(tmp_path)

@@ -1,0 +1,77 @@
+"""The log's thread: it wakes up at once, and a failure in it is never survived."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from typing import Any
+
+from stampede_rt_supernode.replication.tick_thread import EXIT_CODE, TickThread
+
+
+class Stepping:
+    """Stands for a replica."""
+
+    def __init__(self, *, fail: BaseException | None = None) -> None:
+        self.stepped = threading.Semaphore(0)
+        self.closed = threading.Event()
+        self.fail = fail
+
+    def step(self) -> bool:
+        if self.fail is not None:
+            raise self.fail
+        self.stepped.release()
+        return False
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+def start(replica: Any, *, tick_seconds: float) -> tuple[TickThread, list[BaseException], threading.Event]:
+    failures: list[BaseException] = []
+    failed = threading.Event()
+
+    def on_fatal(error: BaseException) -> None:
+        failures.append(error)
+        failed.set()
+
+    thread = TickThread(tick_seconds=tick_seconds, on_fatal=on_fatal)
+    thread.start(replica)
+    return thread, failures, failed
+
+
+def test_a_wake_up_has_a_step_done_without_waiting_for_the_tick() -> None:
+    replica = Stepping()
+    thread, _, _ = start(replica, tick_seconds=60.0)
+    assert replica.stepped.acquire(timeout=5)
+    thread.wake()
+    assert replica.stepped.acquire(timeout=5)
+    thread.stop()
+    assert replica.closed.is_set()
+
+
+def test_it_ticks_by_itself() -> None:
+    replica = Stepping()
+    thread, _, _ = start(replica, tick_seconds=0.001)
+    assert all(replica.stepped.acquire(timeout=5) for _ in range(5))
+    thread.stop()
+
+
+def test_a_failure_is_reported_and_ends_the_ticking() -> None:
+    replica = Stepping(fail=OSError("the disk is full"))
+    thread, failures, failed = start(replica, tick_seconds=0.001)
+    assert failed.wait(5)
+    thread.stop()
+    assert [str(error) for error in failures] == ["the disk is full"]
+    assert not replica.closed.is_set()
+
+
+def test_by_default_a_failure_ends_the_process_and_says_why() -> None:
+    script = (
+        "from stampede_rt_supernode.replication.tick_thread import end_process\n"
+        "end_process(OSError('the disk is full'))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert ended.returncode == EXIT_CODE
+    assert "the replicated log failed and the process ends: OSError('the disk is full')" in ended.stderr
