@@ -1,0 +1,141 @@
+"""The TV watcher, whole: a real film through a real cluster, for a few seconds, and its end in every case."""
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from stampede_rt_demos.tv_watcher.conductor import Outcome, conduct
+from stampede_rt_demos.tv_watcher.progress import Progress
+from stampede_rt_demos.tv_watcher.report import render
+from stampede_rt_demos.tv_watcher.timeline_picture import draw
+
+SECONDS = 4
+EXPECTED = {"captions": 1, "video": 25, "audio": 8, "motion": 25, "loudness": 8}
+MARK = "TV_WATCHER_TEST_MARK"
+END_SECONDS = 30
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Outcome:
+    return conduct(SECONDS, Progress(io.StringIO()))
+
+
+def test_nothing_is_lost_between_hosts_and_readers(outcome: Outcome):
+    assert {figure.name: figure.accepted for figure in outcome.report.figures} == {
+        name: SECONDS * count for name, count in EXPECTED.items()
+    }
+    assert {figure.name: figure.lost for figure in outcome.report.figures} == dict.fromkeys(EXPECTED, 0)
+
+
+def test_every_captions_span_holds_25_frames_and_8_blocks_and_their_features(outcome: Outcome):
+    assert dict(outcome.report.expected) == EXPECTED
+    assert [dict(step.counts) for step in outcome.report.steps] == [EXPECTED] * SECONDS
+    assert all(step.complete for step in outcome.report.steps)
+
+
+def test_the_spans_adjoin_so_that_every_item_is_watched_exactly_once(outcome: Outcome):
+    steps = outcome.report.steps
+    assert [step.end for step in steps[:-1]] == [step.time for step in steps[1:]]
+    assert all(figure.in_step == figure.accepted for figure in outcome.report.figures)
+
+
+def test_features_have_the_times_and_durations_of_their_sources(outcome: Outcome):
+    assert all(step.features_keep_times for step in outcome.report.steps)
+
+
+def test_a_span_is_in_hand_only_after_it_is_over_and_soon_then(outcome: Outcome):
+    delays = [max(step.received_unix_nano.values()) - step.end for step in outcome.report.steps]
+    assert all(0 < delay < 2_000_000_000 for delay in delays)
+
+
+def test_the_channels_lie_on_both_hosts(outcome: Outcome):
+    assert len({figure.host for figure in outcome.report.figures}) == 2
+
+
+def test_the_times_are_measured_and_told(outcome: Outcome):
+    for figure in outcome.report.figures:
+        assert figure.latency_p50_nanos is not None
+        assert figure.latency_p99_nanos is not None
+        assert 0 < figure.latency_p50_nanos <= figure.latency_p99_nanos
+    assert "Nothing was lost" in render(outcome.report)
+
+
+def test_the_picture_shows_the_spans(outcome: Outcome, tmp_path: Path):
+    assert [(len(span.frames), len(span.sound)) for span in outcome.spans] == [(25, 8)] * SECONDS
+    path = tmp_path / "picture.png"
+    draw(outcome.spans, path, "a test")
+    with Image.open(path) as image:
+        assert image.format == "PNG"
+    assert path.stat().st_size < 400_000
+
+
+@contextmanager
+def running_demo(seconds: int) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The demo as a command; a mark in its environment tells its descendants from other processes."""
+    mark = uuid.uuid4().hex
+    command = [sys.executable, "-m", "stampede_rt_demos", "tv-watcher", "--seconds", str(seconds)]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, MARK: mark}
+    )
+    try:
+        yield process, mark
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def marked_processes(mark: str) -> dict[int, str]:
+    """The command lines, by process id, of all processes that live with this mark in their environment."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"{MARK}={mark}".encode() in (folder / "environ").read_bytes():
+                found[int(folder.name)] = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:  # it ended while we looked
+            continue
+    return found
+
+
+def wait_for_progress(process: subprocess.Popen[str]) -> None:
+    """Read until the programme runs. Ends with the process, whose time the test's own limit bounds."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "in step" in line:
+            return
+    pytest.fail(f"the demo ended before its programme began: {process.communicate()[1]}")
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="finds processes by way of /proc")
+
+
+@needs_proc
+def test_a_role_that_dies_ends_the_demo_with_one_sentence_and_nothing_left_behind():
+    with running_demo(60) as (process, mark):
+        wait_for_progress(process)
+        (viewer,) = (pid for pid, line in marked_processes(mark).items() if "tv_watcher.viewer" in line)
+        os.kill(viewer, signal.SIGKILL)
+        said = process.communicate(timeout=END_SECONDS)[1]
+        assert process.returncode == 1
+        assert said == "stampede demo tv-watcher: the viewer was killed by signal 9 before its work was done\n"
+        assert marked_processes(mark) == {}
+
+
+@needs_proc
+def test_ctrl_c_ends_the_demo_in_order_with_nothing_left_behind():
+    with running_demo(60) as (process, mark):
+        wait_for_progress(process)
+        assert len(marked_processes(mark)) >= 1 + 6 + 6
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=END_SECONDS)[1]
+        assert process.returncode == 130
+        assert "Traceback" not in said
+        assert marked_processes(mark) == {}
