@@ -20,6 +20,8 @@ def check_attributes(attributes: Mapping[str, str] | None) -> None:
     """Raises InvalidArgument unless all keys and values are text."""
     if attributes is None:
         return
-    pairs = attributes.items() if isinstance(attributes, Mapping) else [(attributes, "")]
-    if not all(isinstance(key, str) and isinstance(value, str) for key, value in pairs):
-        raise InvalidArgument(f"the attributes are {attributes!r}; give a mapping of text to text")
+    if isinstance(attributes, Mapping) and all(
+        isinstance(key, str) and isinstance(value, str) for key, value in attributes.items()
+    ):
+        return
+    raise InvalidArgument(f"the attributes are {attributes!r}; give a mapping of text to text")

@@ -1,0 +1,127 @@
+"""Item runs: what a producer encodes is what a reader decodes, whatever the host appends or cuts."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.errors import ItemTooLarge, MalformedRun
+from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.runs import (
+    ITEM_BYTES_MAX,
+    RUN_BYTES_MAX,
+    RUN_ITEMS_MAX,
+    ItemDecoder,
+    encode_run,
+    parse_run,
+    seal_run,
+    select_items,
+    slice_run,
+)
+
+items = some.lists(
+    some.tuples(some.integers(0, 50), some.integers(-1, 20), some.binary(max_size=20)), min_size=1, max_size=12
+)
+decoder = ItemDecoder(incarnation=7, content_type="text/plain", payloads=True)
+
+
+def delivered(sealed: bytes, next_time: int | None = None) -> item_pb2.DeliveredRun:
+    return item_pb2.DeliveredRun(run=item_pb2.ItemRun.FromString(sealed), next_time_unix_nano=next_time)
+
+
+def encoded(columns: list[tuple[int, int, bytes]], **rest: object) -> bytes:
+    times, durations, payloads = zip(*columns, strict=True)
+    return encode_run(payloads, times=times, durations=durations, **rest)  # type: ignore[arg-type]
+
+
+@given(items, some.integers(0, 2**63))
+def test_every_column_comes_back(columns: list[tuple[int, int, bytes]], first_seq: int) -> None:
+    sealed = seal_run(encoded(columns, attributes={"k": "v"}), first_seq)
+    found = decoder.decode([delivered(sealed)])
+    assert [(item.time, -1 if item.duration is None else item.duration, item.payload) for item in found] == columns
+    assert [item.seq for item in found] == list(range(first_seq, first_seq + len(columns)))
+    assert {item.content_type for item in found} == {"text/plain"}
+    assert found[0].attributes == {"k": "v"}
+
+
+@given(items, some.data())
+def test_a_slice_is_the_same_items(columns: list[tuple[int, int, bytes]], data: some.DataObject) -> None:
+    sealed = seal_run(encoded(columns), 5)
+    lo = data.draw(some.integers(0, len(columns) - 1))
+    hi = data.draw(some.integers(lo + 1, len(columns)))
+    whole = decoder.decode_each([delivered(sealed)])
+    cut = decoder.decode_each([delivered(slice_run(sealed, lo, hi))])
+    assert [(item.time, item.seq, item.payload) for item in cut] == [
+        (item.time, item.seq, item.payload) for item in whole[lo:hi]
+    ]
+    bare = item_pb2.ItemRun.FromString(slice_run(sealed, lo, hi, without_payloads=True))
+    assert (bare.payloads, list(bare.payload_length_bytes)) == (b"", [len(p) for _, _, p in columns[lo:hi]])
+
+
+@given(items, some.data())
+def test_what_remains_of_a_run_keeps_its_order(columns: list[tuple[int, int, bytes]], data: some.DataObject) -> None:
+    kept = sorted(data.draw(some.sets(some.integers(0, len(columns) - 1), min_size=1)))
+    rest = parse_run(select_items(encoded(columns), kept))
+    assert list(rest.times or ()) == [columns[i][0] for i in kept]
+    assert list(rest.lengths) == [len(columns[i][2]) for i in kept]
+
+
+def test_a_host_stamps_a_run_that_has_no_times() -> None:
+    raw = encode_run([b"a", b"bc"], times=None)
+    assert parse_run(raw).times is None
+    found = decoder.decode([delivered(seal_run(raw, 3, [9, 9]))])
+    assert [(item.time, item.payload) for item in found] == [(9, b"a"), (9, b"bc")]
+
+
+def test_an_end_is_the_earlier_of_its_duration_and_the_next_bucket() -> None:
+    sealed = seal_run(encoded([(0, 5, b""), (0, -1, b""), (10, 100, b""), (20, -1, b"")]), 0)
+    assert [item.end for item in decoder.decode([delivered(sealed, 30)])] == [5, 10, 20, 30]
+    assert decoder.decode([delivered(sealed)])[-1].end is None
+
+
+def test_ends_hold_across_the_runs_of_one_answer() -> None:
+    first, second = (
+        seal_run(encoded([(0, -1, b""), (10, -1, b"")]), 0),
+        seal_run(encoded([(10, -1, b""), (20, -1, b"")]), 2),
+    )
+    assert [item.end for item in decoder.decode([delivered(first), delivered(second)])] == [10, 20, 20, None]
+
+
+def test_runs_of_a_subscription_stand_alone() -> None:
+    late, newer = seal_run(encoded([(5, -1, b"")]), 0), seal_run(encoded([(1, -1, b"")]), 1)
+    assert [item.end for item in decoder.decode_each([delivered(late), delivered(newer, 5)])] == [None, 5]
+
+
+@pytest.mark.parametrize(
+    ("run", "message"),
+    [
+        (item_pb2.ItemRun(), "no items"),
+        (item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"ab"), "add up"),
+        (item_pb2.ItemRun(payload_length_bytes=[0, 0], time_unix_nano=[1]), "disagree"),
+        (item_pb2.ItemRun(payload_length_bytes=[0], duration_nanos=[-2]), "duration of -2"),
+        (item_pb2.ItemRun(payload_length_bytes=[0], first_seq=1), "first_seq"),
+        (item_pb2.ItemRun(payload_length_bytes=[0] * (RUN_ITEMS_MAX + 1)), "split it"),
+        (item_pb2.ItemRun(payload_length_bytes=[RUN_BYTES_MAX, 1], payloads=bytes(RUN_BYTES_MAX + 1)), "split it"),
+        (item_pb2.ItemRun(payload_length_bytes=[0], content_type="x" * 256), "content type"),
+        (item_pb2.ItemRun(payload_length_bytes=[0], attributes={"k": "v" * 17_000}), "attributes"),
+    ],
+)
+def test_a_malformed_run_is_refused_with_its_fault(run: item_pb2.ItemRun, message: str) -> None:
+    with pytest.raises(MalformedRun, match=message):
+        parse_run(run.SerializeToString())
+
+
+def test_bytes_that_are_no_run_are_refused() -> None:
+    with pytest.raises(MalformedRun, match="no valid ItemRun"):
+        parse_run(b"\xff\xff\xff")
+
+
+def test_fields_that_the_contract_does_not_have_are_refused() -> None:
+    with pytest.raises(MalformedRun, match="does not have"):
+        parse_run(encode_run([b""], times=[1]) + bytes([15 << 3, 1]))
+
+
+def test_an_item_beyond_the_limit_is_refused() -> None:
+    with pytest.raises(ItemTooLarge, match="split it"):
+        parse_run(encode_run([bytes(ITEM_BYTES_MAX + 1)], times=[1]))

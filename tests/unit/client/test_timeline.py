@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.errors import InvalidArgument, InvalidInterval
+from stampede_rt.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    NEWEST,
+    NOW,
+    OLDEST,
+    ResolvedInterval,
+    format_duration,
+    format_instant,
+    last,
+    parse_duration,
+    parse_instant,
+    parse_interval,
+    parse_item_duration,
+    parse_match,
+)
+
+instants = some.integers(MIN_INSTANT, MAX_INSTANT)
+
+
+@pytest.mark.parametrize(
+    ("text", "nanos"),
+    [
+        ("30ms", 30_000_000),
+        ("1.5s", 1_500_000_000),
+        ("1 us", 1_000),
+        ("7ns", 7),
+        ("2m", 120 * 10**9),
+        ("-1h", -3600 * 10**9),
+    ],
+)
+def test_durations_are_written_with_their_unit(text: str, nanos: int) -> None:
+    assert parse_duration(text) == nanos
+
+
+@pytest.mark.parametrize("wrong", [10, 1.0, "10", "ten s", "1.5ns", "", "1 week", None, True])
+def test_a_duration_without_a_unit_is_refused(wrong: object) -> None:
+    with pytest.raises(InvalidArgument, match="max_age"):
+        parse_duration(wrong, "max_age")  # type: ignore[arg-type]
+
+
+def test_a_timedelta_is_exact() -> None:
+    assert parse_duration(timedelta(days=400, microseconds=1)) == 400 * 86_400 * 10**9 + 1_000
+
+
+def test_an_items_duration_may_be_the_nanoseconds_of_another_item() -> None:
+    assert parse_item_duration(33_000_000) == parse_item_duration("33ms") == 33_000_000
+    assert parse_item_duration(None) is None
+
+
+@pytest.mark.parametrize("wrong", [-1, "-1ms", 1.5, True, 2**63])
+def test_an_items_duration_is_not_negative(wrong: object) -> None:
+    with pytest.raises(InvalidArgument):
+        parse_item_duration(wrong)  # type: ignore[arg-type]
+
+
+def test_instants_are_ints_or_datetimes_with_a_timezone() -> None:
+    assert parse_instant(5) == 5
+    assert parse_instant(datetime(1970, 1, 1, 0, 0, 1, tzinfo=UTC)) == 10**9
+
+
+@pytest.mark.parametrize("wrong", [1.5, "now", True, None, 2**63, datetime(2026, 1, 1)])
+def test_what_loses_or_guesses_is_no_instant(wrong: object) -> None:
+    with pytest.raises(InvalidArgument):
+        parse_instant(wrong)  # type: ignore[arg-type]
+
+
+def test_offsets_add_up_and_read_as_written() -> None:
+    assert str(NEWEST - "30ms" - "20ms") == "newest - 50 ms"
+    assert NOW - "1s" + "1s" == NOW
+    assert last("30s") == (NOW - "30s", NOW)
+
+
+@given(instants, instants)
+def test_a_concrete_interval_upside_down_is_refused(a: int, b: int) -> None:
+    low, high = sorted((a, b))
+    assert parse_interval(low, high)
+    if low != high:
+        with pytest.raises(InvalidInterval, match=str(low)):
+            parse_interval(high, low)
+
+
+def test_all_anchors_are_resolved_together() -> None:
+    interval = parse_interval(OLDEST, NOW - "1ns", "(]")
+    assert interval.resolve(now=100, newest=90, oldest=50) == ResolvedInterval(50, 99, True, False)
+    assert interval.resolve(now=100, newest=None, oldest=None) is None
+
+
+def test_only_intervals_that_hang_on_items_wait_for_one() -> None:
+    assert parse_interval(0, NOW).resolve(now=7, newest=None, oldest=None) == ResolvedInterval(0, 7)
+
+
+@given(instants, some.integers(-(2**62), 2**62))
+def test_sums_stay_within_64_bits(instant: int, offset: int) -> None:
+    bound = NOW + timedelta(microseconds=offset // 1000)
+    resolved = parse_interval(bound, bound).resolve(now=instant, newest=None, oldest=None)
+    assert resolved is not None
+    assert MIN_INSTANT <= resolved.start <= MAX_INSTANT
+
+
+@pytest.mark.parametrize(("bounds", "expected"), [("[]", False), ("[)", True), ("(]", True), ("()", True)])
+def test_an_interval_of_one_instant_needs_both_ends(bounds: str, expected: bool) -> None:
+    resolved = parse_interval(10, 10, bounds).resolve(now=0, newest=None, oldest=None)
+    assert resolved is not None
+    assert resolved.is_empty is expected
+
+
+def test_time_is_continuous_between_the_written_bounds() -> None:
+    assert not ResolvedInterval(10, 11, True, True).is_empty
+
+
+@pytest.mark.parametrize("wrong", ["", "[[", "]["])
+def test_bounds_are_written_as_brackets(wrong: str) -> None:
+    with pytest.raises(InvalidArgument, match="bounds"):
+        parse_interval(0, 1, wrong)
+
+
+def test_a_match_has_one_of_three_names() -> None:
+    with pytest.raises(InvalidArgument, match='"span", "whole", "start"'):
+        parse_match("part")
+
+
+def test_times_are_shown_as_people_read_them() -> None:
+    assert format_instant(1_700_000_000_000_000_001) == "2023-11-14T22:13:20.000000001Z"
+    assert format_duration(1_500_000_000) == "1.5 s"
+    assert format_duration(-30_000_000) == "-30 ms"
+    assert "ns" in format_instant(MAX_INSTANT * 1000)
