@@ -23,39 +23,36 @@ _sym_db = _symbol_database.Default()
 
 
 from stampede_rt.v1 import error_pb2 as stampede__rt_dot_v1_dot_error__pb2
+from stampede_rt.v1 import item_pb2 as stampede__rt_dot_v1_dot_item__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1astampede_rt/v1/queue.proto\x12\x0estampede_rt.v1\x1a\x1astampede_rt/v1/error.proto\"\x97\x03\n\tQueueSpec\x12\x16\n\tmax_items\x18\x01 \x01(\x04H\x00\x88\x01\x01\x12\x16\n\tmax_bytes\x18\x02 \x01(\x04H\x01\x88\x01\x01\x12,\n\x07on_full\x18\x03 \x01(\x0e\x32\x1b.stampede_rt.v1.QueueOnFull\x12\x13\n\x06\x63opies\x18\x04 \x01(\rH\x02\x88\x01\x01\x12\x18\n\x0blease_nanos\x18\x05 \x01(\x03H\x03\x88\x01\x01\x12\x1b\n\x0emax_deliveries\x18\x06 \x01(\rH\x04\x88\x01\x01\x12!\n\x14\x64\x65\x61\x64_letter_queue_id\x18\x07 \x01(\x0cH\x05\x88\x01\x01\x12\x19\n\x0c\x63ontent_type\x18\x08 \x01(\tH\x06\x88\x01\x01\x12\x1b\n\x0emax_item_bytes\x18\t \x01(\x04H\x07\x88\x01\x01\x42\x0c\n\n_max_itemsB\x0c\n\n_max_bytesB\t\n\x07_copiesB\x0e\n\x0c_lease_nanosB\x11\n\x0f_max_deliveriesB\x17\n\x15_dead_letter_queue_idB\x0f\n\r_content_typeB\x11\n\x0f_max_item_bytes\"\xd3\x01\n\x0bQueueRecord\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12\r\n\x05\x65poch\x18\x04 \x01(\x04\x12\x13\n\x0bincarnation\x18\x05 \x01(\x06\x12\'\n\x04spec\x18\x06 \x01(\x0b\x32\x19.stampede_rt.v1.QueueSpec\x12\x14\n\x0cspec_version\x18\x07 \x01(\x04\x12\x1c\n\x0fmailbox_peer_id\x18\x08 \x01(\x0cH\x00\x88\x01\x01\x42\x12\n\x10_mailbox_peer_id\"\xc5\x02\n\rQueueCounters\x12\x10\n\x08\x61\x63\x63\x65pted\x18\x01 \x01(\x04\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x0e\n\x06leased\x18\x03 \x01(\x04\x12\x10\n\x08\x63onsumed\x18\x04 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x05 \x01(\x04\x12\x15\n\rdead_lettered\x18\x06 \x01(\x04\x12\x10\n\x08\x65xpelled\x18\x07 \x01(\x04\x12\x11\n\tdelivered\x18\x08 \x01(\x04\x12\x12\n\ngiven_back\x18\t \x01(\x04\x12\x16\n\x0eleases_expired\x18\n \x01(\x04\x12\x15\n\rrejected_full\x18\x0b \x01(\x04\x12\x1a\n\x12rejected_too_large\x18\x0c \x01(\x04\x12\x1a\n\x12rejected_malformed\x18\r \x01(\x04\x12\x16\n\x0e\x61\x63\x63\x65pted_bytes\x18\x0e \x01(\x04\x12\x12\n\nheld_bytes\x18\x0f \x01(\x04\"\x80\x02\n\x0bQueueStatus\x12+\n\x06record\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12/\n\x08\x63ounters\x18\x02 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\x12\x16\n\x0ewaiting_takers\x18\x03 \x01(\r\x12\x18\n\x10waiting_enqueues\x18\x04 \x01(\r\x12&\n\x19oldest_accepted_unix_nano\x18\x05 \x01(\x10H\x00\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\x06 \x01(\x10\x42\x1c\n\x1a_oldest_accepted_unix_nano\"\x85\x02\n\x08\x44\x65livery\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x0b\n\x03seq\x18\x02 \x01(\x04\x12\x16\n\x0etime_unix_nano\x18\x03 \x01(\x10\x12\x14\n\x0c\x63ontent_type\x18\x04 \x01(\t\x12<\n\nattributes\x18\x05 \x03(\x0b\x32(.stampede_rt.v1.Delivery.AttributesEntry\x12\x0f\n\x07payload\x18\x06 \x01(\x0c\x12\x12\n\ndeliveries\x18\x07 \x01(\r\x12\x13\n\x0blease_nanos\x18\x08 \x01(\x03\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\xc4\x01\n\nSettlement\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x32\n\x0b\x61\x63knowledge\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.AcknowledgeH\x00\x12-\n\tgive_back\x18\x03 \x01(\x0b\x32\x18.stampede_rt.v1.GiveBackH\x00\x12\x33\n\x0c\x65xtend_lease\x18\x04 \x01(\x0b\x32\x1b.stampede_rt.v1.ExtendLeaseH\x00\x42\t\n\x07verdict\"\r\n\x0b\x41\x63knowledge\"\x1f\n\x08GiveBack\x12\x13\n\x0b\x64\x65lay_nanos\x18\x01 \x01(\x03\"\"\n\x0b\x45xtendLease\x12\x13\n\x0blease_nanos\x18\x01 \x01(\x03\"b\n\x10SettlementResult\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12$\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x15.stampede_rt.v1.Error\x12\x13\n\x0blease_nanos\x18\x03 \x01(\x03*~\n\x0bQueueOnFull\x12\x1d\n\x19QUEUE_ON_FULL_UNSPECIFIED\x10\x00\x12\x17\n\x13QUEUE_ON_FULL_BLOCK\x10\x01\x12\x18\n\x14QUEUE_ON_FULL_REJECT\x10\x02\x12\x1d\n\x19QUEUE_ON_FULL_DROP_OLDEST\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1astampede_rt/v1/queue.proto\x12\x0estampede_rt.v1\x1a\x1astampede_rt/v1/error.proto\x1a\x19stampede_rt/v1/item.proto\"\x97\x03\n\tQueueSpec\x12\x16\n\tmax_items\x18\x01 \x01(\x04H\x00\x88\x01\x01\x12\x16\n\tmax_bytes\x18\x02 \x01(\x04H\x01\x88\x01\x01\x12,\n\x07on_full\x18\x03 \x01(\x0e\x32\x1b.stampede_rt.v1.QueueOnFull\x12\x13\n\x06\x63opies\x18\x04 \x01(\rH\x02\x88\x01\x01\x12\x18\n\x0blease_nanos\x18\x05 \x01(\x03H\x03\x88\x01\x01\x12\x1b\n\x0emax_deliveries\x18\x06 \x01(\rH\x04\x88\x01\x01\x12!\n\x14\x64\x65\x61\x64_letter_queue_id\x18\x07 \x01(\x0cH\x05\x88\x01\x01\x12\x19\n\x0c\x63ontent_type\x18\x08 \x01(\tH\x06\x88\x01\x01\x12\x1b\n\x0emax_item_bytes\x18\t \x01(\x04H\x07\x88\x01\x01\x42\x0c\n\n_max_itemsB\x0c\n\n_max_bytesB\t\n\x07_copiesB\x0e\n\x0c_lease_nanosB\x11\n\x0f_max_deliveriesB\x17\n\x15_dead_letter_queue_idB\x0f\n\r_content_typeB\x11\n\x0f_max_item_bytes\"\xd3\x01\n\x0bQueueRecord\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12\r\n\x05\x65poch\x18\x04 \x01(\x04\x12\x13\n\x0bincarnation\x18\x05 \x01(\x06\x12\'\n\x04spec\x18\x06 \x01(\x0b\x32\x19.stampede_rt.v1.QueueSpec\x12\x14\n\x0cspec_version\x18\x07 \x01(\x04\x12\x1c\n\x0fmailbox_peer_id\x18\x08 \x01(\x0cH\x00\x88\x01\x01\x42\x12\n\x10_mailbox_peer_id\"\xc5\x02\n\rQueueCounters\x12\x10\n\x08\x61\x63\x63\x65pted\x18\x01 \x01(\x04\x12\x0c\n\x04held\x18\x02 \x01(\x04\x12\x0e\n\x06leased\x18\x03 \x01(\x04\x12\x10\n\x08\x63onsumed\x18\x04 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x05 \x01(\x04\x12\x15\n\rdead_lettered\x18\x06 \x01(\x04\x12\x10\n\x08\x65xpelled\x18\x07 \x01(\x04\x12\x11\n\tdelivered\x18\x08 \x01(\x04\x12\x12\n\ngiven_back\x18\t \x01(\x04\x12\x16\n\x0eleases_expired\x18\n \x01(\x04\x12\x15\n\rrejected_full\x18\x0b \x01(\x04\x12\x1a\n\x12rejected_too_large\x18\x0c \x01(\x04\x12\x1a\n\x12rejected_malformed\x18\r \x01(\x04\x12\x16\n\x0e\x61\x63\x63\x65pted_bytes\x18\x0e \x01(\x04\x12\x12\n\nheld_bytes\x18\x0f \x01(\x04\"\x80\x02\n\x0bQueueStatus\x12+\n\x06record\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12/\n\x08\x63ounters\x18\x02 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\x12\x16\n\x0ewaiting_takers\x18\x03 \x01(\r\x12\x18\n\x10waiting_enqueues\x18\x04 \x01(\r\x12&\n\x19oldest_accepted_unix_nano\x18\x05 \x01(\x10H\x00\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\x06 \x01(\x10\x42\x1c\n\x1a_oldest_accepted_unix_nano\"p\n\tLeasedRun\x12$\n\x03run\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRun\x12\x14\n\x0c\x64\x65livery_ids\x18\x02 \x03(\x06\x12\x12\n\ndeliveries\x18\x03 \x03(\r\x12\x13\n\x0blease_nanos\x18\x04 \x01(\x03\"\xc4\x01\n\nSettlement\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x32\n\x0b\x61\x63knowledge\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.AcknowledgeH\x00\x12-\n\tgive_back\x18\x03 \x01(\x0b\x32\x18.stampede_rt.v1.GiveBackH\x00\x12\x33\n\x0c\x65xtend_lease\x18\x04 \x01(\x0b\x32\x1b.stampede_rt.v1.ExtendLeaseH\x00\x42\t\n\x07verdict\"\r\n\x0b\x41\x63knowledge\"\x1f\n\x08GiveBack\x12\x13\n\x0b\x64\x65lay_nanos\x18\x01 \x01(\x03\"\"\n\x0b\x45xtendLease\x12\x13\n\x0blease_nanos\x18\x01 \x01(\x03\"b\n\x10SettlementResult\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12$\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x15.stampede_rt.v1.Error\x12\x13\n\x0blease_nanos\x18\x03 \x01(\x03*~\n\x0bQueueOnFull\x12\x1d\n\x19QUEUE_ON_FULL_UNSPECIFIED\x10\x00\x12\x17\n\x13QUEUE_ON_FULL_BLOCK\x10\x01\x12\x18\n\x14QUEUE_ON_FULL_REJECT\x10\x02\x12\x1d\n\x19QUEUE_ON_FULL_DROP_OLDEST\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.queue_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_DELIVERY_ATTRIBUTESENTRY']._loaded_options = None
-  _globals['_DELIVERY_ATTRIBUTESENTRY']._serialized_options = b'8\001'
-  _globals['_QUEUEONFULL']._serialized_start=1932
-  _globals['_QUEUEONFULL']._serialized_end=2058
-  _globals['_QUEUESPEC']._serialized_start=75
-  _globals['_QUEUESPEC']._serialized_end=482
-  _globals['_QUEUERECORD']._serialized_start=485
-  _globals['_QUEUERECORD']._serialized_end=696
-  _globals['_QUEUECOUNTERS']._serialized_start=699
-  _globals['_QUEUECOUNTERS']._serialized_end=1024
-  _globals['_QUEUESTATUS']._serialized_start=1027
-  _globals['_QUEUESTATUS']._serialized_end=1283
-  _globals['_DELIVERY']._serialized_start=1286
-  _globals['_DELIVERY']._serialized_end=1547
-  _globals['_DELIVERY_ATTRIBUTESENTRY']._serialized_start=1498
-  _globals['_DELIVERY_ATTRIBUTESENTRY']._serialized_end=1547
-  _globals['_SETTLEMENT']._serialized_start=1550
-  _globals['_SETTLEMENT']._serialized_end=1746
-  _globals['_ACKNOWLEDGE']._serialized_start=1748
-  _globals['_ACKNOWLEDGE']._serialized_end=1761
-  _globals['_GIVEBACK']._serialized_start=1763
-  _globals['_GIVEBACK']._serialized_end=1794
-  _globals['_EXTENDLEASE']._serialized_start=1796
-  _globals['_EXTENDLEASE']._serialized_end=1830
-  _globals['_SETTLEMENTRESULT']._serialized_start=1832
-  _globals['_SETTLEMENTRESULT']._serialized_end=1930
+  _globals['_QUEUEONFULL']._serialized_start=1809
+  _globals['_QUEUEONFULL']._serialized_end=1935
+  _globals['_QUEUESPEC']._serialized_start=102
+  _globals['_QUEUESPEC']._serialized_end=509
+  _globals['_QUEUERECORD']._serialized_start=512
+  _globals['_QUEUERECORD']._serialized_end=723
+  _globals['_QUEUECOUNTERS']._serialized_start=726
+  _globals['_QUEUECOUNTERS']._serialized_end=1051
+  _globals['_QUEUESTATUS']._serialized_start=1054
+  _globals['_QUEUESTATUS']._serialized_end=1310
+  _globals['_LEASEDRUN']._serialized_start=1312
+  _globals['_LEASEDRUN']._serialized_end=1424
+  _globals['_SETTLEMENT']._serialized_start=1427
+  _globals['_SETTLEMENT']._serialized_end=1623
+  _globals['_ACKNOWLEDGE']._serialized_start=1625
+  _globals['_ACKNOWLEDGE']._serialized_end=1638
+  _globals['_GIVEBACK']._serialized_start=1640
+  _globals['_GIVEBACK']._serialized_end=1671
+  _globals['_EXTENDLEASE']._serialized_start=1673
+  _globals['_EXTENDLEASE']._serialized_end=1707
+  _globals['_SETTLEMENTRESULT']._serialized_start=1709
+  _globals['_SETTLEMENTRESULT']._serialized_end=1807
 # @@protoc_insertion_point(module_scope)

@@ -1,9 +1,10 @@
 from stampede_rt.v1 import error_pb2 as _error_pb2
+from stampede_rt.v1 import item_pb2 as _item_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from collections.abc import Mapping as _Mapping
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
 from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
@@ -111,32 +112,17 @@ class QueueStatus(_message.Message):
     host_time_unix_nano: int
     def __init__(self, record: _Optional[_Union[QueueRecord, _Mapping]] = ..., counters: _Optional[_Union[QueueCounters, _Mapping]] = ..., waiting_takers: _Optional[int] = ..., waiting_enqueues: _Optional[int] = ..., oldest_accepted_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
 
-class Delivery(_message.Message):
-    __slots__ = ("delivery_id", "seq", "time_unix_nano", "content_type", "attributes", "payload", "deliveries", "lease_nanos")
-    class AttributesEntry(_message.Message):
-        __slots__ = ("key", "value")
-        KEY_FIELD_NUMBER: _ClassVar[int]
-        VALUE_FIELD_NUMBER: _ClassVar[int]
-        key: str
-        value: str
-        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
-    DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
-    SEQ_FIELD_NUMBER: _ClassVar[int]
-    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
-    CONTENT_TYPE_FIELD_NUMBER: _ClassVar[int]
-    ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
-    PAYLOAD_FIELD_NUMBER: _ClassVar[int]
+class LeasedRun(_message.Message):
+    __slots__ = ("run", "delivery_ids", "deliveries", "lease_nanos")
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    DELIVERY_IDS_FIELD_NUMBER: _ClassVar[int]
     DELIVERIES_FIELD_NUMBER: _ClassVar[int]
     LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
-    delivery_id: int
-    seq: int
-    time_unix_nano: int
-    content_type: str
-    attributes: _containers.ScalarMap[str, str]
-    payload: bytes
-    deliveries: int
+    run: _item_pb2.ItemRun
+    delivery_ids: _containers.RepeatedScalarFieldContainer[int]
+    deliveries: _containers.RepeatedScalarFieldContainer[int]
     lease_nanos: int
-    def __init__(self, delivery_id: _Optional[int] = ..., seq: _Optional[int] = ..., time_unix_nano: _Optional[int] = ..., content_type: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., payload: _Optional[bytes] = ..., deliveries: _Optional[int] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
+    def __init__(self, run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ..., delivery_ids: _Optional[_Iterable[int]] = ..., deliveries: _Optional[_Iterable[int]] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
 
 class Settlement(_message.Message):
     __slots__ = ("delivery_id", "acknowledge", "give_back", "extend_lease")

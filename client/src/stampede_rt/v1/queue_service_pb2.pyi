@@ -62,16 +62,16 @@ class TakeOpen(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., taker_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
 
 class TakeResponse(_message.Message):
-    __slots__ = ("deliveries", "results", "incarnation", "drained")
-    DELIVERIES_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("runs", "results", "incarnation", "drained")
+    RUNS_FIELD_NUMBER: _ClassVar[int]
     RESULTS_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     DRAINED_FIELD_NUMBER: _ClassVar[int]
-    deliveries: _containers.RepeatedCompositeFieldContainer[_queue_pb2.Delivery]
+    runs: _containers.RepeatedCompositeFieldContainer[_queue_pb2.LeasedRun]
     results: _containers.RepeatedCompositeFieldContainer[_queue_pb2.SettlementResult]
     incarnation: int
     drained: bool
-    def __init__(self, deliveries: _Optional[_Iterable[_Union[_queue_pb2.Delivery, _Mapping]]] = ..., results: _Optional[_Iterable[_Union[_queue_pb2.SettlementResult, _Mapping]]] = ..., incarnation: _Optional[int] = ..., drained: bool = ...) -> None: ...
+    def __init__(self, runs: _Optional[_Iterable[_Union[_queue_pb2.LeasedRun, _Mapping]]] = ..., results: _Optional[_Iterable[_Union[_queue_pb2.SettlementResult, _Mapping]]] = ..., incarnation: _Optional[int] = ..., drained: bool = ...) -> None: ...
 
 class SettleRequest(_message.Message):
     __slots__ = ("queue_id", "epoch", "taker_id", "settlements")
