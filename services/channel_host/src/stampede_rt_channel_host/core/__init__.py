@@ -6,8 +6,8 @@ Nothing here reads a clock, waits, locks, or knows the wire. The shell around it
 - puts: `channel.put(Offer(...), now, seal) -> PutOutcome`, `seal` giving the stored bytes once the first seq is known;
   where `outcome.waiting` is set, it offers `offer.rest(waiting)` again after each change and at `outcome.retry_at`
   (keeping later puts behind it), or calls `give_up_put`; a retried put is recognised by `RetryWindow` before;
-- reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (after each change and at the instant
-  of `WakeAt`), `give_up`;
+- reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (at once, after each change and at
+  the instant of `WakeAt`), `give_up`;
 - subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
 - housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
 - counts: `counters(now)`; `reject_malformed` for what never became an offer.

@@ -15,12 +15,22 @@ Outcome = TypeVar("Outcome")
 
 
 class _Put(NamedTuple, Generic[Outcome]):
-    """One run as it was answered; its numbers are `first` to `first + items - 1`."""
+    """One run as it was answered; its numbers are `first` up to, not including, `end`."""
 
     first: int
-    items: int
+    end: int
     time: int
     outcome: Outcome
+
+
+class _Producer(Generic[Outcome]):
+    """One producer's latest runs in the order in which they were recorded; `end` is above all its numbers."""
+
+    __slots__ = ("end", "puts")
+
+    def __init__(self) -> None:
+        self.puts: deque[_Put[Outcome]] = deque(maxlen=NUMBERS_MAX)
+        self.end = 0
 
 
 class RetryWindow(Generic[Outcome]):
@@ -33,24 +43,30 @@ class RetryWindow(Generic[Outcome]):
 
     def __init__(self, *, producers_max: int = PRODUCERS_MAX) -> None:
         self._producers_max = producers_max
-        # Producers in the order of their latest put; each one's runs in the order in which they were recorded.
-        self._producers: OrderedDict[int, deque[_Put[Outcome]]] = OrderedDict()
+        self._producers: OrderedDict[int, _Producer[Outcome]] = OrderedDict()  # in the order of their latest put
+
+    def __len__(self) -> int:
+        """How many producers are known."""
+        return len(self._producers)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> Outcome | None:
         """What became of this run when it came before; None if it is new, or older than what is kept.
 
-        Raises InvalidArgument if the numbers belong to another run: a retry repeats the run as it was.
+        Raises InvalidArgument if only some of its numbers, or more than these, were put before as one run.
         """
-        for put in reversed(self._producers.get(producer_id, ())):
-            if put.time <= now - KEPT_NANOS:
-                break
-            if put.first == first_number and put.items == items:
+        producer = self._producers.get(producer_id)
+        if producer is None or first_number >= producer.end:
+            return None
+        end = first_number + items
+        for put in reversed(producer.puts):
+            if put.time <= now - KEPT_NANOS or put.end <= producer.end - NUMBERS_MAX:
+                continue
+            if (put.first, put.end) == (first_number, end):
                 return put.outcome
-            if put.first < first_number + items and first_number < put.first + put.items:
+            if put.first < end and first_number < put.end:
                 raise InvalidArgument(
-                    f"the numbers {first_number} to {first_number + items - 1} of producer {producer_id:x} overlap the "
-                    f"run {put.first} to {put.first + put.items - 1}, which was put before; retry a run as it was, and "
-                    "give new items new numbers"
+                    f"the numbers {first_number} to {end - 1} of producer {producer_id:x} overlap the run {put.first} to "
+                    f"{put.end - 1}, which was put before; retry a run as it was, and give new items new numbers"
                 )
         return None
 
@@ -58,21 +74,25 @@ class RetryWindow(Generic[Outcome]):
         """Keep what became of a run. Nothing is kept for producer id 0."""
         if not producer_id:
             return
-        puts = self._producers.setdefault(producer_id, deque())
+        producer = self._producers.get(producer_id)
+        if producer is None:
+            producer = self._producers[producer_id] = _Producer()
         self._producers.move_to_end(producer_id)
-        puts.append(_Put(first_number, items, now, outcome))
-        floor = max(put.first + put.items for put in (puts[0], puts[-1])) - NUMBERS_MAX
-        while puts[0].first + puts[0].items <= floor or puts[0].time <= now - KEPT_NANOS or len(puts) > NUMBERS_MAX:
-            puts.popleft()
+        producer.puts.append(_Put(first_number, first_number + items, now, outcome))
+        producer.end = max(producer.end, first_number + items)
+        while producer.puts[0].end <= producer.end - NUMBERS_MAX or producer.puts[0].time <= now - KEPT_NANOS:
+            producer.puts.popleft()
+            if not producer.puts:
+                break
         self._forget_producers(now)
 
     def _forget_producers(self, now: int) -> None:
         while self._producers:
-            puts = next(iter(self._producers.values()))
-            if len(self._producers) <= self._producers_max and puts[-1].time > now - KEPT_NANOS:
+            producer = next(iter(self._producers.values()))
+            if (
+                len(self._producers) <= self._producers_max
+                and producer.puts
+                and producer.puts[-1].time > now - KEPT_NANOS
+            ):
                 return
             self._producers.popitem(last=False)
-
-    def __len__(self) -> int:
-        """How many producers are known."""
-        return len(self._producers)

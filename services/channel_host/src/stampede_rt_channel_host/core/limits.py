@@ -65,7 +65,8 @@ class Limits:
 def _check(policy: Policy) -> None:
     if policy.consumers is not None:
         raise InvalidArgument(
-            f"consumers is {policy.consumers}, but this host does not count consumers; use max_age, max_items or max_bytes"
+            f"consumers is {policy.consumers}, but this host does not count consumers; "
+            "use max_age, max_items or max_bytes"
         )
     _check_range("max_age", policy.max_age_nanos, 1, MAX_INSTANT, "nanoseconds")
     _check_range("max_items", policy.max_items, 1, MAX_INSTANT, "items")

@@ -6,6 +6,8 @@ laid out flat, since a channel may hold millions of them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,10 +17,8 @@ ABSENT = -1
 ITEM_OVERHEAD_BYTES = 64
 """What an item is charged against max_bytes beside its payload."""
 
-_PACKED_ITEMS_MIN = 4  # below it a tuple is smaller than an array
 
-
-class Run:
+class Run(ABC):
     """Accepted items in acceptance order; immutable. `first_seq` is the first item's seq, the others follow by one.
 
     `times` in nanoseconds since the epoch, in any order; `durations` in nanoseconds, -1 for none, or None if no item
@@ -31,22 +31,107 @@ class Run:
     body: bytes
 
     @property
+    @abstractmethod
     def times(self) -> Sequence[int]:
         """Each item's time."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def durations(self) -> Sequence[int] | None:
         """Each item's duration, -1 for none; None if no item has one."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def lengths(self) -> Sequence[int]:
         """Each item's payload length."""
-        raise NotImplementedError
+
+    @abstractmethod
+    def payload_bytes(self, lo: int, hi: int) -> int:
+        """The payload bytes of the items from place `lo` up to, not including, `hi`."""
 
     def __len__(self) -> int:
         return len(self.lengths)
+
+
+class ColumnRun(Run):
+    """A run of any number of items."""
+
+    __slots__ = ("durations", "lengths", "times")
+
+    def __init__(
+        self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
+    ) -> None:
+        self.first_seq = first_seq
+        self.times: Sequence[int] = times
+        self.durations: Sequence[int] | None = durations
+        self.lengths: Sequence[int] = lengths
+        self.body = body
+
+    def payload_bytes(self, lo: int, hi: int) -> int:
+        """The payload bytes of the items from place `lo` up to, not including, `hi`."""
+        return sum(self.lengths[lo:hi])
+
+
+class OneRun(Run):
+    """A run of one item, which is its own entry in the index: `run`, `lo`, `hi`, `first_time`, `last_time`."""
+
+    __slots__ = ("duration", "first_time", "length")
+
+    lo = 0
+    hi = 1
+
+    def __init__(self, first_seq: int, time: int, duration: int, length: int, body: bytes) -> None:
+        self.first_seq = first_seq
+        self.first_time = time
+        self.duration = duration
+        self.length = length
+        self.body = body
+
+    @property
+    def run(self) -> Run:
+        """Itself, as an entry's run."""
+        return self
+
+    @property
+    def last_time(self) -> int:
+        """The only item's time."""
+        return self.first_time
+
+    @property
+    def times(self) -> Sequence[int]:
+        """The item's time."""
+        return (self.first_time,)
+
+    @property
+    def durations(self) -> Sequence[int] | None:
+        """The item's duration, or None."""
+        return None if self.duration == ABSENT else (self.duration,)
+
+    @property
+    def lengths(self) -> Sequence[int]:
+        """The item's payload length."""
+        return (self.length,)
+
+    def payload_bytes(self, lo: int, hi: int) -> int:
+        """The item's payload length, if it lies between the two places."""
+        return self.length if lo < hi else 0
+
+    def __len__(self) -> int:
+        return 1
+
+
+def make_run(
+    first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
+) -> Run:
+    """A run in its smallest layout. The columns are copied."""
+    if len(lengths) == 1:
+        return OneRun(first_seq, times[0], ABSENT if durations is None else durations[0], lengths[0], body)
+    return ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body)
+
+
+def pack(column: Sequence[int]) -> Sequence[int]:
+    """A column in 8 bytes for each entry."""
+    return array("q", column)
 
 
 class Slice(NamedTuple):
@@ -70,6 +155,16 @@ class Slice(NamedTuple):
         return self.run.first_seq + self.lo
 
     @property
+    def end_seq(self) -> int:
+        """The seq behind the last item."""
+        return self.run.first_seq + self.hi
+
+    @property
+    def last_time(self) -> int:
+        """The time of the last item."""
+        return self.run.times[self.hi - 1]
+
+    @property
     def items(self) -> int:
         """How many items it holds."""
         return self.hi - self.lo
@@ -77,4 +172,4 @@ class Slice(NamedTuple):
     @property
     def payload_bytes(self) -> int:
         """The payload bytes of its items."""
-        return sum(self.run.lengths[self.lo : self.hi])
+        return self.run.payload_bytes(self.lo, self.hi)

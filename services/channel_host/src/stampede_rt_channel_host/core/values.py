@@ -47,7 +47,7 @@ class Seal(Protocol):
     """Makes the bytes of a run that is about to be stored; called once, at the most, by a put. Must not raise."""
 
     def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-        """`kept`: the offer's places that were accepted, None for all; `stamped_time`: set if the offer had no times."""
+        """`kept`: the places in the offer that were accepted, None for all; `stamped_time`: set if it had no times."""
 
 
 @dataclass(frozen=True, slots=True)
