@@ -30,10 +30,12 @@ def id_of(number: int) -> bytes:
 class Log:
     """Applies commands to a directory at growing positions, with a new operation id each unless one is given."""
 
-    def __init__(self, directory: Directory | None = None) -> None:
-        self.directory = directory or Directory()
-        self._index = self.directory.applied_index
+    def __init__(self, *, founded: bool = True) -> None:
+        self.directory = Directory()
+        self._index = 0
         self._op_ids = count(1)
+        if founded:
+            self.apply(begin_tenure(1))
 
     def apply(self, deed: Deed, op_id: bytes | None = None) -> Result:
         self._index += 1

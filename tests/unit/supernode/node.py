@@ -91,7 +91,7 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
     leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=TTL_NANOS)
     watches = Watches(replica, log, sign_of_life_seconds=sign_of_life_seconds)
     probe = Probe(log, lambda target: dial(target, secret=None))
-    members = Members(log, probe, advertise="rig:7581", zone="lab")
+    members = Members(log, replica, probe, advertise="rig:7581", zone="lab")
     servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
     await leases.tick()
     register = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server

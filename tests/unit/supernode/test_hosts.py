@@ -16,9 +16,7 @@ from tests.unit.supernode.deeds import Log, begin_tenure, deregister, expire, id
 
 @pytest.fixture
 def log() -> Log:
-    log = Log()
-    log.apply(begin_tenure(1))
-    return log
+    return Log()
 
 
 def registered(log: Log, deed: RegisterHost) -> Host:
@@ -35,6 +33,15 @@ def channel_at(log: Log, host: str, name: str) -> Channel:
 
 def now(log: Log, channel: Channel) -> Channel:
     return log.directory.tables.channels[channel.channel_id]
+
+
+def test_no_host_enters_before_the_cluster_is_founded() -> None:
+    log = Log(founded=False)
+    result = log.apply(register(1))
+    assert isinstance(result, Refused)
+    assert result.reason == "NO_QUORUM"
+    log.apply(begin_tenure(1))
+    registered(log, register(1))
 
 
 def test_registering_answers_with_the_host_and_the_cluster(log: Log) -> None:

@@ -2,7 +2,7 @@
 
 from stampede_rt_supernode.answered import WINDOW_INDEXES
 from stampede_rt_supernode.commands import ChannelDeleted, ChannelOpened, Command, Refused
-from tests.unit.supernode.deeds import Log, delete, id_of, open_channel, register
+from tests.unit.supernode.deeds import Log, begin_tenure, delete, id_of, open_channel, register
 
 
 def test_a_repeated_operation_gives_the_same_answer_although_other_ids_were_drawn_for_it() -> None:
@@ -47,10 +47,10 @@ def test_a_request_id_used_for_something_else_is_refused() -> None:
 
 
 def test_operations_are_forgotten_once_the_log_has_gone_on_far_enough() -> None:
-    log = Log()
+    log = Log(founded=False)
     directory = log.directory
-    directory.apply(1, Command(op_id=id_of(1), time_unix_nano=0, deed=register(1)))
-    directory.apply(WINDOW_INDEXES, Command(op_id=id_of(2), time_unix_nano=0, deed=register(2)))
+    directory.apply(1, Command(op_id=id_of(1), time_unix_nano=0, deed=begin_tenure(1)))
+    directory.apply(WINDOW_INDEXES, Command(op_id=id_of(2), time_unix_nano=0, deed=begin_tenure(2)))
     assert len(directory.answered) == 2
-    directory.apply(WINDOW_INDEXES + 1, Command(op_id=id_of(3), time_unix_nano=0, deed=register(3)))
+    directory.apply(WINDOW_INDEXES + 1, Command(op_id=id_of(3), time_unix_nano=0, deed=begin_tenure(3)))
     assert [answer.op_id for answer in directory.answered] == [id_of(2), id_of(3)]

@@ -50,7 +50,7 @@ async def serve(settings: SupernodeSettings) -> None:
         leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
         watches = Watches(replica, log)
         probe = Probe(log, lambda target: dial(target, secret=secret))
-        members = Members(log, probe, advertise=settings.advertise or _own_address(log), zone=settings.zone)
+        members = Members(log, replica, probe, advertise=settings.advertise or _own_address(log), zone=settings.zone)
         servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
         address = await server.start(listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
@@ -60,7 +60,9 @@ async def serve(settings: SupernodeSettings) -> None:
             await log.close()
 
         async with _background(server, leases.run(), probe.run(), _follow_leader(server, members)):
-            announce(f"stampede supernode {members.self_id} ready on {address}")
+            # Said once `run` has set up the stop signals: whoever waits for this line may send one at once.
+            ready = f"stampede supernode {members.self_id} ready on {address}"
+            asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(end_streams)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt_supernode.answered import Answer, Answered
 from stampede_rt_supernode.channel_transitions import (
     check_open,
@@ -125,6 +125,7 @@ class Directory:
             case DeleteChannel():
                 return delete_channel(self.tables, deed)
             case RegisterHost():
+                self._check_founded()
                 return HostRegistered(host=register_host(self.tables, deed), cluster_id=self.cluster_id)
             case DeregisterHost():
                 deregister_host(self.tables, deed)
@@ -133,6 +134,11 @@ class Directory:
                 return HostExpired(expired=expire_host(self.tables, deed, self.tenure))
             case BeginTenure():
                 return self._begin_tenure(deed)
+
+    def _check_founded(self) -> None:
+        if not self.tenure:
+            text = "the cluster is just being founded, and no leader grants leases yet; try again in a moment"
+            raise Unavailable(text, reason="NO_QUORUM")
 
     def _begin_tenure(self, deed: BeginTenure) -> TenureBegun:
         """A leader's first entry; one of a leader that was already replaced is without effect."""

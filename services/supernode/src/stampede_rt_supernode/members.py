@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from stampede_rt.v1 import directory_pb2
 from stampede_rt_supernode.probe import Probe
+from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Member, ReplicatedLog, ReplicationStatus
 
 
 class Members:
     """Local knowledge; never waits. `advertise`: where callers reach this supernode; `zone`: where it is."""
 
-    def __init__(self, log: ReplicatedLog, probe: Probe, *, advertise: str, zone: str) -> None:
+    def __init__(
+        self, log: ReplicatedLog, replica: DirectoryReplica, probe: Probe, *, advertise: str, zone: str
+    ) -> None:
         self._log = log
+        self._replica = replica
         self._probe = probe
         self._advertise = advertise
         self._zone = zone
@@ -22,8 +26,9 @@ class Members:
         return self._log.status().self_id
 
     def ready(self) -> bool:
-        """Whether this supernode can serve: it knows a leader that had a majority lately."""
-        return self._log.status().leader_id is not None
+        """Whether this supernode can serve: it knows a leader, and that the cluster is founded."""
+        founded = self._replica.read(lambda directory: directory.tenure > 0)
+        return founded and self._log.status().leader_id is not None
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
         """Every member, in the order of ids, and the term of the consensus."""
@@ -41,6 +46,6 @@ class Members:
             supernode_id=member.member_id,
             endpoint=endpoint,
             is_leader=member.member_id == status.leader_id,
-            healthy=status.leader_id is not None if is_self else finding is not None and finding.healthy,
+            healthy=self.ready() if is_self else finding is not None and finding.healthy,
             round_trip_nanos=finding.round_trip_nanos if finding is not None else None,
         )

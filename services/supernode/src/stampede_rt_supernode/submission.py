@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from stampede_rt import errors
 from stampede_rt_supernode.command_codec import decode_result, encode_command
-from stampede_rt_supernode.commands import Command, Deed, Refused, Success
+from stampede_rt_supernode.commands import Command, Deed, Refused, Result, Success
 from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, Unavailable
 
 ATTEMPT_SECONDS_MAX = 2.0
@@ -35,12 +35,17 @@ class Submission:
         done, NO_QUORUM if it certainly is not.
         """
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=self._time_unix_nano(), deed=deed))
-        answer = await self._persist(lambda timeout: self._log.propose(encoded, timeout=timeout), seconds)
-        result = decode_result(answer)
+        result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
         if isinstance(result, Refused):
             raise result.error()
         if not isinstance(result, kind):
             raise errors.StampedeError(f"a {type(deed).__name__} gave a {type(result).__name__}; report this")
+        return result
+
+    async def _propose(self, encoded: bytes, timeout: float) -> Result:
+        result = decode_result(await self._log.propose(encoded, timeout=timeout))
+        if isinstance(result, Refused) and result.reason == "NO_QUORUM":
+            raise Unavailable(result.message)  # the directory itself says that it is too early
         return result
 
     async def confirm(self, *, seconds: float) -> int:

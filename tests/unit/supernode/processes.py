@@ -1,0 +1,179 @@
+"""Supernodes as processes, as a shell would start them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import secrets
+import signal
+import socket
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import grpc
+
+from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime.dial import dial
+
+PATIENCE_SECONDS = 20.0
+
+T = TypeVar("T")
+
+
+class Supernode:
+    """One process and a stub to call it, which finds it again after a restart."""
+
+    def __init__(self, name: str, address: str, arguments: list[str]) -> None:
+        self.name = name
+        self.address = address
+        self._arguments = arguments
+        self._process: asyncio.subprocess.Process | None = None
+        self.channel = dial(address, secret=None)
+        self.stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(self.channel)
+
+    async def start(self) -> str:
+        """Start it, wait until it says that it is ready, and return that line."""
+        self._process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "stampede_rt_supernode", "--log-level", "warning", *self._arguments),
+            stdout=asyncio.subprocess.PIPE,
+            env={**os.environ, "XDG_CONFIG_HOME": "/nonexistent"},  # no secret of whoever runs the tests
+        )
+        assert self._process.stdout is not None
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            return (await self._process.stdout.readline()).decode().rstrip("\n")
+
+    async def end(self, number: signal.Signals) -> tuple[int, bytes]:
+        """Signal it; returns its exit code and what it printed since it was ready."""
+        assert self._process is not None
+        self._process.send_signal(number)
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            rest, _ = await self._process.communicate()
+        code = self._process.returncode
+        assert code is not None
+        self._process = None
+        return code, rest
+
+    async def close(self) -> None:
+        await self.channel.close()
+        if self._process is not None:
+            await self.end(signal.SIGKILL)
+
+
+class Cluster:
+    """Three supernodes with data folders."""
+
+    def __init__(self, folder: Path, *settings: str) -> None:
+        ports = free_ports(3)
+        addresses = {f"s{number}": f"127.0.0.1:{port}" for number, port in enumerate(ports, start=1)}
+        members = ",".join(f"{name}={address}" for name, address in addresses.items())
+        self.supernodes = [
+            Supernode(
+                name,
+                address,
+                ["--listen", address, "--id", name, "--members", members, "--data-dir", str(folder / name), *settings],
+            )
+            for name, address in addresses.items()
+        ]
+
+    async def start(self) -> None:
+        await asyncio.gather(*(one.start() for one in self.supernodes))
+
+    async def leader(self) -> Supernode:
+        """The one that leads, as soon as there is one."""
+        async for _ in attempts():
+            for one in self.supernodes:
+                with contextlib.suppress(grpc.aio.AioRpcError):
+                    listed = await one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=1)
+                    leads = {record.supernode_id: record.is_leader for record in listed.supernodes}
+                    if leads[one.name]:
+                        return one
+        raise AssertionError("unreachable")
+
+    def others(self, one: Supernode) -> list[Supernode]:
+        return [other for other in self.supernodes if other is not one]
+
+    async def close(self) -> None:
+        for one in self.supernodes:
+            await one.close()
+
+
+@contextlib.asynccontextmanager
+async def running_cluster(folder: Path, *settings: str) -> AsyncIterator[Cluster]:
+    cluster = Cluster(folder, *settings)
+    try:
+        await cluster.start()
+        yield cluster
+    finally:
+        await cluster.close()
+
+
+def free_ports(count: int) -> list[int]:
+    with contextlib.ExitStack() as stack:
+        sockets = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [one.getsockname()[1] for one in sockets]
+
+
+async def attempts() -> AsyncIterator[None]:
+    """Tries, a little apart, that fail the test when the patience is over."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while time.monotonic() < deadline:
+        yield
+        await asyncio.sleep(0.02)
+    raise AssertionError(f"it did not happen within {PATIENCE_SECONDS} s")
+
+
+async def register(supernode: Supernode, number: int) -> pb.RegisterHostResponse:
+    request = pb.RegisterHostRequest(
+        request_id=secrets.token_bytes(16),
+        host_id=number.to_bytes(16, "big"),
+        name=f"host-{number}",
+        gatekeepers=[directory_pb2.Endpoint(target=f"localhost:{7000 + number}")],
+        boot_incarnation=1,
+    )
+    answer: pb.RegisterHostResponse = await called(
+        supernode.stub.RegisterHost(request, timeout=PATIENCE_SECONDS), supernode
+    )
+    return answer
+
+
+async def open_channel(supernode: Supernode, name: str) -> pb.OpenChannelResponse:
+    request = pb.OpenChannelRequest(request_id=secrets.token_bytes(16), name=name, create=True)
+    answer: pb.OpenChannelResponse = await called(
+        supernode.stub.OpenChannel(request, timeout=PATIENCE_SECONDS), supernode
+    )
+    return answer
+
+
+async def resolve(supernode: Supernode, name: str) -> pb.ResolveChannelResponse:
+    request = pb.ResolveChannelRequest(name=name)
+    answer: pb.ResolveChannelResponse = await called(
+        supernode.stub.ResolveChannel(request, timeout=PATIENCE_SECONDS), supernode
+    )
+    return answer
+
+
+async def renew(supernode: Supernode, number: int) -> bool:
+    """Whether that supernode prolonged the lease; raises LeaseExpired if it ended."""
+    request = pb.RenewHostLeaseRequest(host_id=number.to_bytes(16, "big"), boot_incarnation=1)
+    try:
+        await called(supernode.stub.RenewHostLease(request, timeout=1), supernode)
+    except LeaseExpired:
+        raise
+    except StampedeError:
+        return False
+    return True
+
+
+async def called(pending: Awaitable[T], supernode: Supernode) -> T:
+    """The answer. Raises the StampedeError that the call ended with."""
+    try:
+        return await pending
+    except grpc.aio.AioRpcError as error:
+        raise from_rpc_error(error, supernode.name) from error
