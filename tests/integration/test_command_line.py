@@ -1,0 +1,203 @@
+"""The command line as a user types it, against a real cluster."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
+COMMAND = [sys.executable, "-m", "stampede_rt.cli"]
+Run = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="module")
+def environment(cluster: LocalCluster) -> dict[str, str]:
+    return os.environ | {"STAMPEDE_URL": cluster.address, "STAMPEDE_SECRET_FILE": str(cluster.secret_file)}
+
+
+@pytest.fixture(scope="module")
+def stampede(environment: dict[str, str]) -> Run:
+    def run(*arguments: str, status: int = 0, stdin: bytes | None = None) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run(
+            [*COMMAND, *arguments], env=environment, capture_output=True, input=stdin, timeout=40, check=False
+        )
+        text = subprocess.CompletedProcess(done.args, done.returncode, done.stdout.decode(), done.stderr.decode())
+        assert "Traceback" not in text.stderr
+        assert text.returncode == status, text
+        return text
+
+    return run
+
+
+@pytest.fixture
+def following(environment: dict[str, str]) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts commands that go on until Ctrl-C; what is left over is killed."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = subprocess.Popen([*COMMAND, *arguments], env=environment, text=True, **pipes)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def interrupt(process: subprocess.Popen[str]) -> None:
+    process.send_signal(signal.SIGINT)
+    _, complaints = process.communicate(timeout=10)
+    assert (process.returncode, complaints) == (130, "")
+
+
+def test_put_then_get_as_people_read_it(stampede: Run) -> None:
+    put = stampede("put", "cli/a", "hello there", "--duration", "40ms", "--attribute", "enc=text")
+    assert put.stdout.startswith("cli/a #")
+    got = stampede("get", "cli/a")
+    assert "hello there" in got.stdout
+    assert "for 40 ms" in got.stdout
+    assert "enc=text" in got.stdout
+
+
+def test_get_as_programs_read_it(stampede: Run) -> None:
+    stampede("put", "cli/json", stdin=b"\xff\x00")
+    stampede("put", "cli/json", "text")
+    rows = json.loads(stampede("get", "cli/json", "--all", "-o", "json").stdout)
+    assert [row["length_bytes"] for row in rows] == [2, 4]
+    assert (rows[0]["payload_base64"], rows[1]["payload"]) == ("/wA=", "text")
+    lines = stampede("get", "cli/json", "--last", "30s", "-o", "jsonl").stdout.splitlines()
+    assert [json.loads(line)["seq"] for line in lines] == [row["seq"] for row in rows]
+
+
+def test_get_by_time_and_meta_time(stampede: Run) -> None:
+    base = st.now() - 2_000_000_000
+    for number in range(3):
+        stampede("put", "cli/times", str(number), "--time", str(base + number * 10**8), "--max-age", "60s")
+    assert (
+        stampede("get", "cli/times", "newest-150ms", "newest", "--match", "start", "-o", "jsonl").stdout.count("\n")
+        == 2
+    )
+    assert '"payload": "0"' in stampede("get", "cli/times", "--at", str(base + 5), "-o", "jsonl").stdout
+    assert '"payload": "1"' in stampede("get", "cli/times", "--before", "newest", "-o", "jsonl").stdout
+    assert stampede("get", "cli/times", "--all", "--raw").stdout == "012"
+
+
+def test_get_says_in_a_sentence_why_it_has_nothing(stampede: Run) -> None:
+    stampede("put", "cli/nothing", "x")
+    done = stampede("get", "cli/nothing", "newest+1s", "newest+2s", "--match", "start", status=3)
+    assert done.stdout == ""
+    assert "NOT_YET: " in done.stderr
+
+
+def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
+    stampede("put", "cli/shown/one", "x", "--max-items", "5")
+    listed = stampede("ls", "cli/shown/*").stdout
+    assert "cli/shown/one" in listed
+    assert "5 items" in listed
+    assert json.loads(stampede("ls", "cli/shown/*", "-o", "json").stdout)[0]["channel"] == "cli/shown/one"
+    info = stampede("info", "cli/shown/one").stdout
+    assert "accepted" in info
+    assert stampede("ls", "no/such*").stdout == "no channel matches 'no/such*'\n"
+
+
+def test_echo_prints_items_as_they_come_until_interrupted(stampede: Run, following: Any) -> None:
+    stampede("put", "cli/echo", "held")
+    process = following("echo", "cli/echo", "--from", "oldest")
+    assert "held" in process.stdout.readline()
+    stampede("put", "cli/echo", "live")
+    assert "live" in process.stdout.readline()
+    interrupt(process)
+
+
+def test_hz_and_bw_print_rates_until_interrupted(stampede: Run, following: Any) -> None:
+    stampede("put", "cli/rates", "x")
+    hz = following("hz", "cli/rates", "--every", "0.2")
+    bw = following("bw", "cli/rates", "--every", "0.2")
+    assert "items/s" in hz.stdout.readline()
+    assert "in " in bw.stdout.readline()
+    interrupt(hz)
+    interrupt(bw)
+
+
+def test_doctor_finds_everything_well(stampede: Run) -> None:
+    done = stampede("doctor")
+    assert "Everything is well." in done.stdout
+    assert "1 of 1 serve" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["get", "no/such/channel"], 1, "no/such/channel"),
+        (["put", "Wrong Name", "x"], 1, "not allowed; use"),
+        (["put", "cli/a", "x", "--max-items", "3"], 1, "cli/a"),
+        (["get", "cli/a", "5", "3"], 1, "starts at"),
+        (["get", "cli/a", "5"], 1, "two times"),
+        (["get", "cli/a", "yesterday", "now"], 2, "is no time"),
+        (["get", "cli/a", "--last", "10"], 1, "ns, us, ms"),
+        (["put", "cli/a", "x", "--time", str(2**62)], 1, "ahead"),
+        (["ls", "--colour"], 2, "--colour"),
+        (["fly"], 2, "fly"),
+        ([], 2, "VERB"),
+        (["ls", "--url", "localhost:1"], 1, "cannot connect to localhost:1"),
+        (["ls", "--url", "localhost:x"], 1, "port from 1 to 65535"),
+        (["hz", "cli/a", "--every", "0"], 2, "0.05 to 3600"),
+    ],
+)
+def test_wrong_use_is_answered_with_the_way_out(stampede: Run, arguments: list[str], status: int, said: str) -> None:
+    stampede("put", "cli/a", "x", "--content-type", "text/plain")
+    assert said in stampede(*arguments, status=status).stderr
+
+
+def test_standard_input_beyond_one_item_is_refused(stampede: Run) -> None:
+    assert "split it" in stampede("put", "cli/a", stdin=bytes(16 * 1024 * 1024 + 1), status=1).stderr
+
+
+def test_a_wrong_secret_is_refused_and_says_where_it_is_looked_for(environment: dict[str, str], tmp_path: Any) -> None:
+    wrong = tmp_path / "secret"
+    wrong.write_text("wrong")
+    wrong.chmod(0o600)
+    done = subprocess.run(
+        [*COMMAND, "ls"],
+        env=environment | {"STAMPEDE_SECRET_FILE": str(wrong)},
+        capture_output=True,
+        text=True,
+        timeout=40,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "secret" in done.stderr
+    assert "STAMPEDE_SECRET_FILE" in done.stderr
+
+
+def test_help_lists_every_verb(stampede: Run) -> None:
+    text = stampede("--help").stdout
+    for verb in (
+        "dev",
+        "frontend",
+        "supernode",
+        "host",
+        "demo",
+        "ls",
+        "info",
+        "put",
+        "get",
+        "echo",
+        "hz",
+        "bw",
+        "doctor",
+    ):
+        assert f" {verb} " in text
