@@ -1,4 +1,4 @@
-"""One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `status`.
+"""One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `leader`.
 
 Arguments: member id, folder for stores and sockets, and the ids of all members. Every answer is one line.
 """
@@ -40,6 +40,8 @@ async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
         try:
             if verb == "propose":
                 answer = (await log.propose(text.encode(), timeout=10.0)).decode()
+            elif verb == "leader":
+                answer = str(log.status().leader_id)
             else:
                 await log.confirm_read(timeout=10.0)
                 answer = " ".join(command.decode() for _, command in machine.entries)

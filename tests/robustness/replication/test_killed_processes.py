@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import sys
 import tempfile
 import time
@@ -13,6 +14,7 @@ import pytest
 
 IDS = ["m0", "m1", "m2"]
 SERVING_AGAIN_SECONDS = 5.0
+AFTER_A_FREEZE_SECONDS = 4.0
 
 
 class MemberProcess:
@@ -34,6 +36,10 @@ class MemberProcess:
         assert self._process.stdout is not None
         self._process.stdin.write(line.encode() + b"\n")
         return (await self._process.stdout.readline()).decode().strip()
+
+    def send_signal(self, number: int) -> None:
+        assert self._process is not None
+        self._process.send_signal(number)
 
     async def kill(self) -> None:
         """SIGKILL: nothing is flushed, nobody is told."""
@@ -82,3 +88,16 @@ async def test_the_others_serve_again_soon_after_one_is_killed(cluster: list[Mem
         assert time.monotonic() - began < SERVING_AGAIN_SECONDS
         await cluster[victim].start()
         assert (await cluster[victim].ask("entries")).split()[0] == "before"
+
+
+async def test_a_frozen_leader_is_replaced_and_does_not_answer_from_the_past(cluster: list[MemberProcess]) -> None:
+    await write(cluster[0], ["before"])
+    leader = cluster[IDS.index(await cluster[0].ask("leader"))]
+    witness = next(member for member in cluster if member is not leader)
+    leader.send_signal(signal.SIGSTOP)
+    began = time.monotonic()
+    while not (answer := await witness.ask("propose meanwhile")).isdigit():
+        assert answer in ("Ambiguous", "Unavailable")
+    assert time.monotonic() - began < AFTER_A_FREEZE_SECONDS
+    leader.send_signal(signal.SIGCONT)
+    assert "meanwhile" in (await leader.ask("entries")).split()

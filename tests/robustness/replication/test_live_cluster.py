@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,8 @@ import grpc.aio
 import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication import RaftTiming, Unavailable
-from tests.robustness.replication.live_cluster import LiveCluster, dial, running, until
+from stampede_rt_supernode.replication import Member, RaftTiming, Unavailable
+from tests.robustness.replication.live_cluster import QUICK, LiveCluster, dial, running, until
 
 EXCHANGE = "/stampede_rt.v1.RaftService/Exchange"
 
@@ -197,3 +198,54 @@ async def test_a_malformed_message_ends_the_stream_and_not_the_member(tmp_path: 
         code = await refusal(cluster.all[0].member.address, first, empty.SerializeToString())
         assert code == grpc.StatusCode.INVALID_ARGUMENT
         assert int(await running(cluster.all[0]).propose(b"still here", timeout=5.0)) > 1
+
+
+class Swallower:
+    """A member that accepts every stream, reads it, and never answers again."""
+
+    def __init__(self) -> None:
+        self.streams = 0
+        self.second_stream = asyncio.Event()
+
+    async def exchange(self, request_iterator: Any, context: Any) -> None:
+        self.streams += 1
+        if self.streams == 2:
+            self.second_stream.set()
+        await context.read()
+        await context.write(pb.RaftServiceExchangeResponse(protocol_version=1))
+        while await context.read() is not grpc.aio.EOF:
+            pass
+
+
+async def test_a_link_on_which_nobody_answers_is_made_anew(tmp_path: Path) -> None:
+    swallower, server = Swallower(), grpc.aio.server()
+    handler = grpc.stream_stream_rpc_method_handler(
+        swallower.exchange,
+        request_deserializer=pb.RaftServiceExchangeRequest.FromString,
+        response_serializer=pb.RaftServiceExchangeResponse.SerializeToString,
+    )
+    server.add_generic_rpc_handlers(
+        (grpc.method_handlers_generic_handler("stampede_rt.v1.RaftService", {"Exchange": handler}),)
+    )
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    impatient = replace(QUICK, link_silence_seconds=0.2)
+    async with LiveCluster(1, tmp_path, timing=impatient) as cluster:
+        cluster.members.append(Member(member_id="silent", address=f"127.0.0.1:{port}"))
+        await cluster.all[0].stop()
+        await cluster.start(cluster.all[0])
+        async with asyncio.timeout(10):
+            await swallower.second_stream.wait()
+    await server.stop(None)
+
+
+async def test_links_that_are_answered_stay_up(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", logger="stampede_rt_supernode.replication.links")
+    async with LiveCluster(3, tmp_path, timing=replace(QUICK, link_silence_seconds=1.0)) as cluster:
+        leader = running(await cluster.leader())
+        loop = asyncio.get_running_loop()
+        end, writes = loop.time() + 1.5, 0
+        while loop.time() < end:
+            await leader.propose(b"write %d" % writes, timeout=5.0)
+            writes += 1
+        assert "nothing was answered" not in caplog.text

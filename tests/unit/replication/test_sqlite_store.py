@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import sqlite3
 from pathlib import Path
 
 import pytest
 
 from stampede_rt_supernode.replication.journal import Journal
-from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME, SqliteStore, holds_store
+from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME, WATERMARK_NAME, SqliteStore, holds_store
 from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
 
 
@@ -103,3 +105,50 @@ def test_a_file_that_is_no_database_is_found(tmp_path: Path) -> None:
     (tmp_path / DATABASE_NAME).write_bytes(b"not a database at all" * 100)
     with pytest.raises(StoreDamaged, match="join again under a new id"):
         open_store(tmp_path)
+
+
+def copy_as_after_a_crash(folder: Path, to: Path) -> Path:
+    """What a kill would leave of a store in use: the write-ahead log is still there."""
+    journal = Journal(open_store(folder))
+    for index in range(1, 61):
+        journal.add(b"\x00command %d" % index, index, 1)
+        journal.sync()
+    shutil.copytree(folder, to)
+    journal.close()
+    return to / f"{DATABASE_NAME}-wal"
+
+
+def flip_a_bit_in_the_middle(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def test_a_store_left_by_a_crash_opens_with_everything(tmp_path: Path) -> None:
+    copy_as_after_a_crash(tmp_path / "a", tmp_path / "b")
+    store = open_store(tmp_path / "b")
+    assert len(store.load().entries) == 60
+    store.close()
+
+
+def test_a_flipped_bit_in_the_write_ahead_log_is_found(tmp_path: Path) -> None:
+    flip_a_bit_in_the_middle(copy_as_after_a_crash(tmp_path / "a", tmp_path / "b"))
+    assert re.search(r"holds \d+ commits and has held 60", damage_found(tmp_path / "b"))
+
+
+def test_without_the_watermark_a_flipped_bit_would_lose_entries_in_silence(tmp_path: Path) -> None:
+    flip_a_bit_in_the_middle(copy_as_after_a_crash(tmp_path / "a", tmp_path / "b"))
+    (tmp_path / "b" / WATERMARK_NAME).unlink()
+    store = open_store(tmp_path / "b")
+    assert 0 < len(store.load().entries) < 60
+    store.close()
+
+
+def test_a_full_disk_fails_the_commit(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    journal = Journal(store)
+    store._db.execute("PRAGMA max_page_count = 10")
+    journal.add(b"\x00" * 60_000, 1, 1)
+    with pytest.raises(sqlite3.OperationalError, match="full"):
+        journal.sync()
+    store.close()

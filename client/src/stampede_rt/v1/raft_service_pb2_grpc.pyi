@@ -37,8 +37,9 @@ class RaftServiceStub:
     def __new__(cls, channel: _aio.Channel) -> RaftServiceAsyncStub: ...
     Exchange: _grpc.StreamStreamMultiCallable[_raft_service_pb2.RaftServiceExchangeRequest, _raft_service_pb2.RaftServiceExchangeResponse]
     """Carries one member's messages to another, in order and at most once, for as long as both live.
-    The first request holds `hello` and nothing else; the answer to it is the only response. Every later
-    request holds messages. Each member opens one such stream to every other; a second stream from the
+    The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages;
+    while they come, the receiver answers about twice a second, so that a caller whose messages stay unanswered for
+    3 s knows that they reach nobody. Each member opens one such stream to every other; a second stream from the
     same member ends the first. Nothing is repeated after a break: the log itself catches up.
     Not idempotent.
     Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
@@ -54,8 +55,9 @@ class RaftServiceAsyncStub(RaftServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     Exchange: _aio.StreamStreamMultiCallable[_raft_service_pb2.RaftServiceExchangeRequest, _raft_service_pb2.RaftServiceExchangeResponse]  # type: ignore[assignment]
     """Carries one member's messages to another, in order and at most once, for as long as both live.
-    The first request holds `hello` and nothing else; the answer to it is the only response. Every later
-    request holds messages. Each member opens one such stream to every other; a second stream from the
+    The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages;
+    while they come, the receiver answers about twice a second, so that a caller whose messages stay unanswered for
+    3 s knows that they reach nobody. Each member opens one such stream to every other; a second stream from the
     same member ends the first. Nothing is repeated after a break: the log itself catches up.
     Not idempotent.
     Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
@@ -74,8 +76,9 @@ class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_raft_service_pb2.RaftServiceExchangeResponse], _abc.AsyncIterator[_raft_service_pb2.RaftServiceExchangeResponse]]:
         """Carries one member's messages to another, in order and at most once, for as long as both live.
-        The first request holds `hello` and nothing else; the answer to it is the only response. Every later
-        request holds messages. Each member opens one such stream to every other; a second stream from the
+        The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages;
+        while they come, the receiver answers about twice a second, so that a caller whose messages stay unanswered for
+        3 s knows that they reach nobody. Each member opens one such stream to every other; a second stream from the
         same member ends the first. Nothing is repeated after a break: the log itself catches up.
         Not idempotent.
         Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not

@@ -64,6 +64,10 @@ class Link:
         self.queued_bytes = 0
         self._open = False
         self._overflow = False
+        # Loop time of the first request that no answer has followed.
+        self._unanswered_since: float | None = None
+        # True when an empty request shall ask for an answer.
+        self._probe_due = False
         self._work = asyncio.Event()
 
     def enqueue(self, message: pb.RaftMessage) -> None:
@@ -115,27 +119,48 @@ class Link:
     async def _pump(self, call: Any) -> None:
         self._open = True
         self._deliver(Connected(self._member.member_id))
-        ended = asyncio.ensure_future(call.read())
-        writer = asyncio.ensure_future(self._write(call))
+        tasks = [asyncio.ensure_future(each) for each in (self._listen(call), self._write(call), self._watch())]
         try:
-            await asyncio.wait((ended, writer), return_when=asyncio.FIRST_COMPLETED)
-            if writer.done():
-                writer.result()
-            raise LinkBroken("the peer ended the stream")
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
         finally:
             self._drop_queue()
             self._deliver(Disconnected(self._member.member_id))
             call.cancel()
-            for task in (ended, writer):
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(ended, writer, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _listen(self, call: Any) -> None:
+        while await call.read() is not grpc.aio.EOF:
+            self._unanswered_since = None
+        raise LinkBroken(f"the peer ended the stream: {await call.details()}")
+
+    async def _watch(self) -> None:
+        """End a stream on which nobody answers: the network may swallow everything for many minutes."""
+        limit = self._settings.timing.link_silence_seconds
+        while True:
+            await asyncio.sleep(limit / 4)
+            since = self._unanswered_since
+            if since is None:
+                continue
+            if asyncio.get_running_loop().time() - since > limit:
+                raise LinkBroken(f"nothing was answered for {limit} s")
+            self._probe_due = True
+            self._work.set()
 
     async def _write(self, call: Any) -> None:
         while True:
             await self._work.wait()
             self._work.clear()
             while self._queue and not self._overflow:
+                if self._unanswered_since is None:
+                    self._unanswered_since = asyncio.get_running_loop().time()
                 await call.write(self._next_request())
+            if self._probe_due:
+                self._probe_due = False
+                await call.write(pb.RaftServiceExchangeRequest())
             if self._overflow:
                 raise LinkBroken("the queue is full: the peer does not keep up")
 
@@ -149,9 +174,10 @@ class Link:
         return request
 
     def _drop_queue(self) -> None:
-        self._open = self._overflow = False
+        self._open = self._overflow = self._probe_due = False
         self._queue.clear()
         self.queued_bytes = 0
+        self._unanswered_since = None
 
 
 def _brief(error: BaseException) -> str:

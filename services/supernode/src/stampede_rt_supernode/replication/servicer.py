@@ -20,6 +20,8 @@ from stampede_rt_supernode.replication.replica import InboxFull
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
 HELLO_SECONDS = 5.0
+# How often a member that sends is told that it is heard.
+ANSWER_SECONDS = 0.5
 
 # The generated function carries no types.
 _register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
@@ -94,11 +96,16 @@ class RaftServicer:
             )
 
     async def _receive(self, member_id: str, context: Any) -> None:
+        loop = asyncio.get_running_loop()
+        answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
                 raise MalformedMessage("a second hello, or too many messages at once")
             for message in request.messages:
                 self._deliver(Received(member_id, decode_message(message)))
+            if loop.time() - answered_at >= ANSWER_SECONDS:
+                answered_at = loop.time()
+                await context.write(pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION))
 
     async def _explain(self, reader: asyncio.Task[None], context: Any) -> None:
         if reader.cancelled():

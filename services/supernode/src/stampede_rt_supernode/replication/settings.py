@@ -32,6 +32,7 @@ class RaftTiming:
     election_timeout_max_seconds: float = 2.0
     leader_fallback_seconds: float = 2.0
     reconnect_seconds: float = 0.5
+    link_silence_seconds: float = 3.0
     read_retry_seconds: float = 0.5
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """The store on disk: one SQLite database for log, term, vote, commit index and snapshot.
 
-Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Every row carries a checksum,
-so that a flipped bit is found when the store is opened, and never applied.
+Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Every row carries a checksum, and
+every commit is counted, so that damage is found when the store is opened, and never applied.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ from stampede_rt_supernode.replication.storage import (
     StoredState,
     StoreRefused,
 )
+from stampede_rt_supernode.replication.watermark import Watermark
 
 FORMAT_VERSION = 1
 DATABASE_NAME = "replicated_log.sqlite3"
+WATERMARK_NAME = "replicated_log.watermark"
 
 _SCHEMA = """
 CREATE TABLE identity (
@@ -29,7 +31,7 @@ CREATE TABLE identity (
     cluster_id TEXT NOT NULL, member_id TEXT NOT NULL) STRICT;
 CREATE TABLE hard_state (
     id INTEGER PRIMARY KEY CHECK (id = 1), term INTEGER NOT NULL, voted_for TEXT,
-    commit_index INTEGER NOT NULL, checksum INTEGER NOT NULL) STRICT;
+    commit_index INTEGER NOT NULL, commits INTEGER NOT NULL, checksum INTEGER NOT NULL) STRICT;
 CREATE TABLE entry (
     log_index INTEGER PRIMARY KEY, term INTEGER NOT NULL, command BLOB NOT NULL, checksum INTEGER NOT NULL) STRICT;
 CREATE TABLE snapshot (
@@ -49,6 +51,8 @@ class SqliteStore:
     def __init__(self, data_dir: Path, *, cluster_id: str, member_id: str, create: bool) -> None:
         """Open or create; blocks. Raises StoreRefused or StoreDamaged with the way out."""
         self._path = data_dir / DATABASE_NAME
+        # How many transactions the store has seen; also beside the database, see watermark.py.
+        self._commits = 0
         existed = holds_store(data_dir)
         if not existed and not create:
             raise StoreRefused(
@@ -58,13 +62,14 @@ class SqliteStore:
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         try:
             self._db = self._connect()
-            self._claim(cluster_id, member_id, existed)
+            self._claim(cluster_id, member_id)
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise StoreRefused(f"{self._path} is in use by another process: stop that one first") from error
             raise StoreDamaged(f"{self._path} cannot be opened ({error}): {_REJOIN}") from error
         except sqlite3.DatabaseError as error:
             raise StoreDamaged(f"{self._path} is not a sound database ({error}): {_REJOIN}") from error
+        self._watermark = Watermark(data_dir / WATERMARK_NAME)
 
     def _connect(self) -> sqlite3.Connection:
         # The log hands the store to its own thread, and nobody else uses it then.
@@ -74,7 +79,7 @@ class SqliteStore:
         db.execute("PRAGMA synchronous=FULL")
         return db
 
-    def _claim(self, cluster_id: str, member_id: str, existed: bool) -> None:
+    def _claim(self, cluster_id: str, member_id: str) -> None:
         self._db.execute("BEGIN IMMEDIATE")
         has_schema = self._db.execute("SELECT 1 FROM sqlite_master WHERE name = 'identity'").fetchone()
         if not has_schema:
@@ -103,14 +108,18 @@ class SqliteStore:
     def _load(self) -> StoredState:
         entries = self._load_entries()
         snapshot = self._load_snapshot()
-        row = self._db.execute("SELECT term, voted_for, commit_index, checksum FROM hard_state").fetchone()
+        row = self._db.execute("SELECT term, voted_for, commit_index, commits, checksum FROM hard_state").fetchone()
         if row is None:
-            if entries or snapshot:
+            if entries or snapshot or self._watermark.read():
                 raise StoreDamaged(f"{self._path} has lost its term and vote: {_REJOIN}")
             return StoredState()
-        term, voted_for, commit_index, checksum = row
-        if checksum != _hard_state_checksum(term, voted_for, commit_index):
+        term, voted_for, commit_index, self._commits, checksum = row
+        if checksum != _hard_state_checksum(*row[:-1]):
             raise StoreDamaged(f"{self._path}: term and vote fail their checksum: {_REJOIN}")
+        if self._commits < self._watermark.read():
+            raise StoreDamaged(
+                f"{self._path} holds {self._commits} commits and has held {self._watermark.read()}: {_REJOIN}"
+            )
         if not entries:
             raise StoreDamaged(f"{self._path} has lost its entries: {_REJOIN}")
         self._check_shape(entries, snapshot, commit_index)
@@ -156,28 +165,28 @@ class SqliteStore:
             rows = ((entry.log_index, entry.term, entry.command, _entry_checksum(entry)) for entry in changes.entries)
             db.executemany("INSERT INTO entry VALUES (?, ?, ?, ?)", rows)
         db.execute("DELETE FROM entry WHERE log_index < ?", (changes.first_index,))
-        hard_state = (changes.term, changes.voted_for, changes.commit_index)
-        db.execute("INSERT OR REPLACE INTO hard_state VALUES (1, ?, ?, ?, ?)", (*hard_state, _crc(repr(hard_state))))
+        hard_state = (changes.term, changes.voted_for, changes.commit_index, self._commits + 1)
+        row = (*hard_state, _hard_state_checksum(*hard_state))
+        db.execute("INSERT OR REPLACE INTO hard_state VALUES (1, ?, ?, ?, ?, ?)", row)
         if changes.snapshot is not None:
             record = changes.snapshot.record
-            row = (changes.snapshot.last_log_index, record, hashlib.sha256(record).digest())
-            db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?, ?)", row)
+            sealed = (changes.snapshot.last_log_index, record, hashlib.sha256(record).digest())
+            db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?, ?)", sealed)
         db.execute("COMMIT")
+        self._commits += 1
+        self._watermark.note(self._commits)
 
     def close(self) -> None:
         """Let go of the database and its lock."""
         self._db.close()
+        self._watermark.close()
 
 
 _REJOIN = "empty the folder and let this member join again under a new id"
 
 
-def _crc(text: str) -> int:
-    return zlib.crc32(text.encode())
-
-
-def _hard_state_checksum(term: int, voted_for: str | None, commit_index: int) -> int:
-    return _crc(repr((term, voted_for, commit_index)))
+def _hard_state_checksum(term: int, voted_for: str | None, commit_index: int, commits: int) -> int:
+    return zlib.crc32(repr((term, voted_for, commit_index, commits)).encode())
 
 
 def _entry_checksum(entry: Entry) -> int:
