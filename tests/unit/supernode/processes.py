@@ -47,7 +47,9 @@ class Supernode:
         )
         assert self._process.stdout is not None
         async with asyncio.timeout(PATIENCE_SECONDS):
-            return (await self._process.stdout.readline()).decode().rstrip("\n")
+            line = await self._process.stdout.readline()
+        assert line, f"{self.name} ended before it was ready"
+        return line.decode().rstrip("\n")
 
     async def end(self, number: signal.Signals) -> tuple[int, bytes]:
         """Signal it; returns its exit code and what it printed since it was ready."""
@@ -62,7 +64,7 @@ class Supernode:
 
     async def close(self) -> None:
         await self.channel.close()
-        if self._process is not None:
+        if self._process is not None and self._process.returncode is None:
             await self.end(signal.SIGKILL)
 
 
