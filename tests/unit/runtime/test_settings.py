@@ -177,6 +177,7 @@ def test_help_lists_every_flag_with_its_text_and_default() -> None:
     assert "--lease-ttl" in text
     assert "how long [default: 5 s]" in text
     assert "100 % loud [default: no]" in text
+    assert "how large [default: 1 MiB]" in text
     assert "how much (info, debug) [default: info]" in text
     assert "STAMPEDE_SAMPLE_LISTEN" in text
 

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from stampede_rt_runtime.values import (
     Address,
+    format_size,
     parse_address,
     parse_bool,
     parse_duration,
@@ -57,6 +60,11 @@ def test_a_duration_needs_a_number_and_a_unit(text: str) -> None:
 @pytest.mark.parametrize(("text", "bytes_"), [("0", 0), ("10", 10), ("3B", 3), ("64KiB", 65536), ("20 MiB", 20 << 20)])
 def test_a_size_is_in_bytes(text: str, bytes_: int) -> None:
     assert parse_size(text) == bytes_
+
+
+@given(st.integers(0, 2**40), st.integers(0, 3))
+def test_a_formatted_size_parses_to_itself(count: int, unit: int) -> None:
+    assert parse_size(format_size(count << (10 * unit))) == count << (10 * unit)
 
 
 @pytest.mark.parametrize("text", ["", "-1", "1KB", "1.5MiB", "MiB"])

@@ -20,7 +20,7 @@ class LocalCluster:
     """Use as a context manager: everything is ready inside, and gone after it.
 
     `listen` is the first front-end's address; the others and all other services take free ports of the same host.
-    `durable` supernodes keep their log in `folder` and can be restarted; others forget everything. `folder` is a
+    If `durable`, supernodes keep their log and hosts their identity in `folder`, and can be restarted. `folder` is a
     temporary one unless named, None if nothing needs it; `secret_file` is made in it unless named. `on_line` and
     `on_exit`: see ServiceProcess.
     """
@@ -117,6 +117,9 @@ class LocalCluster:
         assert self.folder is not None, "there is a folder whenever something is written"
         return self.folder / name
 
+    def _data_dir(self, name: str) -> list[str]:
+        return ["--data-dir", str(self._inside(name))] if self._durable else []
+
     def _first_dead(self) -> ServiceProcess | None:
         """A supernode that died explains a host that is not ready, not the other way round."""
         return next((one for one in reversed(list(self.processes())) if one.ended), None)
@@ -134,8 +137,7 @@ class LocalCluster:
         return [self._plan_supernode(name, address) for name, address in members.items()]
 
     def _plan_supernode(self, name: str, address: str) -> ServiceProcess:
-        folder = ["--data-dir", str(self._inside(name))] if self._durable else []
-        arguments = ["--listen", address, "--id", name, "--members", self._members, *folder]
+        arguments = ["--listen", address, "--id", name, "--members", self._members, *self._data_dir(name)]
         return self._process(f"supernode {name}", "stampede_rt_supernode", *arguments)
 
     def _plan_frontends(self, ports: list[int]) -> list[ServiceProcess]:
@@ -152,5 +154,5 @@ class LocalCluster:
 
     def _plan_host(self, number: int) -> ServiceProcess:
         name = f"h{number}"
-        arguments = ["--listen", self._at(0), "--name", name, "--frontend", self.address]
+        arguments = ["--listen", self._at(0), "--name", name, "--frontend", self.address, *self._data_dir(name)]
         return self._process(f"host {name}", "stampede_rt_channel_host", *arguments)

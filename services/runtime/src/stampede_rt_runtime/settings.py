@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_args, get_type_hints
 
 from stampede_rt.timeline import format_duration
-from stampede_rt_runtime.values import parse_bool, parse_duration, parse_int
+from stampede_rt_runtime.values import format_size, parse_bool, parse_duration, parse_int, parse_size
 
 EXIT_BAD_SETTINGS = 2
 
@@ -125,8 +125,9 @@ class _Setting:
         return f"{self._shown(high)} or less" if low is None else f"{self._shown(low)} to {self._shown(high)}"
 
     def _shown(self, value: Any) -> str:
-        if self.field.metadata.get("parse") is parse_duration and isinstance(value, int):
-            return format_duration(value)
+        parse = self.field.metadata.get("parse")
+        if isinstance(value, int) and parse in (parse_duration, parse_size):
+            return format_duration(value) if parse is parse_duration else format_size(value)
         return ",".join(value) if isinstance(value, tuple) else str(value)
 
     def help(self) -> str:

@@ -74,6 +74,14 @@ def parse_size(text: str) -> int:
     return int(number) * _BYTES[unit]
 
 
+def format_size(count: int) -> str:
+    """A number of bytes as `parse_size` takes it, in the largest unit that leaves it whole."""
+    for unit in ("GiB", "MiB", "KiB"):
+        if count and count % _BYTES[unit] == 0:
+            return f"{count // _BYTES[unit]} {unit}"
+    return f"{count} B"
+
+
 def parse_bool(text: str) -> bool:
     """A yes or no. Raises ValueError."""
     word = text.strip().lower()
