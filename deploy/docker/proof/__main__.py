@@ -1,0 +1,198 @@
+"""Runs a compose project without an engine, from its real images, and checks that it does what it promises.
+
+    unshare --net --mount python deploy/docker/proof --project project.json --images images.json --work FOLDER
+
+`project.json` is what compose_check prints; `images.json` maps each image to its `root` folder and `config`. Must be
+root, in network and mount namespaces of its own: this process is the machine, every container gets namespaces below.
+Prints one line for each thing that was seen to hold; exit code 1, with the reason, at the first that does not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import network
+from container import Container, ProofFailed
+from plan import ContainerPlan, NotProvable, hosts_file, plan_project, start_order
+
+PROGRAM = Path(__file__).with_name("first_program.py")
+PROGRAM_SECONDS = 60.0
+EXPECTED = ["newest: b'three'", "last 30 s: [b'one', b'two', b'three']"]
+_BEGAN = time.monotonic()
+
+
+def main() -> int:
+    """Returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("project", "images", "work"):
+        parser.add_argument(f"--{name}", type=Path, required=True)
+    given = parser.parse_args()
+    project, images = json.loads(given.project.read_text()), json.loads(given.images.read_text())
+    try:
+        prove(project, images, given.work)
+    except (ProofFailed, NotProvable) as error:
+        sys.stderr.write(f"NOT PROVED: {error}\n")
+        return 1
+    return 0
+
+
+def prove(project: Mapping[str, Any], images: Mapping[str, Mapping[str, Any]], work: Path) -> None:
+    """The whole proof. Raises ProofFailed or NotProvable; leaves nothing running."""
+    configs = {name: image["config"] for name, image in images.items()}
+    plans = plan_project(project, configs, str(work / "volumes"))
+    make_volumes(plans, images)
+    network.make_bridge(project)
+    hosts = hosts_file(plans)
+    containers = {
+        name: Container(plan, number, images[plan.image]["root"], hosts, work / f"{name}.log")
+        for number, (name, plan) in enumerate(sorted(plans.items()))
+    }
+    secret = Path(next(iter(project["secrets"].values()))["file"])
+    try:
+        with published(plans):
+            use(containers, start_order(plans), secret)
+    finally:
+        for container in containers.values():
+            container.kill()
+
+
+def use(containers: Mapping[str, Container], order: list[str], secret: Path) -> None:
+    """Everything between start and stop, in the order in which an operator would meet it."""
+    start(containers, order)
+    for container in containers.values():
+        check_rights(container, secret.read_text().strip())
+    run_program("cam/left", secret)
+    check_refusal(secret.parent)
+    survive_a_death(containers, secret)
+    for container in containers.values():
+        check_limits(container)
+    for name in reversed(order):
+        say(f"{name} stopped by SIGTERM with exit code 0 after {containers[name].stop():.1f} s")
+
+
+def make_volumes(plans: Mapping[str, ContainerPlan], images: Mapping[str, Mapping[str, Any]]) -> None:
+    """A new named volume begins as a copy, owner and mode included, of what the image has at its place."""
+    for plan in plans.values():
+        for kind, source, target in plan.mounts:
+            if kind == "bind":
+                Path(source).parent.mkdir(parents=True, exist_ok=True)
+                subprocess.run(["cp", "--archive", images[plan.image]["root"] + target, source], check=True)
+
+
+@contextmanager
+def published(plans: Mapping[str, ContainerPlan]) -> Iterator[None]:
+    """Every published port is listened at while the block runs, on a thread with an event loop of its own."""
+    loop = asyncio.new_event_loop()
+
+    async def listen() -> None:
+        for plan in plans.values():
+            for host, port, inner in plan.published:
+                await network.publish(host, port, (plan.address, inner))
+
+    loop.run_until_complete(listen())
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+
+
+def start(containers: Mapping[str, Container], order: list[str]) -> None:
+    """Start each when what it waits for is as far as its condition demands, then wait until all are healthy."""
+    healthy: set[str] = set()
+    for name in order:
+        for earlier, condition in containers[name].plan.waits_for.items():
+            if condition == "service_healthy" and earlier not in healthy:
+                say(f"{earlier} is healthy after {containers[earlier].wait_healthy():.1f} s")
+                healthy.add(earlier)
+        containers[name].start()
+        say(f"{name} started: {' '.join(containers[name].plan.argv)}")
+    for name in sorted(set(containers) - healthy):
+        say(f"{name} is healthy after {containers[name].wait_healthy():.1f} s")
+
+
+def check_rights(container: Container, secret: str) -> None:
+    """The user is the image's, without capabilities; the image cannot be changed; the secret is only in its file."""
+    facts, plan = container.facts(), container.plan
+    require(facts["Uid"].split() == [str(plan.uid)] * 4 and plan.uid != 0, f"{plan.service} runs as {facts['Uid']}")
+    require(int(facts["CapEff"], 16) == int(facts["CapBnd"], 16) == 0, f"{plan.service} has capabilities")
+    require(facts["NoNewPrivs"] == "1", f"{plan.service} can gain privileges")
+    require(container.run(["touch", "/opt/stampede/new"]).returncode != 0, f"{plan.service} can change its image")
+    environment = Path(f"/proc/{container.pid}/environ").read_bytes()
+    require(secret.encode() not in environment, f"{plan.service} has the secret in its environment")
+    say(f"{plan.service} runs as user {plan.uid} without capabilities, on a root that it cannot write")
+
+
+def run_program(channel: str, secret: Path) -> None:
+    """The first program, outside all containers, against the published port."""
+    done = client([str(PROGRAM), channel], {"STAMPEDE_SECRET_FILE": str(secret)})
+    require(done.returncode == 0, f"the first program failed:\n{done.stdout}{done.stderr}")
+    require(done.stdout.splitlines() == EXPECTED, f"the first program printed:\n{done.stdout}")
+    say(f"the first program, run on the machine with {channel}, printed: " + "; ".join(EXPECTED))
+
+
+def check_refusal(folder: Path) -> None:
+    """Without the secret nobody gets in."""
+    wrong = folder / "another-secret"
+    wrong.write_text("not the secret of this cluster\n")
+    wrong.chmod(0o600)
+    done = client([str(PROGRAM)], {"STAMPEDE_SECRET_FILE": str(wrong)})
+    require(done.returncode != 0 and "PermissionDenied" in done.stderr, f"a stranger was let in:\n{done.stderr}")
+    say("a program that brings another secret is refused with PermissionDenied")
+
+
+def survive_a_death(containers: Mapping[str, Container], secret: Path) -> None:
+    """A supernode is killed; programs go on; the restart policy brings it back on its volume."""
+    victim = containers["supernode-1"]
+    victim.kill()
+    run_program("cam/right", secret)
+    victim.start()
+    say(f"supernode-1, killed meanwhile, was started again and is healthy after {victim.wait_healthy():.1f} s")
+
+
+def check_limits(container: Container) -> None:
+    """What the file allows is well above what an idle service needs: a limit that kills at once is no limit."""
+    facts, plan = container.facts(), container.plan
+    peak, tasks = int(facts["VmHWM"].split()[0]) * 1024, int(facts["Threads"])
+    require(2 * peak < plan.memory_bytes_max, f"{plan.service} used {peak} of {plan.memory_bytes_max} bytes")
+    require(2 * tasks < plan.tasks_max, f"{plan.service} has {tasks} of {plan.tasks_max} tasks")
+    allowed = plan.memory_bytes_max // 2**20
+    say(f"{plan.service} used {peak // 2**20} of {allowed} MiB and {tasks} of {plan.tasks_max} tasks at most")
+
+
+def client(words: list[str], env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
+    """Run a Python program on the machine, with this interpreter, and with no setting of ours but `env`."""
+    outer = {key: value for key, value in os.environ.items() if not key.startswith("STAMPEDE_")}
+    command = [sys.executable, *words]
+    return subprocess.run(
+        command, env=outer | dict(env), capture_output=True, text=True, timeout=PROGRAM_SECONDS, check=False
+    )
+
+
+def require(holds: bool, otherwise: str) -> None:
+    """Raises ProofFailed with `otherwise` if it does not hold."""
+    if not holds:
+        raise ProofFailed(otherwise)
+
+
+def say(line: str) -> None:
+    """One thing that was seen, with the time since the start."""
+    sys.stdout.write(f"  {time.monotonic() - _BEGAN:5.1f} s  {line}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,66 @@
+"""A bridge network as Compose makes it, and published ports, inside the network namespace that this process is in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import subprocess
+from collections.abc import Mapping
+from typing import Any
+
+BRIDGE = "cluster0"
+FORWARD_BYTES_MAX = 64 * 2**10
+
+
+def make_bridge(project: Mapping[str, Any]) -> None:
+    """The project's one network; this namespace is the machine, and has the gateway's address."""
+    (network,) = project["networks"].values()
+    (config,) = network["ipam"]["config"]
+    prefix = ipaddress.ip_network(config["subnet"]).prefixlen
+    ip("link", "set", "lo", "up")
+    ip("link", "add", BRIDGE, "type", "bridge")
+    ip("addr", "add", f"{config['gateway']}/{prefix}", "dev", BRIDGE)
+    ip("link", "set", BRIDGE, "up")
+
+
+def plug_in(pid: int, number: int, address: str) -> None:
+    """Give the network namespace of process `pid` one interface on the bridge, with `address`, and its loopback."""
+    inner, outer = f"inner{number}", f"outer{number}"
+    ip("link", "add", outer, "type", "veth", "peer", "name", inner)
+    ip("link", "set", outer, "master", BRIDGE, "up")
+    ip("link", "set", inner, "netns", str(pid))
+    for words in (
+        ["link", "set", "lo", "up"],
+        ["link", "set", inner, "name", "eth0"],
+        ["addr", "add", f"{address}/24", "dev", "eth0"],
+        ["link", "set", "eth0", "up"],
+    ):
+        subprocess.run(["nsenter", "--target", str(pid), "--net", "ip", *words], check=True)
+
+
+def ip(*words: str) -> None:
+    """Raises CalledProcessError if it is refused."""
+    subprocess.run(["ip", *words], check=True)
+
+
+async def publish(host: str, port: int, target: tuple[str, int]) -> asyncio.Server:
+    """Listen at `host:port` and pass every connection on to `target`, as the engine's own proxy does."""
+
+    async def forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            there = await asyncio.open_connection(*target)
+        except OSError:
+            writer.close()  # nobody listens there: the caller sees its connection end
+            return
+        await asyncio.gather(_pump(reader, there[1]), _pump(there[0], writer))
+
+    return await asyncio.start_server(forward, host, port)
+
+
+async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+    with contextlib.suppress(ConnectionError):  # either end may go first
+        while data := await source.read(FORWARD_BYTES_MAX):
+            sink.write(data)
+            await sink.drain()
+    sink.close()
