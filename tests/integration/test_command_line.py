@@ -143,22 +143,22 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
     [
         (["get", "no/such/channel"], 1, "no/such/channel"),
         (["put", "Wrong Name", "x"], 1, "not allowed; use"),
-        (["put", "cli/a", "x", "--max-items", "3"], 1, "cli/a"),
-        (["get", "cli/a", "5", "3"], 1, "starts at"),
-        (["get", "cli/a", "5"], 1, "two times"),
-        (["get", "cli/a", "yesterday", "now"], 2, "is no time"),
-        (["get", "cli/a", "--last", "10"], 1, "ns, us, ms"),
-        (["put", "cli/a", "x", "--time", str(2**62)], 1, "ahead"),
+        (["put", "cli/wrong", "x", "--max-age", "3s"], 1, "cli/wrong"),
+        (["get", "cli/wrong", "5", "3"], 1, "starts at"),
+        (["get", "cli/wrong", "5"], 1, "two times"),
+        (["get", "cli/wrong", "yesterday", "now"], 2, "is no time"),
+        (["get", "cli/wrong", "--last", "10"], 1, "ns, us, ms"),
+        (["put", "cli/wrong", "x", "--time", str(2**62)], 1, "ahead"),
         (["ls", "--colour"], 2, "--colour"),
         (["fly"], 2, "fly"),
         ([], 2, "VERB"),
         (["ls", "--url", "localhost:1"], 1, "cannot connect to localhost:1"),
         (["ls", "--url", "localhost:x"], 1, "port from 1 to 65535"),
-        (["hz", "cli/a", "--every", "0"], 2, "0.05 to 3600"),
+        (["hz", "cli/wrong", "--every", "0"], 2, "0.05 to 3600"),
     ],
 )
 def test_wrong_use_is_answered_with_the_way_out(stampede: Run, arguments: list[str], status: int, said: str) -> None:
-    stampede("put", "cli/a", "x", "--content-type", "text/plain")
+    stampede("put", "cli/wrong", "x", "--max-age", "60s")
     assert said in stampede(*arguments, status=status).stderr
 
 
