@@ -127,6 +127,7 @@ class _Lockstep(_Exchange):
     def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
         super().__init__(port, method)
         self._watchdog = watchdog
+        self._next_id = 0
 
     def _next(self, limit: list[bool]) -> Any:
         try:
@@ -145,7 +146,9 @@ class GetExchange(_Lockstep):
     """Gets on one open stream, one at a time."""
 
     def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
-        """All responses to `request`."""
+        """All responses to `request`, which gets a call id here."""
+        self._next_id += 1
+        request.call_id = self._next_id
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
             responses = [self._next(limit)]
