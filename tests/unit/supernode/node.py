@@ -40,6 +40,7 @@ class Node:
     leases: LeaseKeeper
     watches: Watches
     probe: Probe
+    submission: Submission
     clock: ManualClock
     stub: Any
 
@@ -100,7 +101,7 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
         dial(server.address, secret=None) as channel,
     ):
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
-        yield Node(log, replica, leases, watches, probe, clock, stub)
+        yield Node(log, replica, leases, watches, probe, submission, clock, stub)
         watches.close()
 
 

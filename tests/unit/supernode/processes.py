@@ -62,6 +62,15 @@ class Supernode:
         self._process = None
         return code, rest
 
+    def freeze(self) -> None:
+        """Nothing of it runs until `thaw`."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        assert self._process is not None
+        self._process.send_signal(signal.SIGCONT)
+
     async def close(self) -> None:
         await self.channel.close()
         if self._process is not None and self._process.returncode is None:

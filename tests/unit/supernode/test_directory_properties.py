@@ -23,7 +23,7 @@ from stampede_rt_supernode.commands import (
 )
 from stampede_rt_supernode.directory import Directory
 from stampede_rt_supernode.records import ChangeKind, Channel, Endpoint
-from stampede_rt_supernode.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
 from tests.unit.supernode.deeds import id_of
 
 hosts = st.integers(1, 4).map(id_of)
@@ -46,6 +46,7 @@ class DirectoryMachine(RuleBasedStateMachine):
         self.index = 0
         self.drawn = 0
         self.epochs: dict[bytes, tuple[int, int]] = {}
+        self.writer = SnapshotWriter()
         self.mirror: dict[bytes, Channel] = {}
         self.position = 0
 
@@ -137,6 +138,7 @@ class DirectoryMachine(RuleBasedStateMachine):
     @invariant()
     def all_replicas_agree(self) -> None:
         assert encode_snapshot(self.directory) == encode_snapshot(self.twin) == encode_snapshot(self.restored)
+        assert self.writer.write(self.directory) == encode_snapshot(self.directory), "what is kept is not outdated"
 
     @invariant()
     def names_and_ids_are_one_to_one(self) -> None:

@@ -76,6 +76,10 @@ async def test_what_one_acknowledged_all_read_and_the_loss_of_the_leader_is_surv
         for one in cluster.supernodes:
             assert (await resolve(one, "cam/before")).channel == opened.channel
 
+        racers = await asyncio.gather(*(open_channel(one, "cam/raced-for") for one in cluster.supernodes))
+        assert len({racer.channel.channel_id for racer in racers}) == 1
+        assert [racer.created for racer in racers].count(True) == 1
+
         watch = second.stub.Watch(pb.WatchRequest())
         await watch.read()
         await open_channel(leader, "cam/last-words")
@@ -121,6 +125,20 @@ async def test_the_loss_of_all_three_at_once_loses_nothing_that_was_acknowledged
             for channel in opened:
                 assert (await resolve(one, channel.channel.name)).channel == channel.channel
         assert await cluster_id_of(cluster.supernodes[1]) == cluster_id
+
+
+async def test_a_frozen_leader_is_replaced_and_answers_with_nothing_stale_when_it_thaws(tmp_path: Path) -> None:
+    async with running_cluster(tmp_path) as cluster:
+        leader = await cluster.leader()
+        first, second = cluster.others(leader)
+        await register(first, 1)
+        leader.freeze()
+        began = time.monotonic()
+        opened = await open_channel(first, "cam")
+        assert time.monotonic() - began < TAKEOVER_SECONDS_MAX
+        leader.thaw()
+        for one in (leader, second):
+            assert (await resolve(one, "cam")).channel == opened.channel
 
 
 async def test_a_lease_that_is_renewed_outlives_its_leader_and_one_that_is_not_ends(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -106,6 +107,14 @@ async def test_a_failed_proposal_is_repeated_a_bounded_number_of_times(
     request = pb.DeleteChannelRequest(request_id=id_of(1), channel_id=id_of(2))
     await reason_of(node.stub.DeleteChannel(request, timeout=0.6))
     assert 1000 - len(node.log.fates) < 15
+
+
+async def test_a_call_that_waits_when_the_supernode_stops_is_sent_to_another(node: Node) -> None:
+    node.log.fates.extend([Fate.REFUSED] * 1000)
+    waiting = asyncio.ensure_future(node.open("cam"))
+    await node.log.fate_met.wait()
+    node.submission.close()
+    assert (await reason_of(waiting)).reason == "SHUTTING_DOWN"
 
 
 async def test_channels_are_listed_by_pattern_and_page(node: Node) -> None:

@@ -57,6 +57,7 @@ async def serve(settings: SupernodeSettings) -> None:
 
         async def end_streams() -> None:
             watches.close()
+            submission.close()
             await log.close()
 
         async with _background(server, leases.run(), probe.run(), _follow_leader(server, members)):

@@ -11,7 +11,7 @@ from stampede_rt_supernode.records import Channel, Host
 from stampede_rt_supernode.tables import Tables
 
 PAGE_SIZE_MAX = 1000
-NAMES_EXAMINED_MAX = 20_000  # for one page: a pattern that matches little must not hold the log up
+NAMES_EXAMINED_MAX = 5_000  # for one page: a pattern that matches little must not hold the log up
 HOST_CHANNELS_MAX = 1000
 
 

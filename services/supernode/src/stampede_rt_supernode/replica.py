@@ -14,7 +14,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_supernode.command_codec import decode_command, encode_result
 from stampede_rt_supernode.commands import Refused
 from stampede_rt_supernode.directory import Directory
-from stampede_rt_supernode.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.snapshot_codec import SnapshotWriter, decode_snapshot
 
 T = TypeVar("T")
 
@@ -25,6 +25,7 @@ class DirectoryReplica:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._directory = Directory()
+        self._snapshots = SnapshotWriter()
         self._listener: Callable[[], None] = _nobody
         self.restored = 0
 
@@ -44,15 +45,15 @@ class DirectoryReplica:
         return result
 
     def snapshot(self) -> bytes:
-        """The whole state, as of the last applied command."""
-        with self._lock:
-            return encode_snapshot(self._directory)
+        """The whole state, as of the last applied command. No lock is needed: only this thread changes it."""
+        return self._snapshots.write(self._directory)
 
     def restore(self, snapshot: bytes) -> None:
         """Replace the whole state. Raises for a damaged snapshot: going on without it would answer wrongly."""
-        directory = decode_snapshot(snapshot)
+        directory, snapshots = decode_snapshot(snapshot), SnapshotWriter()
+        snapshots.write(directory)  # now, since a long restore is expected, and a long first snapshot is not
         with self._lock:
-            self._directory = directory
+            self._directory, self._snapshots = directory, snapshots
             self.restored += 1
         self._listener()
 

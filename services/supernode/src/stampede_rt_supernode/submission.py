@@ -27,6 +27,11 @@ class Submission:
     def __init__(self, log: ReplicatedLog, *, time_unix_nano: Callable[[], int]) -> None:
         self._log = log
         self._time_unix_nano = time_unix_nano
+        self._closed = False
+
+    def close(self) -> None:
+        """From now on nothing is tried again: what is under way ends with SHUTTING_DOWN, unless it succeeds now."""
+        self._closed = True
 
     async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float) -> R:
         """Replicate `deed` and return what came of it, a `kind`. Repeated with the same `op_id`, it is done once.
@@ -55,7 +60,7 @@ class Submission:
     async def _persist(self, attempt: Callable[[float], Awaitable[T]], seconds: float) -> T:
         deadline = time.monotonic() + seconds
         backoff, ambiguous = BACKOFF_SECONDS_MIN, False
-        while (left := deadline - time.monotonic()) > 0:
+        while (left := deadline - time.monotonic()) > 0 and not self._closed:
             try:
                 return await attempt(min(left, ATTEMPT_SECONDS_MAX))
             except Unavailable:
@@ -65,7 +70,9 @@ class Submission:
             left = deadline - time.monotonic()
             await asyncio.sleep(max(0.0, min(left, backoff * random.uniform(0.5, 1.0))))
             backoff = min(2 * backoff, BACKOFF_SECONDS_MAX)
-        raise _unknown(seconds) if ambiguous else _no_quorum(seconds)
+        if ambiguous:
+            raise _unknown(seconds)
+        raise _shutting_down() if self._closed else _no_quorum(seconds)
 
 
 def _unknown(seconds: float) -> errors.Unavailable:
@@ -82,3 +89,7 @@ def _no_quorum(seconds: float) -> errors.Unavailable:
         "them run and reach each other",
         reason="NO_QUORUM",
     )
+
+
+def _shutting_down() -> errors.Unavailable:
+    return errors.Unavailable("this supernode is about to stop; go to another one", reason="SHUTTING_DOWN")
