@@ -16,8 +16,9 @@ from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.world import SimMember, Weather, World
 
 STORM_SECONDS = 12.0
-# After everything is healed: an election, and a round of catching up by snapshot, with slow wires.
-HEAL_SECONDS = 30.0
+# After everything is healed every member must serve, and then hold everything, within this time. Twice the worst
+# of 120 seeds; the promise for the first of it, an election included, is 5 s.
+HEAL_SECONDS = 8.0
 
 
 def weather_of(dice: random.Random) -> Weather:
@@ -141,7 +142,7 @@ def calm(world: World) -> None:
     for number, member in enumerate(world.members.values()):
         command, served = f"calm-{number}".encode(), False
         while not served and world.now < end:
-            outcomes = world.propose(member, command, timeout=4.0)
+            outcomes = world.propose(member, command, timeout=2.0)
             world.run_until(end, lambda outcomes=outcomes: bool(outcomes))
             served = bool(outcomes) and isinstance(outcomes[0], bytes)
             command += b"'"

@@ -13,8 +13,17 @@ import grpc.aio
 import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication import Member, RaftTiming, Unavailable
+from stampede_rt_supernode.replication import (
+    COMMAND_BYTES_MAX,
+    Ambiguous,
+    Member,
+    RaftTiming,
+    ReplicationSettings,
+    Unavailable,
+    open_replicated_log,
+)
 from tests.robustness.replication.live_cluster import QUICK, LiveCluster, dial, running, until
+from tests.robustness.replication.machine import ListMachine
 
 EXCHANGE = "/stampede_rt.v1.RaftService/Exchange"
 
@@ -32,9 +41,9 @@ async def test_a_member_without_a_folder_serves_from_memory() -> None:
         assert await running(cluster.all[0]).propose(b"hello", timeout=1.0) == b"3"
 
 
-async def test_with_the_default_periods_a_cluster_serves_within_three_seconds(tmp_path: Path) -> None:
+async def test_with_the_default_periods_a_new_cluster_serves_within_five_seconds(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path, timing=RaftTiming()) as cluster:
-        assert int(await running(cluster.all[0]).propose(b"hello", timeout=3.5)) > 1
+        assert int(await running(cluster.all[0]).propose(b"hello", timeout=5.0)) > 1
 
 
 async def test_every_member_takes_commands_and_sees_all_of_them(tmp_path: Path) -> None:
@@ -102,6 +111,56 @@ async def test_everything_stopped_comes_back_with_all_that_was_acknowledged(tmp_
             await cluster.start(member)
         await running(cluster.all[0]).confirm_read(timeout=5.0)
         assert {command for _, command in cluster.all[0].machine.entries} == {b"%d" % n for n in range(30)}
+
+
+async def test_a_command_over_the_limit_is_refused_by_name_and_size(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path) as cluster:
+        log = running(cluster.all[0])
+        assert await log.propose(b"x" * COMMAND_BYTES_MAX, timeout=2.0)
+        with pytest.raises(ValueError, match="65537 bytes is over the limit of 65536"):
+            await log.propose(b"x" * (COMMAND_BYTES_MAX + 1), timeout=2.0)
+
+
+async def test_closing_ends_what_waits_at_once(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        first, second, third = cluster.all
+        await second.stop()
+        await third.stop()
+        await until(lambda: running(first).status().leader_id is None)
+        log = running(first)
+        waiting = [
+            asyncio.ensure_future(log.propose(b"never", timeout=60.0)),
+            asyncio.ensure_future(log.confirm_read(timeout=60.0)),
+        ]
+        await asyncio.sleep(0)
+        async with asyncio.timeout(5.0):
+            await log.close()
+            for each in waiting:
+                with pytest.raises(Unavailable):
+                    await each
+
+
+async def test_a_failure_in_the_state_machine_is_fatal_and_never_answered(tmp_path: Path) -> None:
+    class Broken(ListMachine):
+        def apply(self, index: int, command: bytes) -> bytes:
+            raise ZeroDivisionError("a state machine must not raise")
+
+    failed = asyncio.get_running_loop().create_future()
+    loop = asyncio.get_running_loop()
+    server = grpc.aio.server()
+    address = f"127.0.0.1:{server.add_insecure_port('127.0.0.1:0')}"
+    member = Member(member_id="m0", address=address)
+    log = await open_replicated_log(
+        ReplicationSettings(self_member=member, initial_members=[member]),
+        Broken(),
+        dial,
+        server,
+        on_fatal=lambda error: loop.call_soon_threadsafe(failed.set_result, error),
+    )
+    with pytest.raises(Ambiguous):
+        await log.propose(b"boom", timeout=0.5)
+    assert isinstance(await failed, ZeroDivisionError)
+    await log.close()
 
 
 async def test_a_closed_log_refuses_and_closing_twice_is_harmless(tmp_path: Path) -> None:

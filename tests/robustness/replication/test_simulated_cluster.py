@@ -9,6 +9,7 @@ from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.raft_node import InvariantViolation
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.simulate import run
+from tests.robustness.replication.world import Weather, World
 
 SEEDS_IN_SUITE = 40
 
@@ -35,6 +36,71 @@ def test_a_seed_gives_the_same_run_every_time() -> None:
     assert first.history.command_at == second.history.command_at
     assert first.history.acknowledged == second.history.acknowledged
     assert first.history.acknowledged
+
+
+class StandsAtOnce(TrialElections):
+    """A member that raises its term as soon as it hears no leader, as the unchanged library does."""
+
+    def before_tick(self) -> None:
+        pass
+
+
+def calm_cluster(rules: type = TrialElections) -> tuple[World, str, int]:
+    """Three members in good weather that have elected: the world, its leader and the term."""
+    world = World(1, size=3, weather=Weather(), rules=rules)
+    for member in world.members.values():
+        member.start()
+    assert world.run_until(10.0, lambda: leader_of(world) is not None)
+    world.run_until(world.now + 1.0)
+    leader = leader_of(world)
+    assert leader is not None
+    return world, *leader
+
+
+def leader_of(world: World) -> tuple[str, int] | None:
+    statuses = [member.replica.status() for member in world.members.values() if member.replica]
+    leading = [(status.self_id, status.term) for status in statuses if status.is_leader]
+    return max(leading, key=lambda each: each[1]) if leading else None
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [TrialElections, pytest.param(StandsAtOnce, marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17"))],
+)
+def test_a_member_that_cannot_hear_the_leader_does_not_unseat_it(rules: type) -> None:
+    world, leader, term = calm_cluster(rules)
+    deaf = next(name for name in world.members if name != leader)
+    world.block([(leader, deaf), (deaf, leader)])
+    world.run_until(world.now + 30.0)
+    assert leader_of(world) == (leader, term)
+
+
+def test_a_leader_without_a_majority_stops_leading_and_answers_no_read() -> None:
+    world, leader, _ = calm_cluster()
+    cut = [ends for ends in world.wires if leader in ends]
+    world.block(cut)
+    outcomes = world.read(world.members[leader], timeout=20.0)
+    world.run_until(world.now + world.timing.leader_fallback_seconds + 1.0)
+    replica = world.members[leader].replica
+    assert replica is not None
+    assert not replica.status().is_leader
+    assert outcomes == []
+    world.unblock(cut)
+    assert world.run_until(world.now + 10.0, lambda: bool(outcomes))
+    assert outcomes[0] is not None
+
+
+def test_a_new_leader_serves_within_five_seconds_of_the_loss_of_the_old_one() -> None:
+    for victims in (1, 3):
+        world, leader, _ = calm_cluster()
+        lost = list(world.members.values()) if victims == 3 else [world.members[leader]]
+        for member in lost:
+            member.crash()
+        for member in lost if victims == 3 else []:
+            world.restart(member)
+        outcomes = world.propose(world.alive()[0], b"after", timeout=5.0)
+        assert world.run_until(world.now + 5.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+        assert isinstance(outcomes[0], bytes)
 
 
 class CutsOffWhatAgrees(TrialElections):

@@ -21,10 +21,16 @@ class LoopBridge:
         """Have `call` run on the loop; from any thread. Dropped when the loop is gone: nobody is left to hear it."""
         with self._lock:
             self._calls.append(call)
-            if self._scheduled or self._loop.is_closed():
+            if self._scheduled:
                 return
-            self._scheduled = True
-            self._loop.call_soon_threadsafe(self._drain)
+            try:
+                self._loop.call_soon_threadsafe(self._drain)
+            except RuntimeError:
+                if not self._loop.is_closed():
+                    raise
+                self._calls.clear()
+            else:
+                self._scheduled = True
 
     def _drain(self) -> None:
         with self._lock:

@@ -71,11 +71,6 @@ class ConfirmedReads:
         """Begin a read."""
         self._new.append(read)
 
-    def pending(self) -> int:
-        """How many reads are under way."""
-        lists = [self._new, *(r.reads for r in self._rounds), *(reads for _, reads in self._confirmed)]
-        return sum(map(len, lists)) + (len(self._asked.reads) if self._asked else 0)
-
     def on_message(self, node: Any, message: Message) -> None:
         """A member asks for a position, or answers."""
         if message["type"] == "read_index":
@@ -135,6 +130,13 @@ class ConfirmedReads:
                     read.done(applied)
         self._confirmed = [(index, reads) for index, reads in self._confirmed if index > applied]
         self._expire()
+
+    def close(self) -> None:
+        """End every read without an answer."""
+        self.on_leader_lost()
+        for read in [*self._new, *(read for _, reads in self._confirmed for read in reads)]:
+            read.done(None)
+        self._new, self._confirmed = [], []
 
     def _is_confirmed(self, each: _Round) -> bool:
         echoed = sum(1 for number in self._echoes.values() if number >= each.number)

@@ -136,6 +136,9 @@ class Replica:
         for proposal in self._new_proposals:
             self._proposals.add(proposal)
         self._proposals.close()
+        for read in self._new_reads:
+            self._node.reads.add(self._later(read))
+        self._node.reads.close()
         self._journal.close()
         self._run_completions()
 

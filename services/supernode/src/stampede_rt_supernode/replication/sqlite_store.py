@@ -7,6 +7,7 @@ every commit is counted, so that damage is found when the store is opened, and n
 from __future__ import annotations
 
 import hashlib
+import os
 import sqlite3
 import zlib
 from pathlib import Path
@@ -70,6 +71,10 @@ class SqliteStore:
         except sqlite3.DatabaseError as error:
             raise StoreDamaged(f"{self._path} is not a sound database ({error}): {_REJOIN}") from error
         self._watermark = Watermark(data_dir / WATERMARK_NAME)
+        if not existed:
+            # The files are on the disk; their names must be too.
+            _force_folder(data_dir)
+            _force_folder(data_dir.parent)
 
     def _connect(self) -> sqlite3.Connection:
         # The log hands the store to its own thread, and nobody else uses it then.
@@ -183,6 +188,14 @@ class SqliteStore:
 
 
 _REJOIN = "empty the folder and let this member join again under a new id"
+
+
+def _force_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _hard_state_checksum(term: int, voted_for: str | None, commit_index: int, commits: int) -> int:
