@@ -53,6 +53,10 @@ _CODES: dict[str, grpc.StatusCode] = {
     "PERMISSION_DENIED": grpc.StatusCode.PERMISSION_DENIED,
     "WATCH_RESTART": grpc.StatusCode.OUT_OF_RANGE,
     "DEADLINE_EXCEEDED": grpc.StatusCode.DEADLINE_EXCEEDED,
+    "PEER_NOT_FOUND": grpc.StatusCode.NOT_FOUND,
+    "QUEUE_FULL": grpc.StatusCode.RESOURCE_EXHAUSTED,
+    "MOVE_NOT_FOUND": grpc.StatusCode.NOT_FOUND,
+    "MOVE_CONFLICT": grpc.StatusCode.FAILED_PRECONDITION,
     "INTERNAL": grpc.StatusCode.INTERNAL,
 }
 

@@ -44,6 +44,10 @@ class ErrorReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ERROR_REASON_PEER_EXISTS: _ClassVar[ErrorReason]
     ERROR_REASON_DEADLINE_EXCEEDED: _ClassVar[ErrorReason]
     ERROR_REASON_INTERNAL: _ClassVar[ErrorReason]
+    ERROR_REASON_PEER_NOT_FOUND: _ClassVar[ErrorReason]
+    ERROR_REASON_QUEUE_FULL: _ClassVar[ErrorReason]
+    ERROR_REASON_MOVE_NOT_FOUND: _ClassVar[ErrorReason]
+    ERROR_REASON_MOVE_CONFLICT: _ClassVar[ErrorReason]
 
 class AbsenceReason(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -88,6 +92,10 @@ ERROR_REASON_QUEUE_EXISTS: ErrorReason
 ERROR_REASON_PEER_EXISTS: ErrorReason
 ERROR_REASON_DEADLINE_EXCEEDED: ErrorReason
 ERROR_REASON_INTERNAL: ErrorReason
+ERROR_REASON_PEER_NOT_FOUND: ErrorReason
+ERROR_REASON_QUEUE_FULL: ErrorReason
+ERROR_REASON_MOVE_NOT_FOUND: ErrorReason
+ERROR_REASON_MOVE_CONFLICT: ErrorReason
 ABSENCE_REASON_UNSPECIFIED: AbsenceReason
 ABSENCE_REASON_COLLECTED: AbsenceReason
 ABSENCE_REASON_NEVER: AbsenceReason
