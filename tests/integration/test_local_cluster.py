@@ -9,6 +9,7 @@ import grpc
 import pytest
 
 from stampede_rt.v1 import (
+    directory_pb2,
     directory_service_pb2,
     directory_service_pb2_grpc,
     frontend_service_pb2,
@@ -30,11 +31,11 @@ async def bind(cluster: LocalCluster) -> frontend_service_pb2.BindResponse:
         return await stub.Bind(frontend_service_pb2.BindRequest(protocol_version=1), timeout=10)
 
 
-async def hosts(address: str, cluster: LocalCluster) -> list[str]:
-    async with dial(address, secret=cluster.secret) as channel:
+async def host_records(cluster: LocalCluster, supernode: int = 0) -> dict[str, directory_pb2.HostRecord]:
+    async with dial(cluster.supernodes[supernode].address, secret=cluster.secret) as channel:
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
         answer = await stub.ListHosts(directory_service_pb2.ListHostsRequest(), timeout=10)
-    return [one.name for one in answer.hosts]
+    return {one.name: one for one in answer.hosts}
 
 
 async def test_every_service_is_ready(cluster: LocalCluster) -> None:
@@ -42,8 +43,8 @@ async def test_every_service_is_ready(cluster: LocalCluster) -> None:
     assert {one.supernode_id for one in answer.supernodes} == {"s1", "s2", "s3"}
     assert {one.endpoint.target for one in answer.supernodes} == {one.address for one in cluster.supernodes}
     assert answer.supernodes[0].healthy
-    for supernode in cluster.supernodes:
-        assert await hosts(supernode.address, cluster) == ["h1", "h2"]
+    for number in range(3):
+        assert list(await host_records(cluster, number)) == ["h1", "h2"]
 
 
 @pytest.mark.parametrize("secret", [None, WRONG])
@@ -76,10 +77,21 @@ async def test_a_killed_supernode_goes_to_the_end_of_the_list_and_comes_back(clu
     await until(lambda said: all(one.healthy for one in said.supernodes), cluster)
 
 
+async def test_a_killed_host_comes_back_as_itself(cluster: LocalCluster) -> None:
+    victim = cluster.hosts[0]
+    before = await host_records(cluster)
+    victim.kill()
+    victim.restart()
+    after = await host_records(cluster)
+    assert after["h1"].alive
+    assert after["h1"].host_id == before["h1"].host_id
+    assert after["h1"].boot_incarnation != before["h1"].boot_incarnation
+
+
 async def test_a_host_can_be_added(cluster: LocalCluster) -> None:
     added = cluster.add_host()
     assert added.alive
-    assert await hosts(cluster.supernodes[0].address, cluster) == ["h1", "h2", "h3"]
+    assert list(await host_records(cluster)) == ["h1", "h2", "h3"]
 
 
 def test_nothing_is_left_when_the_cluster_ends() -> None:

@@ -13,7 +13,7 @@ from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_runtime.auth import Secret, make_secret_file
 from stampede_rt_runtime.values import Address, parse_address
 
-READY_SECONDS = 20.0
+READY_SECONDS = 40.0  # a quiet machine needs 1 to 2, a busy one may need 10
 
 
 class LocalCluster:

@@ -113,7 +113,7 @@ class ServiceProcess:
         if self._run is not None:
             self._run.ask_to_stop()
 
-    def restart(self, timeout: float = 20.0) -> str:
+    def restart(self, timeout: float = 40.0) -> str:
         """Stop it if it runs, start it again with the same arguments, and wait until it is ready."""
         self.stop()
         self.start()
