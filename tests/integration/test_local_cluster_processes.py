@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +19,11 @@ from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
 
 READY_SECONDS = 20
+
+
+@pytest.fixture(autouse=True)
+def _services_find_the_fake_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
 
 
 @pytest.fixture
@@ -106,6 +112,14 @@ def test_our_own_environment_does_not_reach_a_service(make, monkeypatch: pytest.
     service = make("environment", "--flag")
     service.wait_ready(READY_SECONDS)
     assert "environment [] ['--flag']" in service.last_lines
+
+
+def test_a_module_in_the_users_folder_does_not_stand_in_for_a_services(
+    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "threading.py").write_text("raise SystemExit('the wrong one')")
+    monkeypatch.chdir(tmp_path)
+    assert make("good").wait_ready(READY_SECONDS)
 
 
 def test_a_service_cannot_be_started_twice(make) -> None:

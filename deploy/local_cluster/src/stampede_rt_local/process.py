@@ -83,7 +83,8 @@ class ServiceProcess:
         """Start the process and return at once; `wait_ready` waits for it."""
         if self.alive:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
-        command = [sys.executable, "-m", "stampede_rt_local.leash", self._module, *self.arguments]
+        # -P: modules of the folder that the user happens to be in must not stand in for ours.
+        command = [sys.executable, "-P", "-m", "stampede_rt_local.leash", self._module, *self.arguments]
         self._run = _Run(command, self._hear_line, self._hear_exit)
 
     def wait_ready(self, timeout: float) -> str:
