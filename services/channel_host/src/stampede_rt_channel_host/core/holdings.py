@@ -103,7 +103,7 @@ class Holdings:
         return self.index.floor_time(time)
 
     def bucket_end(self, time: int, bound: int) -> int:
-        """The last span end of the bucket at `time` that the time `bound` bounds (the next bucket's, or `now`)."""
+        """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
         return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
 
     def place_of_item(self, ordinal: int) -> Place:
@@ -141,7 +141,8 @@ class Holdings:
         if last is None:
             return
         self._note_end(last.last_time, place, cause, now)
-        self.floor = place
+        # Not `place` itself: an item may yet come between the last one collected and the first one held.
+        self.floor = last.last_time, last.end_seq
         self.items -= items
         self.payload_bytes -= payload_bytes
         self.collected[cause] += items
@@ -152,8 +153,8 @@ class Holdings:
     def _note_end(self, time: int, place: Place, cause: str, now: int) -> None:
         """Earlier buckets end at or before the last collected one's time, so only that one's items count."""
         following = self.next_time(time)
-        bound = max(now, time) if following is None else following
-        end = latest_end(self.slices((time, 0), place), time, bound)
+        collected = self.slices((time, 0), place)
+        end = _end_of_newest(collected, time, now) if following is None else latest_end(collected, time, following)
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end
             self.collected_by = cause
@@ -173,7 +174,7 @@ class Holdings:
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
-    """The latest span end of items at `time`: their own ends by duration, not above `bound`; open ones end there."""
+    """The latest span end of items at `time` that the next bucket's time `bound` bounds."""
     longest = 0
     for part in bucket:
         durations = part.run.durations
@@ -184,3 +185,13 @@ def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
                 return bound
             longest = max(longest, duration)
     return min(time + longest, bound)
+
+
+def _end_of_newest(bucket: Iterator[Slice], time: int, now: int) -> int:
+    """The latest span end of items in the newest bucket: nothing bounds durations, open items hold until `now`."""
+    ends = [time]
+    for part in bucket:
+        durations = part.run.durations
+        for duration in (ABSENT,) if durations is None else durations[part.lo : part.hi]:
+            ends.append(max(now, time) if duration == ABSENT else time + duration)
+    return max(ends)

@@ -1,0 +1,177 @@
+"""Reads by the book: what matches, in what order, and why an answer is empty or partial."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
+from stampede_rt_channel_host.core import Position, Query
+from tests.oracle.channel import Item, OracleChannel
+from tests.oracle.instants import Instants
+
+
+@dataclass(frozen=True)
+class OracleAnswer:
+    """Items ascend; `ends` are their spans' ends, None for open ones."""
+
+    items: list[Item]
+    ends: list[int | None]
+    interval: ResolvedInterval | None
+    complete: bool
+    truncated: bool
+    more: bool
+    reason: str | None
+
+
+class OracleReader:
+    """Reads of one channel at one reading of the host's clock."""
+
+    def __init__(self, channel: OracleChannel, clock: int) -> None:
+        channel.age(clock)
+        self.channel, self.clock = channel, clock
+
+    def resolve(self, query: Query) -> ResolvedInterval | None:
+        """Both ends together, or not at all."""
+        channel, interval = self.channel, query.interval
+        anchors = {None: 0, MetaTime.NOW: channel.now(self.clock)}
+        anchors |= {MetaTime.NEWEST: channel.newest, MetaTime.OLDEST: channel.oldest}
+        start, end = anchors[interval.start.meta], anchors[interval.end.meta]
+        if start is None or end is None:
+            return None
+        start, end = _int64(start + interval.start.offset), _int64(end + interval.end.offset)
+        return ResolvedInterval(start, end, interval.start_exclusive, interval.end_exclusive)
+
+    def instant_of(self, bound: Bound) -> int | None:
+        """One bound by itself."""
+        resolved = self.resolve(Query(interval=Interval(bound, bound)))
+        return None if resolved is None else resolved.start
+
+    def matches(self, item: Item, within: Instants, match: Match) -> bool:
+        """By span, by start, or whole."""
+        if match is Match.START:
+            return within.holds(item.time)
+        if match is Match.SPAN:
+            return self.channel.span(item, self.clock).shares_an_instant_with(within)
+        end = self.channel.known_end(item, self.clock)  # an open newest item counts as [time, now)
+        at_an_instant = end == item.time
+        return Instants(item.time, end, high_closed=at_an_instant).lies_in(within)
+
+    def read(self, query: Query, interval: ResolvedInterval | None) -> OracleAnswer:
+        if interval is None:
+            return OracleAnswer([], [], None, False, False, False, "NOT_YET")
+        found = [item for item in self.channel.held if self.matches(item, Instants.of(interval), query.match)]
+        found = [item for item in found if self._is_asked_for(item, query)]
+        chosen = found
+        if query.limit is not None:
+            chosen = found[-query.limit :] if query.newest_first else found[: query.limit]
+        more = len(chosen) < len(found)
+        region = _remaining(query, interval)
+        truncated = not Instants.of(region).is_empty and self._starts_below_frontier(region)
+        return OracleAnswer(
+            items=chosen,
+            ends=[self.channel.end(item) for item in chosen],
+            interval=interval,
+            complete=self.is_over(query, interval),
+            truncated=truncated,
+            more=more,
+            reason=self._reason(query, region, bool(chosen), more, truncated),
+        )
+
+    def _is_asked_for(self, item: Item, query: Query) -> bool:
+        if query.newer_than is not None and not _is_later(item, query.newer_than):
+            return False
+        if query.after is None:
+            return True
+        return _is_earlier(item, query.after) if query.newest_first else _is_later(item, query.after)
+
+    def is_over(self, query: Query, interval: ResolvedInterval) -> bool:
+        """Nothing can come into what was asked for."""
+        region = _remaining(query, interval)
+        return Instants.of(region).is_empty or self._is_below_frontier(region) or self._is_finished(region)
+
+    def _is_finished(self, region: ResolvedInterval) -> bool:
+        """An item or an advance is at or past an exclusive end, strictly past an inclusive one."""
+        marks = [mark for mark in (self.channel.newest, self.channel.advanced_to) if mark is not None]
+        return any(mark >= region.end if region.end_exclusive else mark > region.end for mark in marks)
+
+    def _is_below_frontier(self, region: ResolvedInterval) -> bool:
+        """Each of its instants is earlier than the frontier."""
+        frontier = self.channel.frontier
+        if frontier is None:
+            return False
+        return region.end <= frontier if region.end_exclusive else region.end < frontier
+
+    def _starts_below_frontier(self, region: ResolvedInterval) -> bool:
+        return self.channel.frontier is not None and region.start < self.channel.frontier
+
+    def _reason(self, query: Query, region: ResolvedInterval, found: bool, more: bool, truncated: bool) -> str | None:
+        finished = self._is_finished(region)
+        if found and truncated and not (more and query.newest_first):
+            return "COLLECTED"
+        if found:
+            return "NOT_YET" if query.complete and not finished and not Instants.of(region).is_empty else None
+        if Instants.of(region).is_empty:
+            return "NEVER"
+        if self._is_below_frontier(region) or (finished and truncated):
+            return "COLLECTED"
+        return "NEVER" if finished else "NOT_YET"
+
+
+class OracleGet:
+    """A blocking get: anchors are fixed at the first moment when all of them can be."""
+
+    def __init__(self, query: Query) -> None:
+        self.query = query
+        self.interval: ResolvedInterval | None = None
+
+    def poll(self, reader: OracleReader) -> OracleAnswer | None:
+        """Released by a match, with `complete` by the interval's end, and always once nothing can come."""
+        if self.interval is None:
+            self.interval = reader.resolve(self.query)
+        if self.interval is None:
+            return None
+        answer = reader.read(self.query, self.interval)
+        released = answer.complete or (bool(answer.items) and not self.query.complete)
+        return answer if released else None
+
+    def give_up(self, reader: OracleReader) -> OracleAnswer:
+        return reader.read(self.query, self.interval)
+
+    def wake_at(self, reader: OracleReader) -> int | None:
+        """The first whole nanosecond inside, if that lies ahead."""
+        if self.interval is None:
+            return None
+        first = self.interval.start + 1 if self.interval.start_exclusive else self.interval.start
+        return first if first > reader.channel.now(reader.clock) else None
+
+
+def _is_later(item: Item, position: Position) -> bool:
+    if position.seq is None:
+        return item.time > position.time
+    return (item.time, item.seq) > (position.time, position.seq)
+
+
+def _is_earlier(item: Item, position: Position) -> bool:
+    if position.seq is None:
+        return item.time < position.time
+    return (item.time, item.seq) < (position.time, position.seq)
+
+
+def _remaining(query: Query, interval: ResolvedInterval) -> ResolvedInterval:
+    """The interval cut at the positions: items that could still come into the answer have their times in here.
+
+    Behind an item there is room in its own bucket, since newcomers get higher seqs; before it there is none.
+    """
+    start, start_open = interval.start, interval.start_exclusive
+    end, end_open = interval.end, interval.end_exclusive
+    lower = [query.newer_than] if query.newest_first else [query.newer_than, query.after]
+    for position in lower:
+        if position is not None and (position.time, position.seq is None) > (start, start_open):
+            start, start_open = position.time, position.seq is None
+    if query.newest_first and query.after is not None and query.after.time <= end:
+        end, end_open = query.after.time, True
+    return ResolvedInterval(start, end, start_open, end_open)
+
+
+def _int64(instant: int) -> int:
+    return max(-(2**63), min(2**63 - 1, instant))

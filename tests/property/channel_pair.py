@@ -1,0 +1,257 @@
+"""The core and the oracle side by side: every step is made on both, and everything that can be seen must agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from stampede_rt.model import Policy
+from stampede_rt.timeline import Bound
+from stampede_rt_channel_host.core import (
+    AllCursor,
+    Answer,
+    Channel,
+    NewestCursor,
+    Offer,
+    Pending,
+    Position,
+    Query,
+    Slice,
+    WakeAt,
+)
+from tests.oracle import (
+    Item,
+    OracleAnswer,
+    OracleChannel,
+    OracleGet,
+    OracleNewest,
+    OracleReader,
+    OracleSubscription,
+    Refused,
+    Waits,
+)
+
+INCARNATION = 7
+
+
+def items_of(slices: Sequence[Slice]) -> list[Item]:
+    """The items of slices, by their columns."""
+    found = []
+    for part in slices:
+        for at in range(part.lo, part.hi):
+            durations = part.run.durations
+            duration = None if durations is None or durations[at] < 0 else durations[at]
+            found.append(Item(part.run.times[at], part.run.first_seq + at, duration, part.run.lengths[at]))
+    return found
+
+
+def facts(items: Sequence[Item]) -> list[tuple[int, int, int | None, int]]:
+    return [(item.time, item.seq, item.duration, item.length) for item in items]
+
+
+def ends_as_read(items: Sequence[Item], next_time: int | None) -> list[int | None]:
+    """The ends that a reader derives: by duration, by the next later item, for the last ones by `next_time`."""
+    ends: list[int | None] = []
+    for item in items:
+        bounds = [other.time for other in items if other.time > item.time][:1]
+        if not bounds and next_time is not None:
+            bounds = [next_time]
+        own = [] if item.duration is None else [item.time + item.duration]
+        ends.append(min(bounds + own, default=None))
+    return ends
+
+
+@dataclass
+class ChannelPair:
+    """One channel, twice, and everybody who waits for it."""
+
+    policy: Policy
+    clock: int
+    core: Channel = field(init=False)
+    oracle: OracleChannel = field(init=False)
+    gets: list[tuple[Pending, OracleGet]] = field(default_factory=list)
+    waiting: list[Offer] = field(default_factory=list)
+    all_subscriptions: list[tuple[AllCursor, OracleSubscription]] = field(default_factory=list)
+    newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.core = Channel(self.policy, incarnation=INCARNATION, name="pair")
+        self.oracle = OracleChannel(self.policy)
+
+    def put(self, offer: Offer) -> None:
+        """An offer; what has to wait is kept for later."""
+        sealed: list[tuple[int, Sequence[int] | None, int | None]] = []
+
+        def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+            sealed.append((first_seq, None if kept is None else list(kept), stamped_time))
+            return b"body"
+
+        outcome = self.core.put(offer, self.clock, seal)
+        stamp = self.oracle.now(self.clock) if offer.times is None else None
+        assert outcome.stamped_time == stamp
+        accepted, refused, waits = self._put_one_by_one(offer, stamp)
+        assert [(one.index, one.error.reason) for one in outcome.rejections] == refused
+        assert (outcome.waiting, outcome.retry_at) == waits
+        if not accepted:
+            assert outcome.run is None
+            assert sealed == []
+        else:
+            assert outcome.run is not None
+            assert outcome.run.body == b"body"
+            assert facts(items_of([Slice(outcome.run, 0, len(outcome.run))])) == facts(list(accepted.values()))
+            kept = None if len(accepted) == len(offer.lengths) else list(accepted)
+            assert sealed == [(outcome.run.first_seq, kept, stamp)]
+        if outcome.waiting is not None:
+            self.waiting.append(offer.rest(outcome.waiting))
+
+    def _put_one_by_one(
+        self, offer: Offer, stamp: int | None
+    ) -> tuple[dict[int, Item], list[tuple[int, str]], tuple[int | None, int | None]]:
+        accepted: dict[int, Item] = {}
+        refused: list[tuple[int, str]] = []
+        for index, length in enumerate(offer.lengths):
+            time = stamp if offer.times is None else offer.times[index]
+            assert time is not None
+            duration = None if offer.durations is None or offer.durations[index] < 0 else offer.durations[index]
+            verdict = self.oracle.put(time, duration, length, self.clock)
+            if isinstance(verdict, Waits):
+                return accepted, refused, (index, verdict.retry_at)
+            if isinstance(verdict, Refused):
+                refused.append((index, verdict.reason))
+            else:
+                accepted[index] = verdict
+        return accepted, refused, (None, None)
+
+    def retry_put(self, which: int) -> None:
+        if self.waiting:
+            self.put(self.waiting.pop(which % len(self.waiting)))
+
+    def give_up_put(self, which: int) -> None:
+        if self.waiting:
+            offer = self.waiting.pop(which % len(self.waiting))
+            outcome = self.core.give_up_put(offer)
+            self.oracle.rejected["CHANNEL_FULL"] += len(offer.lengths)
+            assert [one.error.reason for one in outcome.rejections] == ["CHANNEL_FULL"] * len(offer.lengths)
+
+    def tick(self, nanos: int) -> None:
+        self.clock += nanos
+
+    def advance(self, instant: int) -> None:
+        self.oracle.advance(instant)
+        assert self.core.advance(instant, self.clock) == self.oracle.advanced_to
+
+    def configure(self, policy: Policy) -> None:
+        self.core.configure(policy, self.clock)
+        self.oracle.configure(policy, self.clock)
+
+    def read(self, query: Query) -> None:
+        reader = OracleReader(self.oracle, self.clock)
+        self._agree(self.core.read(query, self.clock), reader.read(query, reader.resolve(query)))
+
+    def begin(self, query: Query) -> None:
+        blocked = OracleGet(query)
+        blocked.interval = OracleReader(self.oracle, self.clock).resolve(query)
+        self.gets.append((self.core.begin(query, self.clock), blocked))
+
+    def poll_all(self) -> None:
+        """As the owner does after every change, and when an instant comes."""
+        still = []
+        for pending, blocked in self.gets:
+            reader = OracleReader(self.oracle, self.clock)
+            expected = blocked.poll(reader)
+            answer = self.core.poll(pending, self.clock)
+            if isinstance(answer, WakeAt):
+                assert expected is None
+                assert answer.instant == blocked.wake_at(reader)
+                still.append((pending, blocked))
+            else:
+                assert expected is not None
+                self._agree(answer, expected)
+        self.gets = still
+
+    def give_up_get(self, which: int) -> None:
+        if self.gets:
+            pending, blocked = self.gets.pop(which % len(self.gets))
+            expected = blocked.give_up(OracleReader(self.oracle, self.clock))
+            self._agree(self.core.give_up(pending, self.clock), expected)
+
+    def _agree(self, answer: Answer, expected: OracleAnswer) -> None:
+        items = items_of(answer.slices)
+        assert facts(items) == facts(expected.items)
+        assert ends_as_read(items, answer.next_time) == expected.ends
+        assert (answer.interval, answer.complete, answer.truncated, answer.more) == (
+            expected.interval,
+            expected.complete,
+            expected.truncated,
+            expected.more,
+        )
+        assert answer.reason == expected.reason
+        assert answer.reason is None or answer.reason.detail
+        assert answer.incarnation == INCARNATION
+
+    def subscribe(self, start: Bound | None, exclusive: bool, after: Position | None) -> None:
+        """Both modes at once, from the same beginning."""
+        all_items = self.core.subscribe_all(self.clock, start=start, start_exclusive=exclusive, after=after)
+        newest = self.core.subscribe_newest(self.clock, start=start, start_exclusive=exclusive, after=after)
+        reader = OracleReader(self.oracle, self.clock)
+        last = max(((item.time, item.seq) for item in self.oracle.held), default=None)
+        owed: list[int] = []
+        if after is not None and after.seq is not None:
+            owed = [seq for seq in self.oracle.log if seq > after.seq]
+            last = (after.time, after.seq)
+        elif start is not None:
+            from_instant = reader.instant_of(start)
+            if from_instant is not None:
+                low = (from_instant, 2**64 if exclusive else 0)
+                owed = [item.seq for item in self.oracle.held if (item.time, item.seq) > low]
+                last = low
+        self.all_subscriptions.append((all_items, OracleSubscription(self.oracle, owed)))
+        self.newest_subscriptions.append((newest, OracleNewest(self.oracle, last, owed)))
+
+    def deliver(self, limit_bytes: int) -> None:
+        """Every subscription takes its next part."""
+        for cursor, subscription in self.all_subscriptions:
+            self._deliver(cursor, subscription, limit_bytes)
+        for newest_cursor, newest in self.newest_subscriptions:
+            given = self.core.latest(newest_cursor, self.clock)
+            self.oracle.age(self.clock)
+            expected = newest.take()
+            assert facts([expected] if expected else []) == facts(items_of([given.slice] if given else []))
+            assert newest_cursor.skipped == newest.skipped
+
+    def _deliver(self, cursor: AllCursor, subscription: OracleSubscription, limit_bytes: int) -> None:
+        delivery = self.core.since(cursor, self.clock, limit_bytes)
+        self.oracle.age(self.clock)
+        if delivery.gap is not None:
+            gap = delivery.gap
+            missing = [seq for seq in subscription.owed() if gap.first_seq <= seq <= gap.last_seq]
+            assert len(missing) == gap.items
+            assert not any(subscription.is_held(seq) for seq in missing)
+            subscription.settle(missing)
+        items = items_of([delivered.slice for delivered in delivery.slices])
+        expected = [self.oracle.log[item.seq] for item in items]
+        assert facts(items) == facts(expected)
+        assert all(subscription.is_held(item.seq) for item in items)
+        subscription.settle([item.seq for item in items])
+        for delivered in delivery.slices:
+            part = items_of([delivered.slice])
+            assert ends_as_read(part, delivered.next_time) == [self.oracle.end(self.oracle.log[i.seq]) for i in part]
+        assert delivery.is_empty <= (subscription.owed() == [])
+        assert cursor.delivered + cursor.dropped <= len(self.oracle.log)
+
+    def collect(self, entries_max: int) -> None:
+        self.core.collect(self.clock, entries_max)
+
+    def check(self) -> None:
+        """Counts add up and bounds agree."""
+        self.oracle.age(self.clock)
+        counters = self.core.counters(self.clock)
+        assert counters.accepted == counters.held + sum(counters.collected.values()) == len(self.oracle.log)
+        assert counters.collected == self.oracle.collected
+        assert counters.rejected == self.oracle.rejected
+        assert counters.held_bytes == sum(item.length for item in self.oracle.held)
+        assert counters.accepted_bytes == sum(item.length for item in self.oracle.log.values())
+        assert (self.core.newest, self.core.oldest) == (self.oracle.newest, self.oracle.oldest)
+        assert (self.core.frontier, self.core.advanced_to) == (self.oracle.frontier, self.oracle.advanced_to)
+        assert self.core.next_deadline(self.clock) == self.oracle.next_age()
+        assert self.core.next_seq == len(self.oracle.log) + 1

@@ -1,0 +1,170 @@
+"""Whatever happens to a channel, the core and the oracle tell the same story.
+
+`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_channel_against_oracle.py` searches at length.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+
+from stampede_rt.model import Policy
+from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
+from stampede_rt_channel_host.core import Offer, Position, Query
+from tests.property.channel_pair import INCARNATION, ChannelPair
+from tests.property.dice import Dice
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
+FIRST_CLOCK = 100
+HUGE = 2**62
+
+POLICIES = (
+    Policy(max_age_nanos=20, max_future_nanos=8),
+    Policy(max_items=4, max_future_nanos=8),
+    Policy(max_bytes=400, max_future_nanos=8),
+    Policy(max_age_nanos=12, max_items=5, max_bytes=500, max_future_nanos=8),
+    Policy(max_age_nanos=20, max_items=3, max_future_nanos=8, on_full="block"),
+    Policy(max_items=3, max_future_nanos=8, on_full="reject"),
+    Policy(max_age_nanos=9, max_bytes=400, max_future_nanos=8, on_full="block"),
+    Policy(max_age_nanos=9, max_bytes=400, max_items=6, max_future_nanos=8, on_full="reject"),
+    Policy(max_items=2, max_bytes=10_000, max_item_bytes=30, max_future_nanos=8),
+    Policy(max_age_nanos=1, max_future_nanos=0),
+    Policy(),
+)
+DURATIONS = (-1, 0, 1, 3, 7, HUGE)
+
+
+def a_time(dice: Dice, pair: ChannelPair) -> int:
+    """Near the newest item, near the clock on either side, or near the edge of what is kept."""
+    around = dice.pick((pair.clock, pair.oracle.newest or pair.clock, pair.oracle.oldest or pair.clock, FIRST_CLOCK))
+    return around + dice.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21))
+
+
+def an_offer(dice: Dice, pair: ChannelPair) -> Offer:
+    items = dice.pick((1, 2, 1, 3, 6))
+    times = None if dice.one_in(6) else [a_time(dice, pair) for _ in range(items)]
+    if times is not None and dice.below(2):
+        times.sort()
+    durations = [dice.pick(DURATIONS) for _ in range(items)] if dice.below(2) else None
+    return Offer(times=times, durations=durations, lengths=[dice.pick((8, 0, 40, 64, 500)) for _ in range(items)])
+
+
+def a_bound(dice: Dice, pair: ChannelPair) -> Bound:
+    meta = dice.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
+    if meta is None:
+        return Bound(None, dice.pick((MIN_INSTANT, MAX_INSTANT)) if dice.one_in(6) else a_time(dice, pair))
+    return Bound(meta, dice.pick((0, -1, 1, -4, 4, -15, 15)))
+
+
+def a_position(dice: Dice, pair: ChannelPair) -> Position | None:
+    kind = dice.below(6)
+    if kind == 1:
+        return Position(a_time(dice, pair))
+    if kind == 2 and pair.oracle.log:
+        return an_item_position(dice, pair)
+    return None
+
+
+def an_item_position(dice: Dice, pair: ChannelPair) -> Position:
+    item = pair.oracle.log[1 + dice.below(len(pair.oracle.log))]
+    return Position(item.time, item.seq, dice.pick((0, INCARNATION)))
+
+
+def a_query(dice: Dice, pair: ChannelPair) -> Query:
+    start, end = a_bound(dice, pair), a_bound(dice, pair)
+    if start.meta is None and end.meta is None and start.offset > end.offset:
+        start, end = end, start
+    return Query(
+        interval=Interval(start, end, bool(dice.below(2)), bool(dice.below(2))),
+        match=dice.pick(tuple(Match)),
+        limit=dice.pick((None, 1, 2, 3)),
+        newest_first=bool(dice.below(2)),
+        complete=bool(dice.below(2)),
+        after=a_position(dice, pair),
+        newer_than=a_position(dice, pair),
+    )
+
+
+def put(dice: Dice, pair: ChannelPair) -> None:
+    pair.put(an_offer(dice, pair))
+
+
+def read(dice: Dice, pair: ChannelPair) -> None:
+    pair.read(a_query(dice, pair))
+
+
+def begin(dice: Dice, pair: ChannelPair) -> None:
+    pair.begin(a_query(dice, pair))
+
+
+def tick(dice: Dice, pair: ChannelPair) -> None:
+    pair.tick(dice.pick((1, 2, 0, 5, 9, 30, 1000)))
+
+
+def advance(dice: Dice, pair: ChannelPair) -> None:
+    pair.advance(min(a_time(dice, pair), pair.clock))
+
+
+def configure(dice: Dice, pair: ChannelPair) -> None:
+    pair.configure(dice.pick(POLICIES))
+
+
+def subscribe(dice: Dice, pair: ChannelPair) -> None:
+    kind = dice.below(3)
+    after = an_item_position(dice, pair) if kind == 2 and pair.oracle.log else None
+    start = a_bound(dice, pair) if kind == 1 else None
+    if len(pair.all_subscriptions) < 3:
+        pair.subscribe(start, bool(dice.below(2)), after)
+
+
+def deliver(dice: Dice, pair: ChannelPair) -> None:
+    pair.deliver(dice.pick((1, 150, 10**6)))
+
+
+def retry_put(dice: Dice, pair: ChannelPair) -> None:
+    pair.retry_put(dice.below(4))
+
+
+def give_up(dice: Dice, pair: ChannelPair) -> None:
+    if dice.below(2):
+        pair.give_up_put(dice.below(4))
+    else:
+        pair.give_up_get(dice.below(4))
+
+
+def collect(dice: Dice, pair: ChannelPair) -> None:
+    pair.collect(1 + dice.below(3))
+
+
+STEPS = (
+    put, read, put, tick, read, begin, put, subscribe, deliver, advance, configure, retry_put, give_up, collect, read,
+    put,
+)  # fmt: skip
+
+
+def play(numbers: list[int]) -> None:
+    """One story: a policy, then a step for each number; with `hasty` nobody looks between the steps."""
+    first = Dice(numbers[0])
+    pair = ChannelPair(first.pick(POLICIES), FIRST_CLOCK)
+    hasty = bool(first.below(2))
+    for number in numbers[1:]:
+        dice = Dice(number)
+        step = dice.pick(STEPS)
+        note(step.__name__)
+        step(dice, pair)
+        if not hasty:
+            pair.poll_all()
+            pair.check()
+    pair.poll_all()
+    pair.deliver(10**6)
+    pair.check()
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 60)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=2, max_size=30))
+def test_a_channel_does_what_the_oracle_does_in_every_story(numbers: list[int]) -> None:
+    play(numbers)
