@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 
 import stampede_rt as st
+from stampede_rt_demos.tv_watcher.opening import open_channel
 from stampede_rt_demos.tv_watcher.programme import PUT_TIME_ATTRIBUTE, Stream
 from stampede_rt_demos.tv_watcher.receiving import receive
 from stampede_rt_demos.tv_watcher.role import Stage
@@ -21,8 +22,8 @@ def analyse(stage: Stage, source: Stream, target: Stream, feature: Feature) -> d
     reader. After each one it advances the channel to the end of what it has analysed.
     """
     with st.connect(stage.settings.address, name=f"{target.name}-analyser") as rt:
-        sources = rt.channel(source.channel, create=False)
-        features = rt.channel(target.channel, create=False)
+        sources = open_channel(rt, source)
+        features = open_channel(rt, target)
         start = stage.wait_for_start()
         analysed = 0
 

@@ -7,6 +7,7 @@ import sys
 import stampede_rt as st
 from stampede_rt_demos.tv_watcher.clip import decode_audio, one_loop, video_loop_nanos
 from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.tv_watcher.opening import open_channel
 from stampede_rt_demos.tv_watcher.producing import produce
 from stampede_rt_demos.tv_watcher.programme import AUDIO, AUDIO_BLOCK_NANOS, AUDIO_RATE_HZ
 from stampede_rt_demos.tv_watcher.role import Stage, run_role
@@ -19,7 +20,7 @@ def play(stage: Stage) -> dict[str, object]:
     samples = one_loop(decode_audio(path, AUDIO_RATE_HZ), AUDIO_RATE_HZ, video_loop_nanos(path))
     length = stage.settings.length_nanos
     with st.connect(stage.settings.address, name="audio-producer") as rt:
-        channel = rt.channel(AUDIO.channel, create=False)
+        channel = open_channel(rt, AUDIO)
         start = stage.wait_for_start()
         plan = planned_blocks(samples, AUDIO_RATE_HZ, AUDIO_BLOCK_NANOS, start, length)
         return produce(stage, channel, plan, start + length)

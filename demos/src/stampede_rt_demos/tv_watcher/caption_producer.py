@@ -8,6 +8,7 @@ import stampede_rt as st
 from stampede_rt_demos.tv_watcher.captions import planned_captions
 from stampede_rt_demos.tv_watcher.clip import video_loop_nanos
 from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.tv_watcher.opening import open_channel
 from stampede_rt_demos.tv_watcher.producing import produce
 from stampede_rt_demos.tv_watcher.programme import CAPTION_NANOS, CAPTIONS
 from stampede_rt_demos.tv_watcher.role import Stage, run_role
@@ -18,7 +19,7 @@ def play(stage: Stage) -> dict[str, object]:
     loop_nanos = video_loop_nanos(locate_film())
     length = stage.settings.length_nanos
     with st.connect(stage.settings.address, name="caption-producer") as rt:
-        channel = rt.channel(CAPTIONS.channel, create=False)
+        channel = open_channel(rt, CAPTIONS)
         start = stage.wait_for_start()
         plan = planned_captions(loop_nanos, CAPTION_NANOS, start, length)
         return produce(stage, channel, plan, start + length)

@@ -160,7 +160,7 @@ def _report(
 ) -> RunReport:
     results = collected.results
     receipts = {name: record for role in READERS for name, record in results[role]["receipts"].items()}
-    role_cpu = {role: float(result["cpu_seconds"]) for role, result in results.items()}
+    roles_cpu_seconds = sum(float(result["cpu_seconds_in_all"]) for result in results.values())
     return RunReport(
         figures=[
             stream_figures(
@@ -175,10 +175,11 @@ def _report(
             for stream in STREAMS
         ],
         steps=collected.steps,
+        reference=CAPTIONS.name,
         expected=_expected(results),
         lateness_max_nanos={role: results[role]["lateness_max_nanos"] for role in PRODUCERS},
-        role_cpu_percent={role: 100 * used / seconds for role, used in role_cpu.items()},
-        cluster_cpu_percent=100 * (cpu_seconds - sum(role_cpu.values())) / seconds,
+        role_cpu_percent={role: 100 * results[role]["cpu_seconds"] / seconds for role in MODULES},
+        cluster_cpu_percent=100 * (cpu_seconds - roles_cpu_seconds) / seconds,
     )
 
 

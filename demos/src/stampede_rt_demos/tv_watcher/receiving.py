@@ -14,16 +14,6 @@ from stampede_rt_demos.tv_watcher.statistics import Receipts
 GRACE_SECONDS = 5.0
 
 
-def note(receipts: Receipts, item: st.Item, received_unix_nano: int) -> None:
-    """Account for one item that a producer of this demo has put."""
-    receipts.add(
-        seq=item.seq,
-        payload_bytes=len(item.payload or b""),
-        put_unix_nano=int(item.attributes[PUT_TIME_ATTRIBUTE]),
-        received_unix_nano=received_unix_nano,
-    )
-
-
 def receive(channel: st.Channel, start: int, until: int, handle: Callable[[st.Item], None]) -> Receipts:
     """Hand every item with a time of `start` or later to `handle`, up to the one whose span ends at `until`.
 
@@ -37,7 +27,12 @@ def receive(channel: st.Channel, start: int, until: int, handle: Callable[[st.It
         watch.start()
         try:
             for item in subscription:
-                note(receipts, item, time.time_ns())
+                receipts.add(
+                    seq=item.seq,
+                    payload_bytes=len(item.payload or b""),
+                    put_unix_nano=int(item.attributes[PUT_TIME_ATTRIBUTE]),
+                    received_unix_nano=time.time_ns(),
+                )
                 handle(item)
                 if item.time + (item.duration or 0) >= until:
                     return receipts

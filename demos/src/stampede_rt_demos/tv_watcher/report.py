@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from stampede_rt_demos.tv_watcher.statistics import Step, StreamFigures, percentile
 
+LINE_CHARS = 100
 _TIMINGS = ("latency p50", "p99 ms", "skew p50", "p99 ms")
 _HEADINGS = ("stream", "host", "items", "in step", "per s", "bytes", *_TIMINGS, "lost")
 _LEGEND = (
@@ -19,12 +21,13 @@ _LEGEND = (
 class RunReport:
     """All that a run has shown. CPU in per cent of one core, over the programme's length.
 
-    `expected` is how many items of each stream begin in one caption's span; `lateness_max_nanos` how late, by producer,
-    the worst put began; `cluster_cpu_percent` includes the cluster's start.
+    `expected`: how many items of each stream begin in one span of `reference`; `lateness_max_nanos`: by producer, how
+    late the worst put began; `cluster_cpu_percent` includes the cluster's start.
     """
 
     figures: Sequence[StreamFigures]
     steps: Sequence[Step]
+    reference: str
     expected: Mapping[str, int]
     lateness_max_nanos: Mapping[str, int]
     role_cpu_percent: Mapping[str, float]
@@ -42,7 +45,8 @@ class RunReport:
 
 def render(report: RunReport) -> str:
     """The table and what there is to say about it."""
-    return "\n".join([table(report.figures), *_LEGEND, "", *_sentences(report)])
+    sentences = (textwrap.fill(sentence, LINE_CHARS, subsequent_indent="  ") for sentence in _sentences(report))
+    return "\n".join([table(report.figures), *_LEGEND, "", *sentences])
 
 
 def subtitle(report: RunReport) -> str:
@@ -102,9 +106,11 @@ def _sentences(report: RunReport) -> list[str]:
 
 def _step_sentence(report: RunReport) -> str:
     good = sum(report.in_step(step) for step in report.steps)
-    held = ", ".join(f"{count} {name}" for name, count in report.expected.items())
+    held = ", ".join(f"{count} {name}" for name, count in report.expected.items() if name != report.reference)
     all_of = "every one" if good == len(report.steps) else f"{good}"
-    sentence = f"In step: {all_of} of {len(report.steps)} caption spans held {held}, each feature at its source's time."
+    sentence = (
+        f"In step: {all_of} of {len(report.steps)} caption spans held {held} items, each feature at its source's time."
+    )
     wrong = [step for step in report.steps if not report.in_step(step)]
     if not wrong:
         return sentence

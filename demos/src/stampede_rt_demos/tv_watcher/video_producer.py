@@ -7,6 +7,7 @@ import sys
 import stampede_rt as st
 from stampede_rt_demos.tv_watcher.clip import decode_video
 from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.tv_watcher.opening import open_channel
 from stampede_rt_demos.tv_watcher.producing import produce
 from stampede_rt_demos.tv_watcher.programme import FRAME_HEIGHT, FRAME_WIDTH, JPEG_QUALITY, VIDEO
 from stampede_rt_demos.tv_watcher.role import Stage, run_role
@@ -18,7 +19,7 @@ def play(stage: Stage) -> dict[str, object]:
     video = decode_video(locate_film(), FRAME_WIDTH, FRAME_HEIGHT, JPEG_QUALITY)
     length = stage.settings.length_nanos
     with st.connect(stage.settings.address, name="video-producer") as rt:
-        channel = rt.channel(VIDEO.channel, create=False)
+        channel = open_channel(rt, VIDEO)
         start = stage.wait_for_start()
         plan = planned_frames(video.clock, video.frames, start, length)
         return produce(stage, channel, plan, start + length)

@@ -10,10 +10,13 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import NamedTuple
 
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.tv_watcher.opening import open_channel
 from stampede_rt_demos.tv_watcher.picture_data import PICTURE_SPANS_MAX, picture_record
 from stampede_rt_demos.tv_watcher.programme import (
     CAPTION_NANOS,
@@ -22,46 +25,56 @@ from stampede_rt_demos.tv_watcher.programme import (
     SOURCE_OF_FEATURE,
     STREAMS,
 )
-from stampede_rt_demos.tv_watcher.receiving import GRACE_SECONDS, note, receive
+from stampede_rt_demos.tv_watcher.receiving import GRACE_SECONDS, receive
 from stampede_rt_demos.tv_watcher.role import Stage, run_role
-from stampede_rt_demos.tv_watcher.statistics import Receipts, Step
+from stampede_rt_demos.tv_watcher.statistics import Step
 
 SPAN_GRACE_SECONDS = 2.0
+READ_HERE_ALONE = (CAPTIONS.name, *SOURCE_OF_FEATURE)
 Span = Mapping[str, st.Items]
 
 
+class Lane(NamedTuple):
+    """A stream's channel and the one thread that reads it: a thread keeps its own way to a channel's data."""
+
+    channel: st.Channel
+    thread: ThreadPoolExecutor
+
+
 def play(stage: Stage) -> dict[str, object]:
-    """Watch until the programme's end. The features are also received live, so that none of them goes uncounted."""
-    with (
-        st.connect(stage.settings.address, name="viewer") as rt,
-        ThreadPoolExecutor(len(STREAMS) + len(SOURCE_OF_FEATURE)) as pool,
-    ):
-        channels = {stream.name: rt.channel(stream.channel, create=False) for stream in STREAMS}
+    """Watch until the programme's end.
+
+    The streams that nobody else reads are also received item by item, to know their latency and that nothing is lost.
+    """
+    with st.connect(stage.settings.address, name="viewer") as rt, ExitStack() as threads:
+        channels = {stream.name: open_channel(rt, stream) for stream in STREAMS}
         start = stage.wait_for_start()
         until = start + stage.settings.length_nanos
         live = {
-            name: pool.submit(receive, channels[name], start, until, lambda item: None) for name in SOURCE_OF_FEATURE
+            name: _thread(threads).submit(receive, channels[name], start, until, lambda item: None)
+            for name in READ_HERE_ALONE
         }
-        captions, spans = _watch(stage, channels, pool, until)
-        receipts = {CAPTIONS.name: captions} | {name: future.result() for name, future in live.items()}
+        lanes = {name: Lane(channel, _thread(threads)) for name, channel in channels.items()}
+        spans = _watch(stage, lanes, until)
+        receipts = {name: future.result() for name, future in live.items()}
     stage.tell("picture", **picture_record(spans, start))
     return {"receipts": {name: each.as_record() for name, each in receipts.items()}}
 
 
-def _watch(
-    stage: Stage, channels: Mapping[str, st.Channel], pool: ThreadPoolExecutor, until: int
-) -> tuple[Receipts, deque[Span]]:
+def _thread(threads: ExitStack) -> ThreadPoolExecutor:
+    return threads.enter_context(ThreadPoolExecutor(1))
+
+
+def _watch(stage: Stage, lanes: Mapping[str, Lane], until: int) -> deque[Span]:
     """Caption by caption, up to the one that ends at `until`; keeps the last few spans for the picture."""
-    receipts = Receipts()
     spans: deque[Span] = deque(maxlen=PICTURE_SPANS_MAX)
     caption: st.Item | None = None
     while caption is None or caption.time + (caption.duration or 0) < until:
-        caption = _next_caption(channels[CAPTIONS.name], caption, until)
-        note(receipts, caption, time.time_ns())
-        step, span = _read_span(caption, channels, pool)
+        caption = _next_caption(lanes[CAPTIONS.name].channel, caption, until)
+        step, span = _read_span(caption, lanes)
         spans.append(span)
         stage.tell("step", **messages.step_fields(step))
-    return receipts, spans
+    return spans
 
 
 def _next_caption(captions: st.Channel, before: st.Item | None, until: int) -> st.Item:
@@ -73,7 +86,7 @@ def _next_caption(captions: st.Channel, before: st.Item | None, until: int) -> s
     return caption
 
 
-def _read_span(caption: st.Item, channels: Mapping[str, st.Channel], pool: ThreadPoolExecutor) -> tuple[Step, Span]:
+def _read_span(caption: st.Item, lanes: Mapping[str, Lane]) -> tuple[Step, Span]:
     """Everything that begins in the caption's span, of every stream, when the span is finished.
 
     All streams are asked at once, the captions too: each answer comes when its own channel has passed the span's end,
@@ -82,7 +95,7 @@ def _read_span(caption: st.Item, channels: Mapping[str, st.Channel], pool: Threa
     start, end = caption.time, caption.time + (caption.duration or CAPTION_NANOS)
     patience = max(0.0, (end - time.time_ns()) / NANOS_PER_SECOND) + SPAN_GRACE_SECONDS
     asked: dict[str, Future[tuple[st.Items, int]]] = {
-        name: pool.submit(_read_finished, channel, start, end, patience) for name, channel in channels.items()
+        name: lane.thread.submit(_read_finished, lane.channel, start, end, patience) for name, lane in lanes.items()
     }
     answers = {name: future.result() for name, future in asked.items()}
     span = {name: items for name, (items, _) in answers.items()}
