@@ -22,6 +22,7 @@ from stampede_rt_supernode.replication import (
     Unavailable,
     open_replicated_log,
 )
+from tests.robustness.replication import live_cluster
 from tests.robustness.replication.live_cluster import QUICK, LiveCluster, dial, running, until
 from tests.robustness.replication.machine import ListMachine
 
@@ -257,6 +258,20 @@ async def test_a_malformed_message_ends_the_stream_and_not_the_member(tmp_path: 
         code = await refusal(cluster.all[0].member.address, first, empty.SerializeToString())
         assert code == grpc.StatusCode.INVALID_ARGUMENT
         assert int(await running(cluster.all[0]).propose(b"still here", timeout=5.0)) > 1
+
+
+async def test_why_there_is_no_link_is_said_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attempts: list[str] = []
+    monkeypatch.setattr(live_cluster, "dial", lambda address: attempts.append(address) or dial(address))
+    async with LiveCluster(1, tmp_path) as cluster:
+        [member] = cluster.all
+        cluster.members.append(Member(member_id="m9", address=member.member.address))
+        await member.stop()
+        await cluster.start(member)
+        await until(lambda: len(attempts) >= 4)
+        assert len([text for text in caplog.messages if "this is member 'm0'" in text]) == 1
 
 
 class Swallower:

@@ -66,6 +66,8 @@ class Link:
         self._overflow = False
         # Loop time of the first request that no answer has followed.
         self._unanswered_since: float | None = None
+        # Why the link is down, as last said; empty since it was up.
+        self._reported = ""
         # True when an empty request shall ask for an answer.
         self._probe_due = False
         self._work = asyncio.Event()
@@ -89,8 +91,14 @@ class Link:
             try:
                 await self._hold_stream()
             except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
-                logger.info("link to member %s at %s: %s", self._member.member_id, self._member.address, _brief(error))
+                self._report(_brief(error))
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
+
+    def _report(self, reason: str) -> None:
+        """Say once why there is no link, not twice a second."""
+        if reason != self._reported:
+            self._reported = reason
+            logger.warning("no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
 
     async def _hold_stream(self) -> None:
         channel = self._dial(self._member.address)
@@ -118,6 +126,7 @@ class Link:
 
     async def _pump(self, call: Any) -> None:
         self._open = True
+        self._reported = ""
         self._deliver(Connected(self._member.member_id))
         tasks = [asyncio.ensure_future(each) for each in (self._listen(call), self._write(call), self._watch())]
         try:
