@@ -87,10 +87,10 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
     try:
         with LocalCluster(frontends=FRONTENDS, supernodes=SUPERNODES, hosts=HOSTS) as cluster:
             collected, accepted, placed = _run_programme(cluster, seconds, progress)
+    except st.StampedeError as error:  # first: some of them are OSErrors, too
+        raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
     except (ServiceFailed, OSError) as error:
         raise DemoFailed(f"the cluster did not start: {_one_sentence(str(error))}") from error
-    except st.StampedeError as error:
-        raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
     cpu_seconds = _children_cpu_seconds() - cpu_before
     report = _report(collected, accepted, placed, seconds, cpu_seconds)
     return Outcome(report=report, spans=picture_spans(collected.picture))

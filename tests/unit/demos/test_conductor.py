@@ -1,0 +1,61 @@
+"""The conductor turns whatever keeps the demo from running into one sentence."""
+
+import io
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.tv_watcher import conductor
+from stampede_rt_demos.tv_watcher.conductor import conduct
+from stampede_rt_demos.tv_watcher.progress import Progress
+from stampede_rt_local.process import ServiceFailed
+
+STORY = "supernode s1 ended with exit code 1; its last lines:\n    starting\n    no space left on device"
+
+
+class BrokenCluster:
+    """A cluster whose start fails."""
+
+    failure: Exception = ServiceFailed(STORY)
+
+    def __init__(self, **settings: object) -> None:
+        pass
+
+    def __enter__(self) -> "BrokenCluster":
+        raise self.failure
+
+    def __exit__(self, *exc_info: object) -> None:
+        raise AssertionError("what was never entered is never left")
+
+
+@pytest.mark.parametrize(
+    ("failure", "sentence"),
+    [
+        (
+            ServiceFailed(STORY),
+            "the cluster did not start: supernode s1 ended with exit code 1: no space left on device",
+        ),
+        (
+            OSError("no 4 free ports at localhost"),
+            "the cluster did not start: no 4 free ports at localhost",
+        ),
+        (
+            st.Unavailable("nobody answers at localhost:1"),
+            "the cluster does not answer as it should: nobody answers at localhost:1",
+        ),
+    ],
+)
+def test_a_cluster_that_fails_is_told_in_one_sentence(monkeypatch, failure, sentence):
+    monkeypatch.setattr(BrokenCluster, "failure", failure)
+    monkeypatch.setattr(conductor, "LocalCluster", BrokenCluster)
+    with pytest.raises(DemoFailed) as told:
+        conduct(2, Progress(io.StringIO()))
+    assert str(told.value) == sentence
+
+
+def test_a_missing_film_is_told_before_a_cluster_is_started(monkeypatch):
+    monkeypatch.setattr("stampede_rt_demos.tv_watcher.film._FILM_PACKAGE", "no_such_package")
+    monkeypatch.setattr(conductor, "LocalCluster", BrokenCluster)
+    with pytest.raises(DemoFailed, match="the film is not here"):
+        conduct(2, Progress(io.StringIO()))
