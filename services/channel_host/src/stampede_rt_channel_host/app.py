@@ -1,0 +1,96 @@
+"""The channel host as a process: `stampede host`."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Sequence
+
+import grpc
+
+from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_channel_host.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
+from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.main import EXIT_FAILED, announce, run_service
+from stampede_rt_runtime.server import ServiceServer
+from stampede_rt_runtime.values import Address, parse_address
+
+_ANYWHERE = frozenset({"0.0.0.0", "::"})
+
+
+class _Service:
+    """One host process, from its start to its end."""
+
+    def __init__(self, settings: HostSettings) -> None:
+        self._settings = settings
+        self._secret = settings.load_secret()
+        self._server = ServiceServer(secret=self._secret)
+        self._failed = False
+        self._health: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
+
+    async def run(self) -> int:
+        """Serve until a stop signal; gives the exit code. Raises what keeps the host from starting."""
+        settings = self._settings
+        host = self._make_host()
+        host.add_to(self._server.grpc)
+        address = await self._server.start(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        running = asyncio.create_task(self._server.run(host.leave))  # from here on a stop signal is heeded
+        entering = asyncio.create_task(host.enter(settings.advertise or _reachable(address)))
+        await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
+        if entering.done() and (failure := entering.exception()) is not None:
+            self._server.stopping.set()
+            await running
+            raise failure
+        entering.cancel()
+        if not running.done():
+            announce(f"stampede host {host.identity.name} ready on {address}")
+        await running
+        return EXIT_FAILED if self._failed else 0
+
+    def _make_host(self) -> ChannelHost:
+        settings = self._settings
+        identity = HostIdentity(
+            host_id=load_host_id(settings.data_dir),
+            name=settings.name or default_name(),
+            boot_incarnation=new_boot_incarnation(),
+            zone=settings.zone,
+        )
+        return ChannelHost(
+            identity,
+            frontends=settings.frontend,
+            dial=self._dial,
+            clock=SystemClock(),
+            memory_bytes_max=settings.memory_bytes_max,
+            on_serving=self._serving_changed,
+            on_defect=self._end,
+        )
+
+    def _dial(self, target: str) -> grpc.aio.Channel:
+        return dial(target, secret=self._secret)
+
+    def _serving_changed(self, serving: bool) -> None:
+        if not self._server.stopping.is_set():
+            self._health = asyncio.create_task(self._server.set_serving(serving))
+
+    def _end(self, _failure: BaseException) -> None:
+        """A host whose own tasks die must not linger half alive; it was logged where it was noticed."""
+        self._failed = True
+        self._server.stopping.set()
+
+
+def _reachable(address: str) -> str:
+    """Where others find a server that listens at `address`: a place to listen at may stand for all of a machine's."""
+    place = parse_address(address)
+    return str(Address(socket.gethostname(), place.port)) if place.host in _ANYWHERE else address
+
+
+async def serve(settings: HostSettings) -> int:
+    """Serve until a stop signal; gives the exit code. Raises what keeps the host from starting."""
+    return await _Service(settings).run()
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `stampede host`; returns the exit code."""
+    return run_service(HostSettings, "host", argv, serve)

@@ -1,0 +1,107 @@
+"""A channel host as a whole: its server, its channels, its place in the directory. Runs as a service of its own, or
+inside another process on that one's event loop."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any
+
+import grpc
+
+from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc
+from stampede_rt_channel_host import refusals
+from stampede_rt_channel_host.channel_servicer import ChannelServicer
+from stampede_rt_channel_host.directory import Directory
+from stampede_rt_channel_host.gatekeeper import GatekeeperServicer
+from stampede_rt_channel_host.identity import HostIdentity
+from stampede_rt_channel_host.registration import START_SECONDS_MAX, Registration
+from stampede_rt_channel_host.store import ChannelStore
+from stampede_rt_channel_host.streams import OpenStreams
+from stampede_rt_channel_host.supernodes import Supernodes
+from stampede_rt_channel_host.sweep import sweep_forever
+from stampede_rt_runtime.clock import HostClock
+
+logger = logging.getLogger(__name__)
+
+CHANNELS_TOLD_MAX = 1000  # how many a registration's answer names
+
+
+class ChannelHost:
+    """Order of use, on one event loop: make, `add_to` a server, `enter` once that listens, `leave`.
+
+    `on_serving` hears whether the host may serve, each time that changes; `on_defect` that a task of the host died,
+    which must end the host.
+    """
+
+    def __init__(
+        self,
+        identity: HostIdentity,
+        *,
+        frontends: Sequence[str],
+        dial: Callable[[str], grpc.aio.Channel],
+        clock: HostClock,
+        memory_bytes_max: int,
+        on_serving: Callable[[bool], None],
+        on_defect: Callable[[BaseException], None],
+    ) -> None:
+        self.identity = identity
+        self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone)
+        self._registration = Registration(
+            identity, self._supernodes, clock, on_registered=self._registered, on_lease=self._lease_changed
+        )
+        self.store = ChannelStore(
+            identity,
+            Directory(self._supernodes),
+            clock,
+            lease_held=self._registration.lease_held,
+            memory_bytes_max=memory_bytes_max,
+        )
+        self._gatekeeper = GatekeeperServicer(self.store, identity)
+        self._streams = OpenStreams()
+        self._on_serving = on_serving
+        self._on_defect = on_defect
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def add_to(self, server: grpc.aio.Server) -> None:
+        """Serve gatekeeper and data on `server`."""
+        gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self._gatekeeper, server)
+        ChannelServicer(self.store, self._streams).add_to(server)
+
+    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
+        """Register as reachable at `target`, and keep the lease from then on.
+
+        Blocks until the directory knows the host; raises its refusal, or what went wrong last after `timeout_s`.
+        """
+        self._gatekeeper.target = target
+        await self._registration.enter(target, timeout_s)
+        self._start(self._registration.keep(), "lease")
+        self._start(sweep_forever(self.store), "sweep")
+
+    async def leave(self) -> None:
+        """Deregister, then tell whoever waits and all streams that the host goes. Bounded."""
+        for task in self._tasks:
+            task.cancel()
+        await self._registration.leave()
+        self.store.shut_down()
+        await self._streams.end_all(refusals.SHUTTING_DOWN)
+        await self._supernodes.aclose()
+
+    def _start(self, work: Coroutine[Any, Any, None], name: str) -> None:
+        task = asyncio.create_task(work, name=name)
+        task.add_done_callback(self._check)
+        self._tasks.append(task)
+
+    def _check(self, task: asyncio.Task[None]) -> None:
+        if not task.cancelled() and (failure := task.exception()) is not None:
+            logger.error("a task of the host died", exc_info=failure, extra={"task": task.get_name()})
+            self._on_defect(failure)
+
+    def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
+        self.store.registered(response.channels, all_told=len(response.channels) < CHANNELS_TOLD_MAX)
+
+    def _lease_changed(self, held: bool) -> None:
+        if not held:
+            self.store.fence()
+        self._on_serving(held)

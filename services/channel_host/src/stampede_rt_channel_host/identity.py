@@ -1,0 +1,70 @@
+"""Who this host is: an id that lasts as long as its data folder, a name, and a number for this start of the process."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+
+from stampede_rt.errors import InvalidArgument
+
+ID_BYTES = 16
+_FILE = "host-id"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostIdentity:
+    """What the directory is told. `boot_incarnation` is new at each start: what was held before is lost."""
+
+    host_id: bytes
+    name: str
+    boot_incarnation: int
+    zone: str = ""
+
+
+def load_host_id(folder: Path | None) -> bytes:
+    """The id kept in `folder`, made there first if there is none; without a folder, a new one.
+
+    Reads and writes a file. Raises InvalidArgument if the file holds no id, OSError if the folder cannot be written.
+    """
+    if folder is None:
+        return secrets.token_bytes(ID_BYTES)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    place = folder / _FILE
+    if not place.exists():
+        _write_once(place, secrets.token_bytes(ID_BYTES))
+    return _read(place)
+
+
+def _write_once(place: Path, host_id: bytes) -> None:
+    """The file appears whole or not at all, so that a crash leaves no half an id behind."""
+    draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
+    with draft.open("w") as file:
+        file.write(host_id.hex() + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    draft.rename(place)
+
+
+def _read(place: Path) -> bytes:
+    try:
+        host_id = bytes.fromhex(place.read_text().strip())
+    except ValueError:
+        host_id = b""
+    if len(host_id) != ID_BYTES:
+        raise InvalidArgument(f"{place} holds no host id; remove it, and the host enters as a new one")
+    return host_id
+
+
+def default_name() -> str:
+    """The machine's name in the directory's spelling, and a few random letters: many hosts may run on one machine."""
+    allowed = "abcdefghijklmnopqrstuvwxyz0123456789._-"
+    machine = "".join(letter if letter in allowed else "-" for letter in socket.gethostname().lower())
+    return f"{machine.lstrip('._-')[:100] or 'host'}-{secrets.token_hex(3)}"
+
+
+def new_boot_incarnation() -> int:
+    """A random number that is not 0."""
+    return secrets.randbits(64) | 1

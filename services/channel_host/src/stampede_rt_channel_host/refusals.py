@@ -1,0 +1,51 @@
+"""The sentences with which a host refuses requests for channels that it does not serve. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import ChannelNotFound, StampedeError, error_for
+
+SHUTTING_DOWN = error_for(
+    "SHUTTING_DOWN", "this host is shutting down; resolve the channel again, it gets a new host, or wait for this one"
+)
+
+
+def fenced(host: str) -> StampedeError:
+    """The lease was not renewed in time: another host may own the channels by now."""
+    return error_for(
+        "NOT_HERE",
+        f"host {host} could not renew its lease at the directory in time and serves nothing until it has; resolve the "
+        "channel again, or wait",
+        {"host": host},
+    )
+
+
+def not_here(host: str, channel_id: bytes) -> StampedeError:
+    """Nobody has bound the channel here, or it went elsewhere."""
+    shown = channel_id.hex()
+    return error_for(
+        "NOT_HERE",
+        f"channel {shown} is not at host {host}; resolve it at the directory, then bind it at its host's gatekeeper",
+        {"channel_id": shown, "host": host},
+    )
+
+
+def moved(name: str, host_id: bytes) -> StampedeError:
+    """The directory names another owner."""
+    shown = host_id.hex()
+    return error_for(
+        "MOVED", f"channel {name} is at host {shown} now; resolve it again", {"channel": name, "host_id": shown}
+    )
+
+
+def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
+    """The caller believes in another epoch."""
+    return error_for(
+        "WRONG_EPOCH",
+        f"channel {name} is at epoch {actual} and the request names {stated}; resolve the channel again",
+        {"channel": name, "epoch": str(actual)},
+    )
+
+
+def deleted(name: str) -> StampedeError:
+    """The channel was deleted while something was under way."""
+    return ChannelNotFound(f"channel {name} was deleted", metadata={"channel": name})

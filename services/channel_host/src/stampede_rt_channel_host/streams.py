@@ -1,0 +1,99 @@
+"""Open streams that the host can end with a reason: a channel was deleted, the lease ran out, the host shuts down."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Coroutine
+from contextlib import asynccontextmanager
+from typing import Any
+
+from grpc.aio import InternalError
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import abort
+
+logger = logging.getLogger(__name__)
+
+
+class OpenStream:
+    """One stream that is being served. Its handler runs inside `OpenStreams.serve`."""
+
+    def __init__(self, task: asyncio.Task[Any]) -> None:
+        self._task = task
+        self.error: StampedeError | None = None
+
+    def end(self, error: StampedeError) -> None:
+        """Interrupt the handler, wherever it waits, and end the RPC with `error`. The first error stands."""
+        if self.error is None:
+            self.error = error
+            self._task.cancel()
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Do `work` beside the handler, which cancels or awaits it. Its failure ends the stream."""
+        task = asyncio.create_task(work)
+        task.add_done_callback(self._check)
+        return task
+
+    def _check(self, task: asyncio.Task[None]) -> None:
+        if task.cancelled() or (failure := task.exception()) is None:
+            return
+        if isinstance(failure, InternalError):
+            self._task.cancel()  # gRPC could not write: the caller has gone
+        elif isinstance(failure, StampedeError):
+            self.end(failure)
+        else:
+            logger.error("a stream failed", exc_info=failure)
+            self.end(StampedeError(f"the host failed to serve the stream ({failure!r}); please report it"))
+
+
+class OpenStreams:
+    """All streams of a host. Bounded by the server's limit of concurrent RPCs."""
+
+    def __init__(self) -> None:
+        self._streams: set[OpenStream] = set()
+        self._closing: StampedeError | None = None
+        self._changed = asyncio.Event()
+
+    @asynccontextmanager
+    async def serve(self, context: Any) -> AsyncIterator[OpenStream]:
+        """Run a handler's body: what `end` or the body raises as a StampedeError becomes the RPC's status."""
+        task = asyncio.current_task()
+        assert task is not None, "handlers run in tasks"
+        stream = OpenStream(task)
+        if self._closing is not None:
+            await abort(context, self._closing)
+        self._streams.add(stream)
+        try:
+            yield stream
+        except StampedeError as error:
+            await _end(context, error)
+        except InternalError as error:
+            logger.debug("the caller went while it was written to", extra={"why": str(error)})
+            raise asyncio.CancelledError from error  # nobody is there to be sent a status
+        except asyncio.CancelledError:
+            if stream.error is None:
+                raise  # the caller gave up
+            task.uncancel()
+            await _end(context, stream.error)
+        finally:
+            self._streams.discard(stream)
+            self._changed.set()
+
+    async def end_all(self, error: StampedeError) -> None:
+        """End every stream with `error`, refuse new ones with it, and return when none is left."""
+        self._closing = error
+        for stream in list(self._streams):
+            stream.end(error)
+        while self._streams:
+            self._changed.clear()
+            await self._changed.wait()
+
+
+async def _end(context: Any, error: StampedeError) -> None:
+    """End the RPC with `error`. Does not wait until the caller has read so far: gRPC keeps the status for it."""
+    try:
+        await abort(context, error)
+    except InternalError as failure:
+        logger.debug("the caller went before it was told", extra={"why": str(failure)})
+        raise asyncio.CancelledError from failure

@@ -1,0 +1,169 @@
+"""The way to the directory: front-ends tell which supernodes there are, one of them is asked, the next takes over."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.retry import Backoff
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
+from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
+
+logger = logging.getLogger(__name__)
+
+TRY_SECONDS_MAX = 1.5  # for one supernode; a hanging one must not use up the time of all
+BIND_SECONDS_MAX = 3.0
+SUPERNODES_MAX = 64
+
+Dial = Callable[[str], grpc.aio.Channel]
+
+
+class Supernodes:
+    """Calls the directory. The supernode that leads, or else the last that answered, is asked first."""
+
+    def __init__(self, frontends: Sequence[str], dial: Dial, *, peer_name: str, zone: str = "") -> None:
+        self._frontends = tuple(frontends)
+        self._dial = dial
+        self._peer_name = peer_name
+        self._zone = zone
+        self._targets: list[str] = []
+        self._channels: dict[str, grpc.aio.Channel] = {}
+        self.cluster_id = ""
+
+    async def call(self, method: str, request: Any, timeout_s: float) -> Any:
+        """One call of DirectoryService. Tries all supernodes, asks the front-ends for others, and tries again.
+
+        Updates carry a request id, so repeating them is safe. Raises what the directory answers, or the last failure
+        once `timeout_s` is over.
+        """
+        backoff = Backoff(time.monotonic() + timeout_s)
+        while True:  # ends with the backoff's deadline
+            try:
+                if not self._targets:
+                    await self.bind(backoff.deadline_s)
+                return await self._call_each(method, request, backoff.deadline_s)
+            except StampedeError as error:
+                if not may_pass(error):
+                    raise
+                delay_s = backoff.next_delay_s(time.monotonic(), random.random())
+                if delay_s is None:
+                    raise
+                logger.debug("directory call failed", extra={"method": method, "why": str(error)})
+            await asyncio.sleep(delay_s)
+            await self._rebind(backoff.deadline_s)
+
+    async def bind(self, deadline_s: float) -> None:
+        """Ask the front-ends, one after the other, for the supernodes. Raises Unavailable, VersionMismatch, ..."""
+        failure: StampedeError = Unavailable("no front-end was asked in time")
+        for position, target in enumerate(self._frontends):
+            left_s = (deadline_s - time.monotonic()) / (len(self._frontends) - position)
+            try:
+                response = await self._ask_frontend(target, max(0.1, min(left_s, BIND_SECONDS_MAX)))
+            except StampedeError as error:
+                if not may_pass(error):
+                    raise
+                failure = error
+                continue
+            await self._learn(response)
+            return
+        raise Unavailable(f"cannot find the supernodes by {', '.join(self._frontends)}: {failure}")
+
+    async def _ask_frontend(self, target: str, timeout_s: float) -> frontend_service_pb2.BindResponse:
+        request = frontend_service_pb2.BindRequest(
+            peer_name=self._peer_name,
+            zone=self._zone,
+            protocol_version=PROTOCOL_VERSION,
+            version=software_version(),
+        )
+        stub = frontend_service_pb2_grpc.FrontendServiceStub(self._channel(target))
+        response: frontend_service_pb2.BindResponse = await _call(stub.Bind, request, timeout_s, target)
+        if response.protocol_version != PROTOCOL_VERSION:
+            raise VersionMismatch(
+                f"the front-end {target} speaks protocol {response.protocol_version} (version {response.version}), "
+                f"this host {PROTOCOL_VERSION} (version {software_version()}); install the same release on both"
+            )
+        return response
+
+    async def _learn(self, response: frontend_service_pb2.BindResponse) -> None:
+        """The leader first: it answers everything at once, the others have to ask it."""
+        ranked = sorted(response.supernodes, key=lambda one: not (one.is_leader and one.healthy))
+        self._targets = [one.endpoint.target for one in ranked if one.endpoint.target][:SUPERNODES_MAX]
+        self.cluster_id = response.cluster_id
+        known = {*self._targets, *self._frontends}
+        for target in [one for one in self._channels if one not in known]:
+            await self._channels.pop(target).close(None)
+
+    async def _rebind(self, deadline_s: float) -> None:
+        """All supernodes failed: a front-end may know others. If none answers, the known ones stay."""
+        try:
+            await self.bind(deadline_s)
+        except StampedeError as error:
+            if not may_pass(error):
+                raise
+            logger.debug("no front-end answers", extra={"why": str(error)})
+
+    async def _call_each(self, method: str, request: Any, deadline_s: float) -> Any:
+        failure: StampedeError = Unavailable("the front-ends name no supernode")
+        waiting, tried = deque(self._targets), set[str]()
+        while waiting and len(tried) < SUPERNODES_MAX:
+            target = waiting.popleft()
+            left_s = deadline_s - time.monotonic()
+            if target in tried or left_s <= 0:
+                continue
+            tried.add(target)
+            try:
+                answer = await self._call_one(target, method, request, min(left_s, TRY_SECONDS_MAX))
+            except StampedeError as error:
+                if not may_pass(error):
+                    raise
+                failure = error
+                waiting.extendleft(_leader_named_by(error))
+                continue
+            self._prefer(target)
+            return answer
+        raise failure
+
+    async def _call_one(self, target: str, method: str, request: Any, timeout_s: float) -> Any:
+        stub = directory_service_pb2_grpc.DirectoryServiceStub(self._channel(target))
+        return await _call(getattr(stub, method), request, timeout_s, target)
+
+    def _prefer(self, target: str) -> None:
+        if self._targets[:1] != [target]:
+            self._targets = [target, *(one for one in self._targets if one != target)][:SUPERNODES_MAX]
+
+    def _channel(self, target: str) -> grpc.aio.Channel:
+        if target not in self._channels:
+            self._channels[target] = self._dial(target)
+        return self._channels[target]
+
+    async def aclose(self) -> None:
+        """Close all connections."""
+        channels, self._channels = list(self._channels.values()), {}
+        for channel in channels:
+            await channel.close(None)
+
+
+def may_pass(error: StampedeError) -> bool:
+    """Whether the same call may succeed later, or at another supernode."""
+    return error.retryable or isinstance(error, DeadlineExceeded)
+
+
+def _leader_named_by(error: StampedeError) -> tuple[str, ...]:
+    endpoint = error.metadata.get("leader_endpoint", "") if isinstance(error, NotLeader) else ""
+    return (endpoint,) if endpoint else ()
+
+
+async def _call(method: Callable[..., Any], request: Any, timeout_s: float, target: str) -> Any:
+    try:
+        return await method(request, timeout=timeout_s)
+    except grpc.RpcError as error:
+        raise from_rpc_error(error, target) from error

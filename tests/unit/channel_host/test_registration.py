@@ -1,0 +1,201 @@
+"""A host enters the directory, stays in it, and stops in time when it cannot."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable
+from stampede_rt_channel_host.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
+from stampede_rt_channel_host.registration import Registration
+from stampede_rt_channel_host.supernodes import Supernodes
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import serving
+from tests.unit.channel_host.fake_directory import FakeDirectory
+
+MS = 10**6
+
+
+class Host:
+    """A registration under test, and what it was told."""
+
+    def __init__(self, frontend: str, name: str = "h1") -> None:
+        self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=7)
+        self.supernodes = Supernodes([frontend], lambda target: dial(target, secret=None), peer_name=name)
+        self.registered: asyncio.Queue[Any] = asyncio.Queue()
+        self.lease: asyncio.Queue[bool] = asyncio.Queue()
+        self.registration = Registration(
+            self.identity,
+            self.supernodes,
+            SystemClock(),
+            on_registered=self.registered.put_nowait,
+            on_lease=self.lease.put_nowait,
+        )
+
+    async def lease_becomes(self, held: bool) -> None:
+        async with asyncio.timeout(5):
+            while await self.lease.get() is not held:
+                pass
+
+
+@asynccontextmanager
+async def directory(**options: Any) -> AsyncIterator[FakeDirectory]:
+    fake = FakeDirectory(**options)
+    async with serving(fake.register) as server:
+        fake.target = server.address
+        yield fake
+
+
+@asynccontextmanager
+async def keeping(host: Host) -> AsyncIterator[None]:
+    task = asyncio.create_task(host.registration.keep())
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+        await host.supernodes.aclose()
+
+
+async def test_a_host_enters_and_holds_its_lease() -> None:
+    async with directory() as fake:
+        host = Host(fake.target)
+        assert not host.registration.lease_held()
+        await host.registration.enter("localhost:1")
+        assert host.registration.lease_held()
+        assert fake.hosts[host.identity.host_id].gatekeepers[0].target == "localhost:1"
+        assert host.registered.qsize() == 1
+        await host.supernodes.aclose()
+
+
+async def test_it_renews_three_times_per_ttl_and_is_not_fenced() -> None:
+    async with directory(lease_ttl_nanos=300 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            await fake.called("RenewHostLease", times=5)
+            assert host.registration.lease_held()
+            assert [host.lease.get_nowait()] == [True]
+            assert host.lease.empty()
+
+
+async def test_a_host_whose_renewals_fail_is_fenced_and_serves_again_after_the_next_one() -> None:
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            fake.refuse["RenewHostLease"] = Unavailable("no majority")
+            await host.lease_becomes(False)
+            assert not host.registration.lease_held()
+            fake.refuse.clear()
+            await host.lease_becomes(True)
+            assert host.registered.qsize() == 1  # it was only late: no second registration
+
+
+async def test_a_host_whose_lease_has_ended_registers_again_as_the_same_start_of_the_process() -> None:
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        record = fake.add_channel("a", host.identity.host_id)
+        async with keeping(host):
+            fake.hosts[host.identity.host_id].alive = False
+            await host.registered.get()
+            async with asyncio.timeout(5):
+                answer = await host.registered.get()
+            assert [one.channel_id for one in answer.channels] == [record.channel_id]
+            assert answer.channels[0].epoch == 1
+            await host.lease_becomes(True)
+
+
+async def test_a_name_still_held_by_a_predecessor_is_waited_for() -> None:
+    async with directory() as fake:
+        fake.refuse["RegisterHost"] = HostExists("another live host has the name h1")
+        host = Host(fake.target)
+        entering = asyncio.create_task(host.registration.enter("localhost:1"))
+        await fake.called("RegisterHost", times=2)
+        fake.refuse.clear()
+        await entering
+        assert host.registration.lease_held()
+        await host.supernodes.aclose()
+
+
+async def test_a_refusal_that_stays_ends_the_start_at_once() -> None:
+    async with directory() as fake:
+        fake.refuse["RegisterHost"] = PermissionDenied("not this one")
+        host = Host(fake.target)
+        with pytest.raises(PermissionDenied, match="not this one"):
+            await host.registration.enter("localhost:1")
+        assert fake.calls["RegisterHost"] == 1
+        await host.supernodes.aclose()
+
+
+async def test_a_start_without_any_front_end_ends_with_a_reason() -> None:
+    host = Host("localhost:1")
+    with pytest.raises(Unavailable, match="cannot find the supernodes by localhost:1"):
+        await host.registration.enter("localhost:1", timeout_s=0.1)
+    await host.supernodes.aclose()
+
+
+async def test_the_leader_named_by_a_follower_is_asked() -> None:
+    async with directory() as follower, directory() as leader:
+        follower.refuse["RegisterHost"] = NotLeader("not me", metadata={"leader_endpoint": leader.target})
+        host = Host(follower.target)
+        await host.registration.enter("localhost:1")
+        assert leader.hosts.keys() == {host.identity.host_id}
+        await host.supernodes.aclose()
+
+
+async def test_a_dead_supernode_is_passed_over() -> None:
+    async with directory() as fake:
+        fake.others = ["localhost:1"]
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        assert host.registration.lease_held()
+        await host.supernodes.aclose()
+
+
+async def test_leaving_deregisters_and_gives_the_lease_up() -> None:
+    async with directory() as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        await host.registration.leave()
+        assert not host.registration.lease_held()
+        assert not fake.hosts[host.identity.host_id].alive
+        await host.supernodes.aclose()
+
+
+async def test_an_ended_lease_is_reported_to_the_fence_before_registering_again() -> None:
+    async with directory() as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        fake.refuse["RenewHostLease"] = LeaseExpired("ended")
+        fake.refuse["RegisterHost"] = HostExists("another has the name now")
+        with pytest.raises(HostExists):
+            async with asyncio.timeout(6):
+                await host.registration._renew_or_register()
+        await host.lease_becomes(False)
+        assert not host.registration.lease_held()
+        await host.supernodes.aclose()
+
+
+def test_the_host_id_lasts_as_long_as_the_data_folder(tmp_path: Any) -> None:
+    assert load_host_id(tmp_path / "new") == load_host_id(tmp_path / "new")
+    assert load_host_id(None) != load_host_id(None)
+
+
+def test_a_damaged_id_file_is_refused_with_the_way_out(tmp_path: Any) -> None:
+    (tmp_path / "host-id").write_text("what")
+    with pytest.raises(ValueError, match="holds no host id; remove it"):
+        load_host_id(tmp_path)
+
+
+def test_default_names_are_valid_and_differ() -> None:
+    assert default_name() != default_name()
+    assert default_name()[0].isalnum()
+    assert new_boot_incarnation() != 0
