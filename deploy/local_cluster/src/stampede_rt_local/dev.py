@@ -7,6 +7,7 @@ import os
 import queue
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -82,6 +83,12 @@ def _complain(error: Exception, code: int) -> int:
 
 def _run(settings: DevSettings, began: float) -> int:
     ended: queue.SimpleQueue[ServiceProcess] = queue.SimpleQueue()
+    ready = threading.Event()
+
+    def pass_on(process: ServiceProcess, line: str) -> None:
+        if ready.is_set():  # while they start, services complain of each other
+            print(f"{process.name}: {line}", file=sys.stderr)
+
     cluster = LocalCluster(
         hosts=settings.hosts,
         supernodes=settings.supernodes,
@@ -90,22 +97,19 @@ def _run(settings: DevSettings, began: float) -> int:
         secret_file=settings.secret_file or secret_file(),
         allow_insecure_anywhere=settings.allow_insecure_anywhere,
         log_level=settings.log_level,
-        on_line=_pass_on,
+        on_line=pass_on,
         on_exit=ended.put,
     )
     try:
         with _interrupted_by_signals(), cluster:
             print(_welcome(cluster, settings, time.monotonic() - began), flush=True)
+            ready.set()
             story = ended.get().describe_end()
     except KeyboardInterrupt:
         print("\nstopped; nothing is left running")
         return 0
     print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
     return 1
-
-
-def _pass_on(process: ServiceProcess, line: str) -> None:
-    print(f"{process.name}: {line}", file=sys.stderr)
 
 
 @contextlib.contextmanager
