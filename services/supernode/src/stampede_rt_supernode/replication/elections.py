@@ -1,7 +1,8 @@
-"""Trial elections (PreVote; Ongaro's dissertation, section 9.6): nobody's term moves before a majority would vote.
+"""Elections, and the full set of rules.
 
-Without them a member that cannot hear the leader raises its term again and again, and every time it is heard
-it unseats a leader that serves well. The library has none.
+Every election has a trial (PreVote; Ongaro's dissertation, section 9.6): nobody's term moves before a majority would
+vote. Without it a member that cannot hear the leader raises its term again and again, and every time it is heard it
+unseats a leader that serves well. The library has none.
 """
 
 from __future__ import annotations
@@ -9,8 +10,60 @@ from __future__ import annotations
 from typing import Any
 
 from stampede_rt_supernode.replication.codec import Message
-from stampede_rt_supernode.replication.library import LEADER
-from stampede_rt_supernode.replication.raft_node import RaftRules
+from stampede_rt_supernode.replication.following import Following
+from stampede_rt_supernode.replication.leading import Leading
+from stampede_rt_supernode.replication.library import CANDIDATE, LEADER
+from stampede_rt_supernode.replication.raft_node import InvariantViolation
+
+
+class RaftRules(Following, Leading):
+    """Hands every message to its rule, and votes. Tick thread only."""
+
+    # Who voted for this node, and in which term: a repeated vote counts once.
+    _votes: tuple[int, set[str]] = (0, set())
+
+    def _SyncObj__onMessageReceived(self, node: Any, message: Message) -> None:  # noqa: N802
+        if node not in self._SyncObj__otherNodes:
+            return
+        match message["type"]:
+            case "append_entries":
+                self._on_append(node, message)
+            case "next_node_idx":
+                self._on_append_reply(node, message)
+            case "request_vote":
+                self._on_vote_request(node, message)
+            case "response_vote":
+                self._on_vote(node, message)
+            case "apply_command" | "apply_command_response":
+                super()._SyncObj__onMessageReceived(node, message)  # type: ignore[misc]
+            case "read_index" | "read_index_response":
+                self.reads.on_message(node, message)
+            case kind:
+                raise InvariantViolation(f"a message of kind {kind!r} came through")
+
+    def _on_vote_request(self, node: Any, message: Message) -> None:
+        if message["term"] > self._SyncObj__raftCurrentTerm:
+            self._step_down(message["term"])
+        if message["term"] < self._SyncObj__raftCurrentTerm or self._SyncObj__raftState == LEADER:
+            return
+        if (message["last_log_term"], message["last_log_index"]) < self._log_end():
+            return
+        if self._SyncObj__votedForNodeId not in (None, node.id):
+            return
+        self._SyncObj__setCurrentTerm(self._SyncObj__raftCurrentTerm, node.id)
+        self._put_off_election()
+        self.mailroom.send(node, {"type": "response_vote", "term": message["term"]})
+
+    def _on_vote(self, node: Any, message: Message) -> None:
+        """Count a vote once per node and term. The library counts messages."""
+        if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != CANDIDATE:
+            return
+        if self._votes[0] != message["term"]:
+            self._votes = (message["term"], set())
+        self._votes[1].add(node.id)
+        self._SyncObj__votesCount = 1 + len(self._votes[1])
+        if self.is_majority(self._SyncObj__votesCount):
+            self._SyncObj__onBecomeLeader()
 
 
 class TrialElections(RaftRules):
