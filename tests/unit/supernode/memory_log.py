@@ -33,6 +33,7 @@ class MemoryLog:
         self.index = 0
         self.tenure = 1
         self.leader_id: str | None = SELF.member_id
+        self.other = OTHER
         self.quorum = True
         self.fates: deque[Fate] = deque()
         self.reads_may_end = asyncio.Event()
@@ -70,7 +71,7 @@ class MemoryLog:
             tenure=self.tenure if leads else 0,
             term=self.tenure,
             applied_index=self.index,
-            members=[SELF, OTHER],
+            members=[SELF, self.other],
         )
 
     async def close(self) -> None:

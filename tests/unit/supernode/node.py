@@ -42,6 +42,7 @@ class Node:
     probe: Probe
     submission: Submission
     clock: ManualClock
+    address: str
     stub: Any
 
     async def open(self, name: str, **fields: Any) -> pb.OpenChannelResponse:
@@ -101,7 +102,7 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
         dial(server.address, secret=None) as channel,
     ):
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
-        yield Node(log, replica, leases, watches, probe, submission, clock, stub)
+        yield Node(log, replica, leases, watches, probe, submission, clock, server.address, stub)
         watches.close()
 
 

@@ -10,6 +10,7 @@ import pytest_asyncio
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode import submission
+from stampede_rt_supernode.replication.interface import Member
 from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.memory_log import Fate
 from tests.unit.supernode.node import Node, reason_of, running_node, spec
@@ -218,3 +219,14 @@ async def test_the_members_are_listed_with_what_was_found_of_them(node: Node) ->
     assert (me.is_leader, me.healthy) == (True, True)
     assert (other.supernode_id, other.healthy, other.HasField("round_trip_nanos")) == ("s2", False, False)
     assert listed.term == 1
+
+
+async def test_a_member_that_answers_is_healthy_and_its_round_trip_is_measured(node: Node) -> None:
+    node.log.other = Member(member_id="s2", address=node.address)
+    await node.probe.round()
+    other = (await node.stub.ListSupernodes(pb.ListSupernodesRequest())).supernodes[1]
+    assert (other.endpoint.target, other.healthy) == (node.address, True)
+    assert other.round_trip_nanos > 0
+    node.log.other = Member(member_id="s3", address="localhost:1")
+    await node.probe.round()
+    assert not (await node.stub.ListSupernodes(pb.ListSupernodesRequest())).supernodes[1].healthy
