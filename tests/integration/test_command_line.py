@@ -108,6 +108,7 @@ def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
     assert "cli/shown/one" in listed
     assert "5 items" in listed
     assert json.loads(stampede("ls", "cli/shown/*", "-o", "json").stdout)[0]["channel"] == "cli/shown/one"
+    assert json.loads(stampede("ls", "cli/shown/*", "--long", "-o", "json").stdout)[0]["held"] == 1
     info = stampede("info", "cli/shown/one").stdout
     assert "accepted" in info
     assert stampede("ls", "no/such*").stdout == "no channel matches 'no/such*'\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from stampede_rt import Connection
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
 from stampede_rt.model import ChannelInfo
@@ -15,6 +16,7 @@ def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
     ls = add_verb(subparsers, "ls", "list channels", run_ls)
     ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
+    ls.add_argument("-l", "--long", action="store_true", help="with counters, which the hosts are asked for")
     info = add_verb(subparsers, "info", "tell everything about one channel", run_info)
     info.add_argument("channel")
 
@@ -22,7 +24,10 @@ def add_verbs(subparsers: Any) -> None:
 def run_ls(arguments: argparse.Namespace) -> int:
     """List channels from the directory."""
     with connected(arguments) as rt:
-        rows = [_row(channel, arguments.output) for channel in rt.channels(arguments.glob)]
+        channels = rt.channels(arguments.glob)
+        rows = [_row(channel, arguments.output) for channel in channels]
+        if arguments.long:
+            _add_counters(rt, arguments.glob, channels, rows, arguments.output)
     print_rows(rows, arguments.output, none=f"no channel matches {arguments.glob!r}")
     return 0
 
@@ -35,6 +40,19 @@ def _row(channel: ChannelInfo, form: str) -> dict[str, Any]:
         "content_type": channel.policy.content_type,
         "epoch": channel.epoch,
     }
+
+
+def _add_counters(
+    rt: Connection, glob: str, channels: list[ChannelInfo], rows: list[dict[str, Any]], form: str
+) -> None:
+    hosts = {channel.host for channel in channels if channel.host_alive}
+    stats = {name: one for host in hosts for name, one in rt.hosted_channels(host, glob).items()}
+    for row in rows:
+        one = stats.get(row["channel"])
+        held_bytes = one.held_bytes if one else None
+        row["held"] = one.held if one else None
+        row["held_bytes"] = bytes_text(held_bytes) if form == "table" and held_bytes is not None else held_bytes
+        row["accepted"] = one.accepted if one else None
 
 
 def run_info(arguments: argparse.Namespace) -> int:

@@ -1,0 +1,64 @@
+"""The public surface: every RPC for callers has a method, both clients have the same names, and the docs know them."""
+
+from __future__ import annotations
+
+import inspect
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.v1 import channel_service_pb2, directory_service_pb2, frontend_service_pb2, gatekeeper_service_pb2
+
+METHODS = {
+    "Bind": st.connect,
+    "OpenChannel": st.Connection.channel,
+    "ResolveChannel": st.Channel.put,  # and every other call of a handle whose place is not cached
+    "ListChannels": st.Connection.channels,
+    "ListHosts": st.Connection.hosts,
+    "ResolveHost": st.Connection.hosted_channels,
+    "ListHostedChannels": st.Connection.hosted_channels,
+    "ListSupernodes": st.Connection.supernodes,
+    "Watch": st.Connection.watch,
+    "DeleteChannel": st.Channel.delete,
+    "BindChannel": st.Channel.put,
+    "DropChannel": st.Channel.delete,
+    "ConfigureChannel": st.Channel.configure,
+    "Put": st.Channel.put,
+    "Get": st.Channel.get,
+    "Subscribe": st.Channel.subscribe,
+    "Advance": st.Channel.advance,
+    "GetChannelStatus": st.Channel.stats,
+}
+OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel"}  # what hosts ask of supernodes
+OF_CONNECTIONS = {"Ping"}  # to measure round trips
+NOT_YET = {"Consume"}  # comes with consumers= as a retention policy
+
+
+def test_every_rpc_for_callers_has_a_method() -> None:
+    modules = (channel_service_pb2, directory_service_pb2, frontend_service_pb2, gatekeeper_service_pb2)
+    services = [service for module in modules for service in module.DESCRIPTOR.services_by_name.values()]
+    rpcs = {method.name for service in services for method in service.methods}
+    assert rpcs == set(METHODS) | OF_SERVICES | OF_CONNECTIONS | NOT_YET
+    assert all(callable(method) and method.__doc__ for method in METHODS.values())
+
+
+@pytest.mark.parametrize("name", ["Channel", "Connection", "Producer", "Subscription", "Watch"])
+def test_both_clients_have_the_same_names_and_arguments(name: str) -> None:
+    blocking, awaited = getattr(st, name), getattr(aio, name)
+    names = {one for one in dir(blocking) if not one.startswith("_")}
+    assert names == {one.replace("aclose", "close") for one in dir(awaited) if not one.startswith("_")}
+    for one in names - {"close"}:
+        if callable(getattr(blocking, one)):
+            mine, theirs = (inspect.signature(getattr(cls, one)).parameters for cls in (blocking, awaited))
+            assert mine.keys() == theirs.keys(), one
+
+
+@pytest.mark.parametrize(
+    "owner", [st, aio, st.Channel, st.Connection, st.Producer, st.Subscription, st.Watch, st.Items]
+)
+def test_everything_public_explains_itself(owner: object) -> None:
+    for name in getattr(owner, "__all__", vars(owner)):
+        value = getattr(owner, name)
+        if not name.startswith("_") and callable(value):
+            assert value.__doc__, name
