@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from stampede_rt.errors import ChannelFull, InFuture, ItemTooLarge, StampedeError, TooOld
 from stampede_rt.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.holdings import Holdings
-from stampede_rt_channel_host.core.index import SEQ_END
 from stampede_rt_channel_host.core.limits import BLOCK
-from stampede_rt_channel_host.core.retention import Retention
+from stampede_rt_channel_host.core.retention import Retention, oldest_bytes, oldest_items
 from stampede_rt_channel_host.core.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, make_run, pack
 from stampede_rt_channel_host.core.values import Offer, PutOutcome, Rejection, Seal
 
@@ -61,6 +60,8 @@ class Acceptance:
         if self._retention.has_room(len(times), payload_bytes):
             return True
         self._retention.age_out(clock)
+        if self._retention.has_room(len(times), payload_bytes):
+            return True
         return limits.drops_oldest and held.items > 0 and self._sheds_alike(len(times), payload_bytes, low)
 
     def _least_time(self) -> int:
@@ -76,12 +77,9 @@ class Acceptance:
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
         if excess_items > 0 and excess_bytes > 0:
             return False
-        if excess_items > 0:
-            last_time = held.place_of_item(excess_items - 1)[0]
-        else:
-            last_time = held.place_past_bytes(max(excess_bytes, 1))[0]
-        following = held.next_time(last_time)
-        return following is not None and following <= low
+        front = held.front(oldest_items(excess_items) if excess_items > 0 else oldest_bytes(excess_bytes))
+        bound = held.time_behind(front)
+        return bound is not None and bound <= low
 
     def _take_whole(self, offer: Offer, times: Sequence[int], stamp: int | None, clock: int, seal: Seal) -> PutOutcome:
         first_seq = self._held.next_seq
@@ -157,7 +155,8 @@ class Acceptance:
 
     def _precede(self, time: int, charged_bytes: int) -> bool:
         """Held items at or before `time` are charged with at least so many bytes."""
-        return self._held.place_past_bytes(charged_bytes) <= (time, SEQ_END)
+        tail = self._held.front(oldest_bytes(charged_bytes)).tail
+        return bool(tail) and tail[-1].last_time <= time
 
 
 def _offset(time: int, clock: int) -> dict[str, str]:

@@ -65,8 +65,8 @@ class RetryWindow(Generic[Outcome]):
                 return put.outcome
             if put.first < end and first_number < put.end:
                 raise InvalidArgument(
-                    f"the numbers {first_number} to {end - 1} of producer {producer_id:x} overlap the run "
-                    f"{put.first} to {put.end - 1}, which was put before; retry a run as it was, and give new items new numbers"
+                    f"the numbers {first_number} to {end - 1} of producer {producer_id:x} overlap the run {put.first} "
+                    f"to {put.end - 1}, which was put before; retry a run as it was, and give new items new numbers"
                 )
         return None
 

@@ -6,12 +6,27 @@ So a policy that outdates a million items at once stalls nobody.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from stampede_rt_channel_host.core.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
 from stampede_rt_channel_host.core.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+
+
+class Front(NamedTuple):
+    """The oldest held items: how many, and their payload bytes; the slices that reach into their last bucket; and the
+    first slice behind them, None if they are all that is held."""
+
+    items: int
+    payload_bytes: int
+    tail: list[Slice]
+    rest: Slice | None
+
+
+Going = Callable[[Slice], int]
 
 
 class Holdings:
@@ -22,6 +37,7 @@ class Holdings:
     """
 
     __slots__ = (
+        "_following",
         "_stored_bytes", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index",
         "items", "newest", "newest_collected", "oldest", "payload_bytes",
     )  # fmt: skip
@@ -39,6 +55,7 @@ class Holdings:
         self.newest_collected: int | None = None
         self.collected_end: int | None = None
         self.collected_by = AGE
+        self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
 
     @property
@@ -70,6 +87,7 @@ class Holdings:
 
     def count_in(self, items: int, payload_bytes: int, low: int, high: int) -> None:
         """Count items that were added to the index, with times between `low` and `high`."""
+        self._following = (None, None)
         self.items += items
         self.payload_bytes += payload_bytes
         self.accepted += items
@@ -94,7 +112,13 @@ class Holdings:
 
     def next_time(self, time: int) -> int | None:
         """The time of the next later bucket than `time`."""
-        return None if self.newest is None or time >= self.newest else self.index.next_time(time)
+        if self.newest is None or time >= self.newest:
+            return None
+        known, following = self._following
+        if known != time:
+            following = self.index.next_time(time)
+            self._following = time, following
+        return following
 
     def floor_time(self, time: int) -> int | None:
         """The time of the bucket at or before `time`."""
@@ -106,55 +130,50 @@ class Holdings:
         """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
         return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
 
-    def place_of_item(self, ordinal: int) -> Place:
-        """The place of the held item that `ordinal` others precede; the end if there are no more."""
-        for part in self.slices():
-            if ordinal < part.items:
-                return part.run.times[part.lo + ordinal], part.first_seq + ordinal
-            ordinal -= part.items
-        return LAST_PLACE
-
-    def place_past_bytes(self, charged_bytes: int) -> Place:
-        """The first place below which held items are charged with at least so many bytes."""
-        for part in self.slices():
-            size = part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
-            if size >= charged_bytes:
-                return self._place_within(part, charged_bytes)
-            charged_bytes -= size
-        return LAST_PLACE
-
-    def _place_within(self, part: Slice, charged_bytes: int) -> Place:
-        lengths = part.run.lengths
-        for at in range(part.lo, part.hi):
-            charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
-            if charged_bytes <= 0:
-                return part.run.times[at], part.run.first_seq + at + 1
-        return LAST_PLACE
-
-    def outdate_below(self, place: Place, cause: str, now: int) -> None:
-        """Collect everything below `place`. `now` ends the spans of the newest bucket, if they are among it."""
+    def front(self, going: Going) -> Front:
+        """The oldest held items, as far as `going` takes them: it tells of each slice in turn how many items go."""
         items = payload_bytes = 0
-        last: Slice | None = None
-        for last in self.slices(high=place):
-            items += last.items
-            payload_bytes += last.payload_bytes
-        if last is None:
-            return
-        self._note_end(last.last_time, place, cause, now)
-        # Not `place` itself: an item may yet come between the last one collected and the first one held.
-        self.floor = last.last_time, last.end_seq
-        self.items -= items
-        self.payload_bytes -= payload_bytes
-        self.collected[cause] += items
-        first = next(self.slices(), None)
-        self.oldest = None if first is None else first.run.times[first.lo]
-        self.newest = None if first is None else self.newest
+        tail: list[Slice] = []
+        for part in self.index.slices_from(self.floor):
+            taken = going(part)
+            if taken:
+                gone = part if taken == part.items else Slice(part.run, part.lo, part.lo + taken)
+                items += taken
+                payload_bytes += gone.payload_bytes
+                if not tail or tail[-1].last_time < gone.last_time:
+                    tail.clear()
+                tail.append(gone)
+            if taken < part.items:
+                return Front(items, payload_bytes, tail, Slice(part.run, part.lo + taken, part.hi))
+        return Front(items, payload_bytes, tail, None)
 
-    def _note_end(self, time: int, place: Place, cause: str, now: int) -> None:
-        """Earlier buckets end at or before the last collected one's time, so only that one's items count."""
-        following = self.next_time(time)
-        collected = self.slices((time, 0), place)
-        end = _end_of_newest(collected, time, now) if following is None else latest_end(collected, time, following)
+    def time_behind(self, front: Front) -> int | None:
+        """The time of the bucket behind the last one that a front, which is not empty, takes of."""
+        if front.rest is None:
+            return None
+        last_time, first_held = front.tail[-1].last_time, front.rest.first_time
+        return first_held if first_held > last_time else self.next_time(last_time)
+
+    def outdate(self, front: Front, cause: str, now: int) -> None:
+        """Collect a front. `now` ends the open spans of the newest bucket, if they are among it."""
+        if not front.items:
+            return
+        self._note_end(front, cause, now)
+        last = front.tail[-1]
+        # Not where the next held item begins: another may yet come between the two.
+        self.floor = last.last_time, last.end_seq
+        self.items -= front.items
+        self.payload_bytes -= front.payload_bytes
+        self.collected[cause] += front.items
+        self.oldest = None if front.rest is None else front.rest.first_time
+        self.newest = None if front.rest is None else self.newest
+
+    def _note_end(self, front: Front, cause: str, now: int) -> None:
+        """Earlier buckets end at or before the last one's time, so only that one's items count."""
+        time = front.tail[-1].last_time
+        following = self.time_behind(front)
+        bucket = (Slice(part.run, bisect_left(part.run.times, time, part.lo, part.hi), part.hi) for part in front.tail)
+        end = _end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end
             self.collected_by = cause

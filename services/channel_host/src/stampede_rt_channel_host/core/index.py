@@ -146,6 +146,16 @@ class ChannelIndex:
         for entry in self._by_time.irange_key(low[0], high[0]):
             yield from _clipped(entry, low, high)
 
+    def slices_from(self, floor: Place) -> Iterator[Slice]:
+        """The items at or above `floor`, ascending; the quickest way where hardly an entry lies below it."""
+        if self._by_time and self._by_time[0].last_time < floor[0]:
+            yield from self.slices(floor, LAST_PLACE)
+            return
+        for entry in self._by_time:
+            lo = entry.lo if entry.first_time > floor[0] else index_of(entry, floor)
+            if lo < entry.hi:
+                yield Slice(entry.run, lo, entry.hi)
+
     def slices_down(self, low: Place, high: Place) -> Iterator[Slice]:
         """The same items, the last slice first."""
         if low >= high:

@@ -6,10 +6,12 @@ but items age by the clock alone, so that a producer whose clock runs ahead shor
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.holdings import AGE, BYTES, COUNT, Holdings
-from stampede_rt_channel_host.core.index import SEQ_END, Place
+from bisect import bisect_left
+
+from stampede_rt_channel_host.core.holdings import AGE, BYTES, COUNT, Going, Holdings
+from stampede_rt_channel_host.core.index import SEQ_END
 from stampede_rt_channel_host.core.limits import Limits
-from stampede_rt_channel_host.core.run import ITEM_OVERHEAD_BYTES
+from stampede_rt_channel_host.core.run import ITEM_OVERHEAD_BYTES, Slice
 
 
 class Retention:
@@ -32,19 +34,19 @@ class Retention:
         held = self._held
         if cutoff is None or held.oldest is None or held.oldest > cutoff or held.oldest == held.newest:
             return
-        place = self._age_place(cutoff)
-        if place is not None and place > held.floor:
-            held.outdate_below(place, AGE, clock)
+        bound = self._age_bound(cutoff)
+        if bound is not None:
+            held.outdate(held.front(_before(bound)), AGE, clock)
 
-    def _age_place(self, cutoff: int) -> Place | None:
-        """Where the held items begin that age leaves. Span ends ascend with the buckets, so one bucket decides."""
+    def _age_bound(self, cutoff: int) -> int | None:
+        """The time of the first bucket that age leaves. Span ends ascend with the buckets, so one bucket decides."""
         bucket = self._held.floor_time(cutoff)
         if bucket is None:
             return None
         following = self._held.next_time(bucket)
         if following is None or self._held.bucket_end(bucket, following) > cutoff:
-            return bucket, 0
-        return following, 0
+            return bucket
+        return following
 
     def next_age_out(self) -> int | None:
         """When the oldest bucket passes the age, if nothing else happens; None: never."""
@@ -62,9 +64,9 @@ class Retention:
         if not limits.drops_oldest:
             return
         if limits.max_items is not None and held.items > limits.max_items:
-            held.outdate_below(held.place_of_item(held.items - limits.max_items), COUNT, clock)
+            held.outdate(held.front(oldest_items(held.items - limits.max_items)), COUNT, clock)
         if held.charged_bytes > limits.max_bytes:
-            held.outdate_below(held.place_past_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
+            held.outdate(held.front(oldest_bytes(held.charged_bytes - limits.max_bytes)), BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
         """So many more items fit without anything going."""
@@ -110,3 +112,39 @@ class Retention:
             own = following if own_end is None else min(own_end, following)
             return max(held.bucket_end(held.oldest, following), own) + age
         return held.bucket_end(held.oldest, time if following is None else min(time, following)) + age
+
+
+def oldest_items(count: int) -> Going:
+    """Takes the first `count` items."""
+
+    def going(part: Slice) -> int:
+        nonlocal count
+        taken = min(part.items, count)
+        count -= taken
+        return taken
+
+    return going
+
+
+def oldest_bytes(charged_bytes: int) -> Going:
+    """Takes items until so many bytes are charged for them."""
+
+    def going(part: Slice) -> int:
+        nonlocal charged_bytes
+        lengths, lo = part.run.lengths, part.lo
+        for at in range(lo, part.hi):
+            if charged_bytes <= 0:
+                return at - lo
+            charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
+        return part.items
+
+    return going
+
+
+def _before(time: int) -> Going:
+    """Takes items before `time`."""
+
+    def going(part: Slice) -> int:
+        return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
+
+    return going

@@ -160,6 +160,11 @@ class Slice(NamedTuple):
         return self.run.first_seq + self.hi
 
     @property
+    def first_time(self) -> int:
+        """The time of the first item."""
+        return self.run.times[self.lo]
+
+    @property
     def last_time(self) -> int:
         """The time of the last item."""
         return self.run.times[self.hi - 1]

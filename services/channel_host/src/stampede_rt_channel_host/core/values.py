@@ -58,8 +58,7 @@ class Rejection:
     error: StampedeError
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class PutOutcome:
+class PutOutcome(NamedTuple):
     """What became of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
 
     `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
@@ -104,9 +103,8 @@ class Query:
             raise InvalidArgument(f"limit is {self.limit}; it is at least 1, or left out for all items")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Answer:
-    """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`; each lies in one bucket order.
+class Answer(NamedTuple):
+    """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`.
 
     `next_time` is the time of the bucket behind the last item, None if that one is in the newest: with it a reader
     derives every span's end. `interval` is None if a meta-time could not be resolved. `complete`: nothing more can
