@@ -24,7 +24,8 @@ from typing import Any
 
 import network
 from container import Container, ProofFailed
-from plan import ContainerPlan, NotProvable, hosts_file, plan_project, start_order
+from name_server import serve_names
+from plan import ContainerPlan, NotProvable, plan_project, start_order
 
 PROGRAM = Path(__file__).with_name("first_program.py")
 PROGRAM_SECONDS = 60.0
@@ -52,19 +53,27 @@ def prove(project: Mapping[str, Any], images: Mapping[str, Mapping[str, Any]], w
     configs = {name: image["config"] for name, image in images.items()}
     plans = plan_project(project, configs, str(work / "volumes"))
     make_volumes(plans, images)
-    network.make_bridge(project)
-    hosts = hosts_file(plans)
+    gateway = network.make_bridge(project)
     containers = {
-        name: Container(plan, number, images[plan.image]["root"], hosts, work / f"{name}.log")
+        name: Container(plan, number, images[plan.image]["root"], gateway, work / f"{name}.log")
         for number, (name, plan) in enumerate(sorted(plans.items()))
     }
     secret = Path(next(iter(project["secrets"].values()))["file"])
     try:
-        with published(plans):
+        with engine_services(plans, gateway):
             use(containers, start_order(plans), secret)
+    except ProofFailed as failure:
+        raise ProofFailed("\n".join([str(failure), *ends(containers)])) from failure
     finally:
         for container in containers.values():
             container.kill()
+
+
+def ends(containers: Mapping[str, Container]) -> Iterator[str]:
+    """The last words of all that ended: the reason for what does not work often lies in another container."""
+    for name, container in containers.items():
+        if container.started and container.exit_code is not None:
+            yield f"{name} ended with code {container.exit_code}; {container.story()}"
 
 
 def use(containers: Mapping[str, Container], order: list[str], secret: Path) -> None:
@@ -74,7 +83,7 @@ def use(containers: Mapping[str, Container], order: list[str], secret: Path) -> 
         check_rights(container, secret.read_text().strip())
     run_program("cam/left", secret)
     check_refusal(secret.parent)
-    survive_a_death(containers, secret)
+    survive_deaths(containers, secret)
     for container in containers.values():
         check_limits(container)
     for name in reversed(order):
@@ -91,11 +100,12 @@ def make_volumes(plans: Mapping[str, ContainerPlan], images: Mapping[str, Mappin
 
 
 @contextmanager
-def published(plans: Mapping[str, ContainerPlan]) -> Iterator[None]:
-    """Every published port is listened at while the block runs, on a thread with an event loop of its own."""
+def engine_services(plans: Mapping[str, ContainerPlan], gateway: str) -> Iterator[None]:
+    """What an engine does for a network while the block runs, on a thread: it knows names, and publishes ports."""
     loop = asyncio.new_event_loop()
 
     async def listen() -> None:
+        await serve_names(gateway, {plan.service: plan.address for plan in plans.values()})
         for plan in plans.values():
             for host, port, inner in plan.published:
                 await network.publish(host, port, (plan.address, inner))
@@ -154,13 +164,14 @@ def check_refusal(folder: Path) -> None:
     say("a program that brings another secret is refused with PermissionDenied")
 
 
-def survive_a_death(containers: Mapping[str, Container], secret: Path) -> None:
-    """A supernode is killed; programs go on; the restart policy brings it back on its volume."""
-    victim = containers["supernode-1"]
-    victim.kill()
-    run_program("cam/right", secret)
-    victim.start()
-    say(f"supernode-1, killed meanwhile, was started again and is healthy after {victim.wait_healthy():.1f} s")
+def survive_deaths(containers: Mapping[str, Container], secret: Path) -> None:
+    """One supernode after the other is killed, the leader among them; programs go on; each comes back on its volume."""
+    for name in (name for name in containers if name.startswith("supernode-")):
+        containers[name].kill()
+        run_program(f"cam/without-{name}", secret)
+        containers[name].start()
+        seconds = containers[name].wait_healthy()
+        say(f"{name}, killed meanwhile, was started again and is healthy after {seconds:.1f} s")
 
 
 def check_limits(container: Container) -> None:

@@ -26,12 +26,17 @@ class ProofFailed(Exception):
 class Container:
     """Order of use: `start`, `wait_healthy`, `stop`; `kill` at any time. `log` holds all that it printed."""
 
-    def __init__(self, plan: ContainerPlan, number: int, image_root: str, hosts: str, log: Path) -> None:
+    def __init__(self, plan: ContainerPlan, number: int, image_root: str, name_server: str, log: Path) -> None:
         self.plan = plan
         self.log = log
         self._number = number
+        self._starts = 0
         self._image_root = image_root
-        self._files = {"/etc/hosts": hosts, "/etc/resolv.conf": "", "/etc/hostname": plan.service + "\n"}
+        self._files = {
+            "/etc/hosts": f"127.0.0.1 localhost\n::1 localhost\n{plan.address} {plan.service}\n",
+            "/etc/resolv.conf": f"nameserver {name_server}\noptions ndots:0\n",
+            "/etc/hostname": f"{plan.service}\n",
+        }
         self._launcher: subprocess.Popen[bytes] | None = None
         self.pid = 0
 
@@ -44,7 +49,8 @@ class Container:
                 [*command, self._image_root, scratch], stdin=subprocess.PIPE, stdout=log, stderr=log
             )
         self.pid = self._first_process()
-        network.plug_in(self.pid, self._number, self.plan.address)
+        self._starts += 1
+        network.plug_in(self.pid, f"c{self._number}s{self._starts}", self.plan.address)
         stdin = self._launcher.stdin
         assert stdin is not None
         with stdin:
@@ -106,14 +112,23 @@ class Container:
         return time.monotonic() - began
 
     def kill(self) -> None:
-        """End it as a power cut would, if it still runs."""
-        if self._launcher is not None and self.exit_code is None:
-            self._launcher.kill()  # takes the container's process 1 with it: --kill-child
-            self._launcher.wait()
+        """End it as a power cut would, if it still runs. It is gone, and its locks are free, when this returns."""
+        if self._launcher is None or self.exit_code is not None:
+            return
+        if self.pid:
+            self.signal(signal.SIGKILL)  # the launcher ends when its child has
+        else:
+            self._launcher.kill()
+        self._launcher.wait()
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to process 1."""
         subprocess.run(["kill", f"-{number}", str(self.pid)], check=True)
+
+    @property
+    def started(self) -> bool:
+        """Whether it was ever started."""
+        return self._launcher is not None
 
     @property
     def exit_code(self) -> int | None:

@@ -13,8 +13,8 @@ BRIDGE = "cluster0"
 FORWARD_BYTES_MAX = 64 * 2**10
 
 
-def make_bridge(project: Mapping[str, Any]) -> None:
-    """The project's one network; this namespace is the machine, and has the gateway's address."""
+def make_bridge(project: Mapping[str, Any]) -> str:
+    """The project's one network; this namespace is the machine, and has the gateway's address, which is returned."""
     (network,) = project["networks"].values()
     (config,) = network["ipam"]["config"]
     prefix = ipaddress.ip_network(config["subnet"]).prefixlen
@@ -22,12 +22,18 @@ def make_bridge(project: Mapping[str, Any]) -> None:
     ip("link", "add", BRIDGE, "type", "bridge")
     ip("addr", "add", f"{config['gateway']}/{prefix}", "dev", BRIDGE)
     ip("link", "set", BRIDGE, "up")
+    return str(config["gateway"])
 
 
-def plug_in(pid: int, number: int, address: str) -> None:
-    """Give the network namespace of process `pid` one interface on the bridge, with `address`, and its loopback."""
-    inner, outer = f"inner{number}", f"outer{number}"
-    ip("link", "add", outer, "type", "veth", "peer", "name", inner)
+def plug_in(pid: int, link: str, address: str) -> None:
+    """Give the network namespace of process `pid` an interface on the bridge, with `address`, and its loopback.
+
+    `link` is a new name of 12 letters at most. The hardware address follows from `address`, so that a container that
+    is started again is found by neighbours that still remember it.
+    """
+    inner, outer = f"{link}-in", f"{link}-ex"
+    hardware = ":".join(f"{byte:02x}" for byte in (0x02, 0x42, *ipaddress.IPv4Address(address).packed))
+    ip("link", "add", outer, "type", "veth", "peer", "name", inner, "address", hardware)
     ip("link", "set", outer, "master", BRIDGE, "up")
     ip("link", "set", inner, "netns", str(pid))
     for words in (

@@ -74,12 +74,6 @@ def start_order(plans: Mapping[str, ContainerPlan]) -> list[str]:
     return order
 
 
-def hosts_file(plans: Mapping[str, ContainerPlan]) -> str:
-    """The names that Compose's own name server would answer."""
-    lines = [f"{plan.address} {plan.service}" for plan in plans.values()]
-    return "\n".join(["127.0.0.1 localhost", "::1 localhost", *sorted(lines)]) + "\n"
-
-
 def _plan_service(
     name: str, service: Mapping[str, Any], project: Mapping[str, Any], image: Mapping[str, Any], volumes_folder: str
 ) -> ContainerPlan:
