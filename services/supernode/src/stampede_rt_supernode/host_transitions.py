@@ -11,7 +11,6 @@ from dataclasses import replace
 from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
 from stampede_rt_supernode.channel_transitions import fresh_incarnation
 from stampede_rt_supernode.commands import DeregisterHost, ExpireHost, RegisterHost
-from stampede_rt_supernode.lookups import host_by_id
 from stampede_rt_supernode.records import Host
 from stampede_rt_supernode.tables import Tables
 from stampede_rt_supernode.validation import check_gatekeepers, check_id, check_incarnation, check_name, check_version
@@ -72,11 +71,13 @@ def _renew_channels(tables: Tables, deed: RegisterHost) -> None:
 
 
 def deregister_host(tables: Tables, deed: DeregisterHost) -> None:
-    """A host leaves; its channels are without a live owner at once. Leaving twice is leaving once."""
-    host = host_by_id(tables, deed.host_id)
+    """A host leaves; its channels are without a live owner at once. Who is not there has left already."""
+    check_id(deed.host_id, "host_id")
+    host = tables.hosts.get(deed.host_id)
+    if host is None or not host.alive:
+        return
     check_boot(host, deed.boot_incarnation)
-    if host.alive:
-        tables.put_host(replace(host, alive=False))
+    tables.put_host(replace(host, alive=False))
 
 
 def check_boot(host: Host, boot_incarnation: int) -> None:
