@@ -29,10 +29,11 @@ class Acceptance:
         self.rejected = {"TOO_OLD": 0, "IN_FUTURE": 0, "ITEM_TOO_LARGE": 0, "CHANNEL_FULL": 0, "MALFORMED_RUN": 0}
 
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
-        """Accept or refuse each item; age has been settled at `clock` unless `fits_at_a_stroke` held before."""
-        stamp = None if offer.times is not None else self.stamp(clock)
-        times = (stamp,) * len(offer.lengths) if stamp is not None else offer.times
-        assert times is not None
+        """Accept or refuse each item. Age is settled where it matters; a whole run leaves the excess to the caller."""
+        stamp, times = None, offer.times
+        if times is None:
+            stamp = self.stamp(clock)
+            times = (stamp,) * len(offer.lengths)
         if self._fits_at_a_stroke(times, offer.lengths, clock):
             return self._take_whole(offer, times, stamp, clock, seal)
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)

@@ -29,6 +29,9 @@ from stampede_rt_channel_host.core.values import (
 FREED_ENTRIES_PER_CALL = 32
 """How much memory of outdated items one put or read frees beside its own work."""
 
+ENTRIES_PER_ITEM_MAX = 3
+"""A late item makes at most so many entries of the index: its own, and the two ends of the one that it splits."""
+
 PUTS_PER_SETTLING = 16
 """Puts that change nothing but the newest end leave ageing to the next read, or to every so many puts."""
 
@@ -51,6 +54,7 @@ class Channel:
         self._reading = Reading(self._held, self._retention, incarnation)
         self._clock: int | None = None
         self._puts_unsettled = 0
+        self._entries_to_free = 0  # what puts may have brought in since they last freed
 
     def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item of `offer`, in order, as so many puts at one instant; store the accepted as a run.
@@ -62,9 +66,9 @@ class Channel:
         clock = self._tick(now)
         outcome = self._acceptance.put(offer, clock, seal)
         self._puts_unsettled += 1
+        self._entries_to_free += ENTRIES_PER_ITEM_MAX * len(offer.lengths)
         if self._puts_unsettled >= PUTS_PER_SETTLING or not self._retention.has_room(0, 0):
-            self._settle(clock)
-            self._retention.drop_excess(clock)
+            self._settle_puts(clock)
         return outcome
 
     def give_up_put(self, offer: Offer) -> PutOutcome:
@@ -169,7 +173,7 @@ class Channel:
     def collect(self, now: int, entries_max: int = 1024) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
-        return self._free(entries_max)
+        return self._held.free(entries_max)
 
     def next_deadline(self, now: int) -> int | None:
         """When `collect` is next useful: an instant, or None if time alone outdates nothing."""
@@ -238,11 +242,15 @@ class Channel:
         """Age the holdings, and free a little."""
         self._puts_unsettled = 0
         self._retention.age_out(clock)
-        self._free(FREED_ENTRIES_PER_CALL)
+        self._held.free(FREED_ENTRIES_PER_CALL)
         return clock
 
-    def _free(self, entries_max: int) -> bool:
-        return self._held.free(entries_max, self._retention.limits.max_bytes)
+    def _settle_puts(self, clock: int) -> None:
+        """Keep the limits after puts. Freeing keeps pace with them, and outdated items never exceed max_bytes."""
+        self._settle(clock)
+        self._retention.drop_excess(clock)
+        self._held.free(self._entries_to_free, self._retention.limits.max_bytes)
+        self._entries_to_free = 0
 
     def _check_positions(self, query: Query) -> None:
         self._reading.check_position(query.after)

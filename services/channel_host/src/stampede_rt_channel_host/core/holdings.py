@@ -180,9 +180,10 @@ class Holdings:
         if self.newest_collected is None or time > self.newest_collected:
             self.newest_collected = time
 
-    def free(self, entries_max: int, backlog_bytes_max: int) -> bool:
-        """Free entries of outdated items: up to `entries_max`, or until the backlog is small. True if any are left."""
-        while entries_max > 0 or self.backlog_bytes > backlog_bytes_max:
+    def free(self, entries_max: int, backlog_bytes_max: int | None = None) -> bool:
+        """Free up to `entries_max` entries of outdated items, and more while these are charged with more than
+        `backlog_bytes_max`. True if any are left."""
+        while entries_max > 0 or (backlog_bytes_max is not None and self.backlog_bytes > backlog_bytes_max):
             entry = self.index.pop_below(self.floor)
             if entry is None:
                 return False

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import Policy
+from stampede_rt_channel_host.core import Limits
+
+
+def test_a_policy_without_any_limit_keeps_ten_seconds_and_256_mebibytes() -> None:
+    limits = Limits.of(Policy())
+    assert limits.max_age_nanos == 10_000_000_000
+    assert limits.max_bytes == 256 * 1024 * 1024
+    assert limits.max_items is None
+    assert limits.max_future_nanos == 1_000_000_000
+    assert limits.drops_oldest
+
+
+@pytest.mark.parametrize("policy", [Policy(max_items=5), Policy(max_bytes=1000)])
+def test_any_stated_limit_leaves_age_unlimited(policy: Policy) -> None:
+    assert Limits.of(policy).max_age_nanos is None
+
+
+def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
+    assert Limits.of(Policy(max_items=5)).max_bytes == 256 * 1024 * 1024
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (Policy(max_age_nanos=0), "max_age is 0"),
+        (Policy(max_items=0), "max_items is 0"),
+        (Policy(max_bytes=63), "max_bytes is 63"),
+        (Policy(max_future_nanos=-1), "max_future is -1"),
+        (Policy(max_item_bytes=2**30), f"max_item_bytes is {2**30}"),
+        (Policy(on_full="wait"), "on_full is 'wait'"),
+        (Policy(consumers=2), "consumers is 2"),
+        (Policy(max_items=4, on_full="block"), '"block" without max_age'),
+    ],
+)
+def test_a_policy_that_cannot_hold_is_refused_by_name(policy: Policy, message: str) -> None:
+    with pytest.raises(InvalidArgument, match=message):
+        Limits.of(policy)
+
+
+def test_blocking_is_taken_with_an_age_by_which_it_ends() -> None:
+    assert Limits.of(Policy(max_items=4, max_age_nanos=1, on_full="block")).on_full == "block"
+    assert Limits.of(Policy(on_full="block")).max_age_nanos == 10_000_000_000
