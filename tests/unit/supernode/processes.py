@@ -43,7 +43,7 @@ class Supernode:
         self._process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "stampede_rt_supernode", "--log-level", "warning", *self._arguments),
             stdout=asyncio.subprocess.PIPE,
-            env={**os.environ, "XDG_CONFIG_HOME": "/nonexistent"},  # no secret of whoever runs the tests
+            env=clean_environment(),
         )
         assert self._process.stdout is not None
         async with asyncio.timeout(PATIENCE_SECONDS):
@@ -123,6 +123,12 @@ async def running_cluster(folder: Path, *settings: str) -> AsyncIterator[Cluster
         yield cluster
     finally:
         await cluster.close()
+
+
+def clean_environment() -> dict[str, str]:
+    """This process's environment without settings and secrets of whoever runs the tests."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
+    return {**kept, "XDG_CONFIG_HOME": "/nonexistent"}
 
 
 def free_ports(count: int) -> list[int]:

@@ -206,6 +206,8 @@ def test_a_data_folder_of_another_member_is_refused_in_one_line(
 
     asyncio.run(found())
     monkeypatch.setattr("stampede_rt_runtime.main.set_up_logging", lambda level: None)
+    monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     assert main(("--listen", "localhost:0", "--id", "stranger", "--data-dir", str(tmp_path / "s1"))) == 1
     said = capsys.readouterr().err
     assert said.startswith("stampede supernode: ")
