@@ -9,7 +9,7 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos tests tools
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test check format stubs sync-client bench clean
+.PHONY: help setup demo test check format stubs robustness images bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -45,6 +45,12 @@ format: setup  ## put the code into the project's form
 
 stubs: setup  ## generate the protobuf stubs and the synchronous client again
 	$(RUN)/python tools/generate.py
+
+robustness: setup  ## faults that really happen, for half an hour, with a report in out/robustness.md
+	$(RUN)/python -m tests.robustness --report out/robustness.md
+
+images: setup  ## build the images of deploy/ and prove the compose file, without a container engine
+	deploy/prove_images
 
 bench: setup  ## items per second and latency beside bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
