@@ -1,0 +1,102 @@
+"""When items go, in the words of the time model; and that letting go of many stalls nobody."""
+
+from __future__ import annotations
+
+from stampede_rt.model import Policy
+from stampede_rt.timeline import NEWEST, NOW, OLDEST, Match
+from tests.unit.core.channels import CLOCK, a_channel, get, put, times_of
+
+
+def test_the_window_of_the_age_can_always_be_answered_in_full() -> None:
+    channel = a_channel(max_age_nanos=100)
+    put(channel, *range(CLOCK - 500, CLOCK, 30))
+    answer = get(channel, NOW - "100ns", NOW)
+    assert times_of(answer.slices)[0] <= CLOCK - 100
+    assert not answer.truncated
+
+
+def test_a_quiet_stream_keeps_its_newest_bucket() -> None:
+    channel = a_channel(max_age_nanos=100)
+    put(channel, CLOCK, CLOCK, durations=[5, 5])
+    assert times_of(get(channel, now=CLOCK + 10**6, match=Match.START).slices) == [CLOCK, CLOCK]
+    assert channel.next_deadline(CLOCK + 10**6) is None
+
+
+def test_a_bucket_goes_whole_when_its_last_span_is_past() -> None:
+    channel = a_channel(max_age_nanos=100)
+    put(channel, CLOCK, CLOCK, CLOCK + 90, durations=[1, 60, -1])
+    assert channel.next_deadline(CLOCK) == CLOCK + 160
+    assert times_of(get(channel, now=CLOCK + 159, match=Match.START).slices) == [CLOCK, CLOCK, CLOCK + 90]
+    assert times_of(get(channel, now=CLOCK + 160, match=Match.START).slices) == [CLOCK + 90]
+    assert channel.frontier == CLOCK + 60
+    assert channel.counters(CLOCK + 160).collected["age"] == 2
+
+
+def test_the_oldest_go_by_count_and_by_bytes_with_64_bytes_for_each_item() -> None:
+    by_count = a_channel(max_items=2)
+    put(by_count, 10, 20, 30)
+    assert times_of(get(by_count).slices) == [20, 30]
+    by_bytes = a_channel(max_bytes=2 * (64 + 10))
+    put(by_bytes, 10, 20, 30)
+    assert times_of(get(by_bytes).slices) == [20, 30]
+    assert by_bytes.counters(CLOCK).collected == {"age": 0, "count": 0, "bytes": 1, "consumption": 0}
+
+
+def test_a_narrower_policy_outdates_at_once_and_tells_which_it_was() -> None:
+    channel = a_channel(max_items=100)
+    put(channel, *range(10, 100, 10))
+    channel.configure(Policy(max_items=2), CLOCK)
+    assert (channel.oldest, channel.frontier) == (80, 80)
+    answer = get(channel, 10, 70)
+    assert answer.reason == "COLLECTED"
+    assert answer.reason is not None
+    assert "max_items (2)" in answer.reason.detail
+
+
+def test_a_late_item_may_come_between_what_was_collected_and_what_is_held() -> None:
+    channel = a_channel(max_items=2)
+    put(channel, 10, 20, 40)
+    channel.configure(Policy(max_items=9), CLOCK)
+    assert channel.frontier == 20
+    put(channel, 15)
+    assert channel.frontier == 15
+    assert times_of(get(channel, 10, 19).slices) == [15]
+
+
+def test_what_is_outdated_is_never_returned_though_its_memory_is_freed_in_small_parts() -> None:
+    channel = a_channel(max_age_nanos=1000)
+    for time in range(CLOCK, CLOCK + 500):
+        put(channel, time, now=time)
+    later = CLOCK + 100_000
+    answer = get(channel, OLDEST, NEWEST, now=later)
+    assert times_of(answer.slices) == [CLOCK + 499]
+    assert channel.counters(later).collected["age"] == 499
+    assert channel.collect(later, entries_max=10), "there is more to free"
+    assert not channel.collect(later, entries_max=10_000)
+    assert times_of(get(channel, now=later).slices) == [CLOCK + 499]
+
+
+def test_freeing_keeps_pace_with_puts_so_that_memory_stays_bounded() -> None:
+    channel = a_channel(max_items=10)
+    for first in range(0, 20_000, 20):
+        put(channel, *range(first, first + 20))
+        put(channel, *range(first + 1, first + 20, 2))
+    assert not channel.collect(CLOCK, entries_max=100)
+
+
+def test_one_large_item_that_outdates_many_small_ones_does_not_double_the_memory_twice() -> None:
+    channel = a_channel(max_bytes=64 * 1000)
+    for time in range(1000):
+        put(channel, time, lengths=[0])
+    for time in range(1000, 1010):
+        put(channel, time, lengths=[60_000])
+    counters = channel.counters(CLOCK)
+    assert (counters.held, counters.collected["bytes"]) == (1, 1009)
+    assert not channel.collect(CLOCK, entries_max=1000)
+
+
+def test_a_clock_that_is_told_an_earlier_time_stays_where_it_was() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10)
+    assert get(channel, OLDEST, NOW, now=CLOCK + 5).interval.end == CLOCK + 5  # type: ignore[union-attr]
+    assert get(channel, OLDEST, NOW, now=CLOCK).interval.end == CLOCK + 5  # type: ignore[union-attr]

@@ -1,0 +1,113 @@
+"""Subscriptions, in the words of the time model."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import IncarnationLost, InvalidArgument
+from stampede_rt.timeline import NEWEST, Bound
+from stampede_rt_channel_host.core import Position
+from tests.unit.core.channels import CLOCK, a_channel, put, seqs_of, times_of
+
+ALL = 10**9
+
+
+def test_without_a_start_only_new_items_come_whatever_their_time() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10, 20)
+    cursor = channel.subscribe_all(CLOCK)
+    assert channel.since(cursor, CLOCK, ALL).is_empty
+    put(channel, 30)
+    put(channel, 5)
+    delivery = channel.since(cursor, CLOCK, ALL)
+    assert times_of([one.slice for one in delivery.slices]) == [30, 5]
+    assert [one.next_time for one in delivery.slices] == [None, 10]
+    assert channel.since(cursor, CLOCK, ALL).is_empty
+    assert (cursor.delivered, cursor.next_seq) == (2, 5)
+
+
+def test_held_items_from_the_start_come_first_in_seq_order() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10, 20)
+    put(channel, 15)
+    put(channel, 30)
+    cursor = channel.subscribe_all(CLOCK, start=Bound(None, 15))
+    put(channel, 1)
+    delivery = channel.since(cursor, CLOCK, ALL)
+    assert seqs_of([one.slice for one in delivery.slices]) == [2, 3, 4, 5]
+    exclusive = channel.subscribe_all(CLOCK, start=Bound(None, 15), start_exclusive=True)
+    assert seqs_of([one.slice for one in channel.since(exclusive, CLOCK, ALL).slices]) == [2, 4]
+
+
+def test_a_start_at_the_newest_of_an_empty_channel_means_everything_to_come() -> None:
+    channel = a_channel(max_items=9)
+    cursor = channel.subscribe_all(CLOCK, start=NEWEST)
+    put(channel, 10)
+    assert seqs_of([one.slice for one in channel.since(cursor, CLOCK, ALL).slices]) == [1]
+
+
+def test_what_was_collected_before_it_was_sent_is_a_gap_with_its_count() -> None:
+    channel = a_channel(max_items=3)
+    put(channel, 10, 20)
+    cursor = channel.subscribe_all(CLOCK)
+    put(channel, 30, 40)
+    put(channel, 50, 60, 70)
+    delivery = channel.since(cursor, CLOCK, ALL)
+    assert delivery.gap is not None
+    assert (delivery.gap.first_seq, delivery.gap.last_seq, delivery.gap.items) == (3, 4, 2)
+    assert delivery.gap.reason == "COLLECTED"
+    assert "max_items (3)" in delivery.gap.reason.detail
+    assert seqs_of([one.slice for one in delivery.slices]) == [5, 6, 7]
+    assert (cursor.delivered, cursor.dropped) == (3, 2)
+
+
+def test_a_part_ends_at_the_byte_bound_but_brings_one_slice_at_least() -> None:
+    channel = a_channel(max_items=99)
+    cursor = channel.subscribe_all(CLOCK)
+    for time in range(6):
+        put(channel, time, time, lengths=[36, 36])
+    assert [len(channel.since(cursor, CLOCK, 400).slices) for _ in range(4)] == [2, 2, 2, 0]
+    put(channel, 10, lengths=[5000])
+    assert len(channel.since(cursor, CLOCK, 1).slices) == 1
+
+
+def test_a_subscription_resumes_behind_an_item_by_its_seq() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10, 20, 30)
+    cursor = channel.subscribe_all(CLOCK, after=Position(20, 2, incarnation=3))
+    assert seqs_of([one.slice for one in channel.since(cursor, CLOCK, ALL).slices]) == [3]
+
+
+def test_a_resumption_that_cannot_hold_is_refused() -> None:
+    channel = a_channel(max_items=9)
+    with pytest.raises(IncarnationLost):
+        channel.subscribe_all(CLOCK, after=Position(20, 2, incarnation=9))
+    with pytest.raises(InvalidArgument, match="no seq"):
+        channel.subscribe_newest(CLOCK, after=Position(20))
+    with pytest.raises(InvalidArgument, match="both start and after"):
+        channel.subscribe_all(CLOCK, start=NEWEST, after=Position(20, 2))
+
+
+def test_the_newest_never_goes_back_and_counts_what_it_skipped() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10)
+    cursor = channel.subscribe_newest(CLOCK)
+    assert channel.latest(cursor, CLOCK) is None
+    put(channel, 20, 30)
+    put(channel, 25)
+    taken = channel.latest(cursor, CLOCK)
+    assert taken is not None
+    assert (times_of([taken.slice]), taken.next_time, cursor.skipped) == ([30], None, 2)
+    put(channel, 5)
+    assert channel.latest(cursor, CLOCK) is None
+    assert (cursor.delivered, cursor.skipped) == (1, 3)
+
+
+def test_the_newest_with_a_start_begins_with_the_present_one() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10, 20, 20)
+    cursor = channel.subscribe_newest(CLOCK, start=Bound(None, 5))
+    taken = channel.latest(cursor, CLOCK)
+    assert taken is not None
+    assert (seqs_of([taken.slice]), cursor.skipped) == ([3], 2)
+    assert channel.latest(channel.subscribe_newest(CLOCK, start=Bound(None, 21)), CLOCK) is None
