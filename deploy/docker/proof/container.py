@@ -49,8 +49,9 @@ class Container:
                 [*command, self._image_root, scratch], stdin=subprocess.PIPE, stdout=log, stderr=log
             )
         self.pid = self._first_process()
+        network.unplug(self._link())
         self._starts += 1
-        network.plug_in(self.pid, f"c{self._number}s{self._starts}", self.plan.address)
+        network.plug_in(self.pid, self._link(), self.plan.address)
         stdin = self._launcher.stdin
         assert stdin is not None
         with stdin:
@@ -138,6 +139,9 @@ class Container:
     def story(self) -> str:
         """Its last words."""
         return "its last lines:\n" + "\n".join(self.log.read_text(errors="replace").splitlines()[-20:])
+
+    def _link(self) -> str:
+        return f"c{self._number}s{self._starts}"
 
     def _running(self) -> subprocess.Popen[bytes]:
         if self._launcher is None:

@@ -45,6 +45,16 @@ def plug_in(pid: int, link: str, address: str) -> None:
         subprocess.run(["nsenter", "--target", str(pid), "--net", "ip", *words], check=True)
 
 
+def unplug(link: str) -> None:
+    """Take the interface `link` away, if it is still there: the kernel gives up a dead process's only after a while.
+
+    Until then its old namespace would hold the address, and answer for it, beside the one that is started again.
+    """
+    done = subprocess.run(["ip", "link", "delete", f"{link}-ex"], capture_output=True, text=True, check=False)
+    if done.returncode != 0 and "Cannot find device" not in done.stderr:
+        raise OSError(f"the interface {link} cannot be taken away: {done.stderr.strip()}")
+
+
 def ip(*words: str) -> None:
     """Raises CalledProcessError if it is refused."""
     subprocess.run(["ip", *words], check=True)

@@ -1,4 +1,4 @@
-"""The first program of the documentation, as a user outside the containers runs it: `first_program.py [CHANNEL]`."""
+"""Puts three items and gets them back, as a user outside the containers does: `put_and_get.py [CHANNEL]`."""
 
 import sys
 
