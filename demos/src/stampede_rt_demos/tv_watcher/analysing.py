@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 import stampede_rt as st
 from stampede_rt_demos.tv_watcher.opening import open_channel
+from stampede_rt_demos.tv_watcher.producing import wait_until
 from stampede_rt_demos.tv_watcher.programme import PUT_TIME_ATTRIBUTE, Stream
 from stampede_rt_demos.tv_watcher.receiving import receive
 from stampede_rt_demos.tv_watcher.role import Stage
@@ -44,5 +45,6 @@ def analyse(stage: Stage, source: Stream, target: Stream, feature: Feature) -> d
 
         until = start + stage.settings.length_nanos
         receipts = receive(sources, start, until, handle)
+        wait_until(until)  # the last span is to be complete when it is over, as every other, not before
         features.advance(until)
         return {"receipts": {source.name: receipts.as_record()}}
