@@ -253,5 +253,7 @@ class ChannelPair:
         assert counters.accepted_bytes == sum(item.length for item in self.oracle.log.values())
         assert (self.core.newest, self.core.oldest) == (self.oracle.newest, self.oracle.oldest)
         assert (self.core.frontier, self.core.advanced_to) == (self.oracle.frontier, self.oracle.advanced_to)
+        while self.core.next_deadline(self.clock) == self.clock:
+            self.core.collect(self.clock)
         assert self.core.next_deadline(self.clock) == self.oracle.next_age()
         assert self.core.next_seq == len(self.oracle.log) + 1

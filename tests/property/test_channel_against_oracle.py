@@ -39,7 +39,9 @@ DURATIONS = (-1, 0, 1, 3, 7, HUGE)
 
 def a_time(dice: Dice, pair: ChannelPair) -> int:
     """Near the newest item, near the clock on either side, or near the edge of what is kept."""
-    around = dice.pick((pair.clock, pair.oracle.newest or pair.clock, pair.oracle.oldest or pair.clock, FIRST_CLOCK))
+    newest, oldest = pair.oracle.newest or pair.clock, pair.oracle.oldest or pair.clock
+    cutoff = pair.clock - min(pair.oracle.max_age or 0, FIRST_CLOCK)
+    around = dice.pick((pair.clock, newest, oldest, cutoff, FIRST_CLOCK))
     return around + dice.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21))
 
 

@@ -71,8 +71,10 @@ def test_what_is_outdated_is_never_returned_though_its_memory_is_freed_in_small_
     answer = get(channel, OLDEST, NEWEST, now=later)
     assert times_of(answer.slices) == [CLOCK + 499]
     assert channel.counters(later).collected["age"] == 499
+    assert channel.next_deadline(later) == later
     assert channel.collect(later, entries_max=10), "there is more to free"
     assert not channel.collect(later, entries_max=10_000)
+    assert channel.next_deadline(later) is None
     assert times_of(get(channel, now=later).slices) == [CLOCK + 499]
 
 

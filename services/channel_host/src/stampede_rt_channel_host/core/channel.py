@@ -176,9 +176,9 @@ class Channel:
         return self._held.free(entries_max)
 
     def next_deadline(self, now: int) -> int | None:
-        """When `collect` is next useful: an instant, or None if time alone outdates nothing."""
-        self._settle(self._tick(now))
-        return self._retention.next_age_out()
+        """When `collect` is next useful: now, if memory is left to free; else when age outdates items; None: never."""
+        clock = self._settle(self._tick(now))
+        return clock if self._held.has_backlog else self._retention.next_age_out()
 
     def counters(self, now: int) -> Counters:
         """What became of all items, at this moment."""

@@ -74,6 +74,11 @@ class Holdings:
         return self._stored_bytes - self.charged_bytes
 
     @property
+    def has_backlog(self) -> bool:
+        """There are entries to free."""
+        return self.index.has_below(self.floor)
+
+    @property
     def frontier(self) -> int | None:
         """The latest span end that was collected, but not above the oldest held item's time."""
         if self.collected_end is None or self.oldest is None:
@@ -190,7 +195,7 @@ class Holdings:
             items = entry.hi - entry.lo
             self._stored_bytes -= entry.run.payload_bytes(entry.lo, entry.hi) + items * ITEM_OVERHEAD_BYTES
             entries_max -= 1
-        return self.backlog_bytes > 0
+        return self.has_backlog
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:

@@ -191,13 +191,18 @@ class ChannelIndex:
         times = entry.run.times
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
+    def has_below(self, floor: Place) -> bool:
+        """All items of the first entry are below `floor`."""
+        if not self._by_time:
+            return False
+        entry: Entry = self._by_time[0]
+        return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
+
     def pop_below(self, floor: Place) -> Entry | None:
         """Take out the first entry if all of its items are below `floor`."""
-        if not self._by_time:
+        if not self.has_below(floor):
             return None
         entry: Entry = self._by_time[0]
-        if (entry.last_time, entry.run.first_seq + entry.hi - 1) >= floor:
-            return None
         del self._by_time[0]
         if self._by_seq[0] is entry:
             del self._by_seq[0]
