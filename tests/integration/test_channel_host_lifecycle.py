@@ -260,3 +260,28 @@ async def test_a_stream_that_is_open_when_its_caller_vanishes_leaves_nothing_beh
     with contextlib.suppress(asyncio.CancelledError):
         await call.read()
     await channel.until(lambda status: (status.subscriptions, status.waiting_gets) == (0, 0))
+
+
+async def test_a_put_that_waits_hears_that_its_channel_was_dropped(rig: Rig) -> None:
+    retention = channel_pb2.RetentionPolicy(max_items=1, max_age_nanos=600 * S)
+    channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK))
+    putting = asyncio.create_task(channel.put(run_of(b"x"), run_of(b"y", number=2)))
+    await channel.until(lambda status: status.waiting_puts == 1)
+    await rig.gate.DropChannel(
+        gate_pb.DropChannelRequest(request_id=REQUEST_ID, channel_id=channel.channel_id, epoch=channel.epoch)
+    )
+    first, second = await putting
+    assert first.first_seq == 1
+    assert second.error.reason == error_pb2.ERROR_REASON_CHANNEL_NOT_FOUND
+
+
+async def test_a_setup_that_the_host_cannot_hold_is_refused_before_the_directory_is_changed(rig: Rig) -> None:
+    channel = await rig.open()
+    spec = channel_pb2.ChannelSpec(
+        retention=channel_pb2.RetentionPolicy(max_items=1), on_full=channel_pb2.ON_FULL_BLOCK
+    )
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=REQUEST_ID, channel_id=channel.channel_id, epoch=channel.epoch, spec=spec
+    )
+    assert (await refusal(rig.gate.ConfigureChannel(request))).reason == "INVALID_ARGUMENT"
+    assert rig.directory.calls["UpdateChannel"] == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import socket
 from collections.abc import Sequence
 
@@ -33,20 +34,23 @@ class _Service:
     async def run(self) -> int:
         """Serve until a stop signal; gives the exit code. Raises what keeps the host from starting."""
         settings = self._settings
+        _tune_garbage_collection()
         host = self._make_host()
         host.add_to(self._server.grpc)
         address = await self._server.start(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
         running = asyncio.create_task(self._server.run(host.leave))  # from here on a stop signal is heeded
         entering = asyncio.create_task(host.enter(settings.advertise or _reachable(address)))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
-        if entering.done() and (failure := entering.exception()) is not None:
-            self._server.stopping.set()
-            await running
-            raise failure
-        entering.cancel()
-        if not running.done():
-            announce(f"stampede host {host.identity.name} ready on {address}")
+        failure: BaseException | None = None
+        if not self._server.stopping.is_set():
+            failure = entering.exception()
+            if failure is None:
+                announce(f"stampede host {host.identity.name} ready on {address}")
+            else:
+                self._server.stopping.set()
         await running
+        if failure is not None:
+            raise failure
         return EXIT_FAILED if self._failed else 0
 
     def _make_host(self) -> ChannelHost:
@@ -78,6 +82,16 @@ class _Service:
         """A host whose own tasks die must not linger half alive; it was logged where it was noticed."""
         self._failed = True
         self._server.stopping.set()
+
+
+def _tune_garbage_collection() -> None:
+    """Items are freed by their last reference; only what refers in circles needs the collector.
+
+    With Python's defaults it walks over every held item time and again: 80 ms at a stretch for 400,000 of them, as
+    measured, during which nobody is served.
+    """
+    gc.freeze()
+    gc.set_threshold(5_000, 5, 1_000)
 
 
 def _reachable(address: str) -> str:

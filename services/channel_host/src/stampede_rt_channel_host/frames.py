@@ -6,7 +6,7 @@ The result is what `raw_run.proto`'s messages would serialize to; the tests hold
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -75,14 +75,19 @@ class SharedMessages:
 
     def __init__(self) -> None:
         self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None
-        self._message = b""
+        self._message: Message | None = None
 
-    def encode(self, slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> bytes:
-        """A SubscribeResponse with the fields of `about`, which is encoded, and runs."""
+    def encode(
+        self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
+    ) -> Message:
+        """A SubscribeResponse with the fields of `about`, which is encoded, and runs. Kept for other readers."""
         key = (slices, about, without_payloads)
-        if key != self._key:  # runs compare by identity
-            self._message, self._key = _subscribe_response(slices, about, without_payloads), key
-        return self._message
+        if key == self._key and self._message is not None:  # runs compare by identity
+            return self._message
+        payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)
+        message = Message(_subscribe_response(slices, about, without_payloads), payload_bytes, False)
+        self._key, self._message = (key, message) if readers > 1 else (None, None)
+        return message
 
 
 def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> bytes:
@@ -91,11 +96,6 @@ def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_
     for part, next_time in slices:
         _add_run(parts, _SUBSCRIBE_RUNS, run_bytes(part, without_payloads=without_payloads), next_time)
     return b"".join(parts)
-
-
-def payload_bytes_of(slices: Iterable[DeliveredSlice]) -> int:
-    """How many payload bytes the slices carry."""
-    return sum(one.slice.payload_bytes for one in slices)
 
 
 def _add_run(parts: list[bytes], tag: bytes, body: bytes, next_time: int | None) -> None:

@@ -63,6 +63,7 @@ class ChannelHost:
         self._on_serving = on_serving
         self._on_defect = on_defect
         self._tasks: list[asyncio.Task[None]] = []
+        self._entering: asyncio.Future[None] | None = None
 
     def add_to(self, server: grpc.aio.Server) -> None:
         """Serve gatekeeper and data on `server`."""
@@ -75,16 +76,20 @@ class ChannelHost:
         Blocks until the directory knows the host; raises its refusal, or what went wrong last after `timeout_s`.
         """
         self._gatekeeper.target = target
-        await self._registration.enter(target, timeout_s)
+        self._entering = asyncio.ensure_future(self._registration.enter(target, timeout_s))
+        await self._entering
         self._start(self._registration.keep(), "lease")
         self._start(sweep_forever(self.store), "sweep")
 
     async def leave(self) -> None:
-        """Deregister, then tell whoever waits and all streams that the host goes. Bounded."""
+        """Deregister, then tell whoever waits and all streams that the host goes. Ends an `enter` under way."""
         for task in self._tasks:
             task.cancel()
+        if self._entering is not None and not self._entering.done():
+            self._entering.cancel()
+        self.store.close()
         await self._registration.leave()
-        self.store.shut_down()
+        self.store.end_all(refusals.SHUTTING_DOWN)
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self._supernodes.aclose()
 

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.requests import parse
 from stampede_rt_channel_host.store import ChannelStore
 from stampede_rt_channel_host.streams import OpenStream
 
-ACKS_QUEUED_MAX = 1024
+ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
 REQUEST_BYTES_MAX = 4 * 2**20
 _FRAMING_BYTES_MAX = 4096
 
@@ -41,9 +41,6 @@ class PutStream:
         try:
             while (raw := await self._context.read()) is not EOF:
                 await self._take(raw)
-                while len(self._acks) >= ACKS_QUEUED_MAX:
-                    self._room.clear()
-                    await self._room.wait()
             self._closed = True
             self._news.set()
             await writer
@@ -58,7 +55,11 @@ class PutStream:
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
         for put in request.puts:
             ack = _refuse_size(put, self._store.now()) if too_much else await self._put(put)
-            self._acks.append(ack)  # not in one with the await: the writer takes the list meanwhile
+            while len(self._acks) >= ACKS_QUEUED_MAX:
+                self._news.set()
+                self._room.clear()
+                await self._room.wait()
+            self._acks.append(ack)  # not in one with an await: the writer takes the list meanwhile
         self._news.set()
 
     async def _put(self, put: raw_run_pb2.RawPutRun) -> pb.PutAck:

@@ -76,10 +76,14 @@ class IncomingRun:
     def finish(self, ack: pb.PutAck) -> None:
         """The run is through: whoever waits for it goes on."""
         self.ack = ack
-        if self._timer is not None:
-            self._timer.cancel()
+        self.forget_time()
         if self._done is not None and not self._done.done():
             self._done.set_result(None)
+
+    def forget_time(self) -> None:
+        """Its waiting time does not count any more."""
+        if self._timer is not None:
+            self._timer.cancel()
 
     async def wait(self, give_up: Callable[[IncomingRun], None]) -> pb.PutAck:
         """Block until the run is through; `give_up`, called when its waiting time is over, must finish it."""
@@ -155,6 +159,7 @@ class ChannelPuts:
 
     def withdraw(self, run: IncomingRun) -> None:
         """Nobody waits for the run any more: what is not accepted yet never will be."""
+        run.forget_time()
         if run in self._line:
             self._line.remove(run)
             self.changed(self._now())

@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterable
 
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
 from stampede_rt.v1 import channel_pb2
+from stampede_rt.wire.records import policy_from_spec
 from stampede_rt_channel_host import refusals
 from stampede_rt_channel_host.channel_status import channel_status
 from stampede_rt_channel_host.channels import HostedChannel
-from stampede_rt_channel_host.core import HostTime
+from stampede_rt_channel_host.core import HostTime, Limits
 from stampede_rt_channel_host.directory import Directory
 from stampede_rt_channel_host.identity import HostIdentity
 from stampede_rt_channel_host.memory import MemoryBudget
@@ -47,6 +48,7 @@ class ChannelStore:
         self._channels: dict[bytes, HostedChannel] = {}
         self._asking: dict[bytes, asyncio.Lock] = {}
         self._drops: OrderedDict[bytes, None] = OrderedDict()
+        self._closing: StampedeError | None = None
         self._memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
 
     def now(self) -> int:
@@ -55,8 +57,7 @@ class ChannelStore:
 
     def find(self, channel_id: bytes, epoch: int) -> HostedChannel:
         """The channel, for one data request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""
-        if not self.lease_held():
-            raise refusals.fenced(self._identity.name)
+        self._check_lease()
         hosted = self._channels.get(channel_id)
         if hosted is None:
             raise refusals.not_here(self._identity.name, channel_id)
@@ -103,7 +104,8 @@ class ChannelStore:
         self, channel_id: bytes, epoch: int, spec: channel_pb2.ChannelSpec, request_id: bytes
     ) -> HostedChannel:
         """Change the set-up in the directory, then here. Raises what the directory refuses. Safe to repeat."""
-        await self.bind(channel_id, epoch)
+        hosted = await self.bind(channel_id, epoch)
+        _check_spec(hosted.record.spec, spec)  # before the directory takes what this host could not hold
         record = await self._directory.update(channel_id, epoch, spec, request_id=request_id)
         return self._adopt(record)
 
@@ -125,11 +127,16 @@ class ChannelStore:
 
     def fence(self) -> None:
         """The lease ran out: whoever waits for a channel or listens to it must look for it elsewhere."""
-        self._end_all(refusals.fenced(self._identity.name))
+        self.end_all(refusals.fenced(self._identity.name))
 
-    def shut_down(self) -> None:
-        """Whoever waits for a channel or listens to it hears that the host goes."""
-        self._end_all(refusals.SHUTTING_DOWN)
+    def close(self) -> None:
+        """From now on the lease counts as given up, because the host goes."""
+        self._closing = refusals.SHUTTING_DOWN
+
+    def end_all(self, error: StampedeError) -> None:
+        """Whoever waits for a channel or listens to it hears `error`."""
+        for hosted in self.all():
+            hosted.end(error)
 
     def by_name(self) -> list[HostedChannel]:
         """All channels that were bound here, in the order of names."""
@@ -143,13 +150,18 @@ class ChannelStore:
         """All channels that were bound here."""
         return list(self._channels.values())
 
+    def _check_lease(self) -> None:
+        if self._closing is not None:
+            raise self._closing
+        if not self.lease_held():
+            raise refusals.fenced(self._identity.name)
+
     def _knows(self, channel_id: bytes, epoch: int, spec_version: int) -> bool:
         hosted = self._channels.get(channel_id)
         return hosted is not None and hosted.epoch == epoch and hosted.record.spec_version >= spec_version
 
     async def _ask(self, channel_id: bytes) -> None:
-        if not self.lease_held():
-            raise refusals.fenced(self._identity.name)
+        self._check_lease()
         held = self._channels.get(channel_id)
         try:
             record = await self._directory.resolve(channel_id)
@@ -185,9 +197,13 @@ class ChannelStore:
         if hosted is not None:
             hosted.end(error)
 
-    def _end_all(self, error: StampedeError) -> None:
-        for hosted in self.all():
-            hosted.end(error)
-
     def _footprint_bytes(self) -> int:
         return sum(hosted.footprint_bytes() for hosted in self._channels.values())
+
+
+def _check_spec(held: channel_pb2.ChannelSpec, change: channel_pb2.ChannelSpec) -> None:
+    """Raises InvalidArgument if the channel could not be set up so."""
+    merged = channel_pb2.ChannelSpec()
+    merged.CopyFrom(held)
+    merged.MergeFrom(change)
+    Limits.of(policy_from_spec(merged))

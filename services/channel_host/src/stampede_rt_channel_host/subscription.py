@@ -11,7 +11,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import bound_from_message, reason_to_message
 from stampede_rt_channel_host.channels import SUBSCRIPTIONS_MAX, HostedChannel
 from stampede_rt_channel_host.core import AllCursor, Channel, Delivery, Gap, NewestCursor
-from stampede_rt_channel_host.frames import MESSAGE_BYTES_MAX, payload_bytes_of
+from stampede_rt_channel_host.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.requests import position_of, refuse_group
 from stampede_rt_channel_host.store import ChannelStore
 from stampede_rt_channel_host.streams import OpenStream
@@ -100,10 +100,14 @@ class Subscription:
         now = self._store.now()
         part = cursor.take(now)
         if not part.is_empty:
-            message = self._hosted.messages.encode(part.slices, self._about(part, cursor, now), without_payloads)
-            await self._write(message)
-            if not without_payloads:
-                self._hosted.count_delivered(payload_bytes_of(part.slices))
+            message = self._hosted.messages.encode(
+                part.slices,
+                self._about(part, cursor, now),
+                without_payloads=without_payloads,
+                readers=len(self._hosted.listeners),
+            )
+            await self._write(message.encoded)
+            self._hosted.count_delivered(message.payload_bytes)
         elif not await self._wait_for_news():
             progress = self._progress(cursor, self._store.now())
             await self._write(pb.SubscribeResponse(progress=progress).SerializeToString())

@@ -1,0 +1,104 @@
+"""Messages framed by hand are what protobuf would have written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stampede_rt.model import Policy
+from stampede_rt.timeline import parse_interval
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import error_pb2, raw_run_pb2
+from stampede_rt.wire.runs import encode_run, seal_run, slice_run
+from stampede_rt_channel_host.core import Answer, Channel, DeliveredSlice, Offer, Query
+from stampede_rt_channel_host.frames import SharedMessages, get_error, get_responses
+
+NOW = 1_700_000_000_000_000_000
+
+
+def channel_of(lengths: Sequence[int]) -> tuple[Channel, list[bytes]]:
+    """A channel with one run for each length, of one item, and the stored bytes."""
+    channel, stored = Channel(Policy(max_items=1000), incarnation=9), []
+    for place, length in enumerate(lengths):
+        time = NOW - 1000 + place
+
+        def seal(first_seq: int, kept: object, stamped: object, time: int = time, length: int = length) -> bytes:
+            stored.append(seal_run(encode_run([b"x" * length], times=[time]), first_seq))
+            return stored[-1]
+
+        channel.put(Offer(times=[time], durations=None, lengths=[length]), NOW, seal)
+    return channel, stored
+
+
+def read_all(channel: Channel, **fields: object) -> Answer:
+    return channel.read(Query(interval=parse_interval(0, NOW), **fields), NOW)  # type: ignore[arg-type]
+
+
+@given(st.integers(0, 2**64 - 1), st.lists(st.sampled_from([0, 1, 100, 127, 128, 20_000]), min_size=1, max_size=5))
+def test_a_get_response_is_what_protobuf_would_write(call_id: int, lengths: list[int]) -> None:
+    channel, stored = channel_of(lengths)
+    answer, summary = read_all(channel, limit=len(lengths)), pb.GetSummary(complete=True, detail="why")
+    (message,) = get_responses(call_id, answer, summary, without_payloads=False)
+    runs = [raw_run_pb2.RawDeliveredRun(run=run) for run in stored]
+    expected = raw_run_pb2.RawGetResponse(call_id=call_id, runs=runs, summary=summary)
+    assert message.encoded == expected.SerializeToString()
+    assert message.payload_bytes == sum(lengths)
+    assert message.is_last
+
+
+def test_the_time_of_the_next_bucket_goes_with_the_last_run_only() -> None:
+    channel, _ = channel_of([1, 1, 1])
+    (message,) = get_responses(1, read_all(channel, limit=2), pb.GetSummary(), without_payloads=False)
+    runs = pb.GetResponse.FromString(message.encoded).runs
+    assert [run.HasField("next_time_unix_nano") for run in runs] == [False, True]
+    assert runs[1].next_time_unix_nano == NOW - 998
+
+
+def test_an_answer_is_cut_before_it_exceeds_a_mebibyte() -> None:
+    channel, _ = channel_of([400_000] * 5)
+    messages = list(get_responses(3, read_all(channel), pb.GetSummary(), without_payloads=False))
+    parsed = [pb.GetResponse.FromString(message.encoded) for message in messages]
+    assert [len(one.runs) for one in parsed] == [2, 2, 1]
+    assert (
+        [one.HasField("summary") for one in parsed] == [message.is_last for message in messages] == [False] * 2 + [True]
+    )
+    assert {one.call_id for one in parsed} == {3}
+    assert sum(message.payload_bytes for message in messages) == 2_000_000
+
+
+def test_an_error_ends_a_call() -> None:
+    error = error_pb2.Error(reason=error_pb2.ERROR_REASON_NOT_HERE, message="gone", metadata={"channel": "a"})
+    (message,) = get_error(7, error)
+    assert pb.GetResponse.FromString(message.encoded) == pb.GetResponse(call_id=7, error=error)
+    assert message.is_last
+
+
+def test_readers_that_keep_up_share_one_message() -> None:
+    channel, stored = channel_of([3, 4])
+    one, other = channel.subscribe_all(NOW, start=parse_interval(0, 0).start), None
+    other = channel.subscribe_all(NOW, start=parse_interval(0, 0).start)
+    shared = SharedMessages()
+    first = shared.encode(channel.since(one, NOW, 10**6).slices, b"", without_payloads=False, readers=2)
+    second = shared.encode(channel.since(other, NOW, 10**6).slices, b"", without_payloads=False, readers=2)
+    assert first is second
+    assert first.payload_bytes == 7
+    assert [run.run for run in raw_run_pb2.RawSubscribeResponse.FromString(first.encoded).runs] == stored
+
+
+def test_a_message_for_others_is_made_anew() -> None:
+    channel, stored = channel_of([3])
+    slices: Sequence[DeliveredSlice] = channel.since(
+        channel.subscribe_all(NOW, start=parse_interval(0, 0).start), NOW, 10**6
+    ).slices
+    shared = SharedMessages()
+    plain = shared.encode(slices, b"", without_payloads=False, readers=2)
+    bare = shared.encode(slices, b"", without_payloads=True, readers=2)
+    news = pb.SubscribeResponse(gap=pb.SubscriptionGap(first_seq=1, last_seq=2))
+    told = shared.encode(slices, news.SerializeToString(), without_payloads=False, readers=2)
+    assert bare.payload_bytes == 0
+    parsed = raw_run_pb2.RawSubscribeResponse.FromString(bare.encoded)
+    assert parsed.runs[0].run == slice_run(stored[0], 0, 1, without_payloads=True)
+    assert len({plain.encoded, bare.encoded, told.encoded}) == 3
+    assert pb.SubscribeResponse.FromString(told.encoded).gap.last_seq == 2
