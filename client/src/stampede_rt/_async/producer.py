@@ -20,7 +20,7 @@ from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse
 from stampede_rt.transports.concurrency_async import Mutex, Signal, sleep
 from stampede_rt.transports.grpc_async import PutDuplex
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.wire.put_frames import put_head, put_request
 
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
 IN_FLIGHT_RUNS_MAX = 64
@@ -121,9 +121,9 @@ class Producer:
             run = self._builder.take()
             self._unacked.append(run)
             self._unacked_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
-            await self._write(_request_of(run))
+            await self._write(put_request(b"", run.first_number, (run.encoded,)))
 
-    async def _write(self, request: channel_pb.PutRequest) -> None:
+    async def _write(self, request: bytes) -> None:
         try:
             if self._stream is not None:
                 await self._stream.write(request)
@@ -168,13 +168,11 @@ class Producer:
             port = self._session.ports.to(binding.target)
             on_acks, on_end = partial(self._acked, self._generation), partial(self._ended, self._generation)
             self._stream = port.duplex(on_acks, on_end)
-            head = channel_pb.PutRequest(
-                channel_id=binding.channel_id, epoch=binding.epoch, producer_id=self._producer_id
-            )
+            head = put_head(binding.channel_id, binding.epoch, self._producer_id)
             with self._mutex:
                 await self._write(head)
                 for run in tuple(self._unacked):
-                    await self._write(_request_of(run))
+                    await self._write(put_request(b"", run.first_number, (run.encoded,)))
 
         await self._session.perform(self._state, open_at)
 
@@ -204,8 +202,3 @@ class Producer:
         if generation == self._generation:
             self._failure = self._failure or error
             self._moved.set()
-
-
-def _request_of(run: NumberedRun) -> channel_pb.PutRequest:
-    raw = raw_run_pb2.RawPutRequest(puts=(raw_run_pb2.RawPutRun(first_number=run.first_number, run=run.encoded),))
-    return channel_pb.PutRequest.FromString(raw.SerializeToString())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
@@ -14,7 +15,8 @@ from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse
 from stampede_rt.transports.concurrency_async import Mutex, thread_id
 from stampede_rt.transports.grpc_async import PutExchange
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.runs import run_parts
 
 STREAMS_MAX = 256
 
@@ -39,18 +41,17 @@ class PutStreams:
         timeout: float | None,
     ) -> Item:
         """Put one item under the producer's `number`, which makes it safe to send it again."""
-        run = single_run(payload, time, duration, attributes, content_type)
+        item = _Single.parse(payload, time, duration, attributes, content_type)
         wait = Wait.parse(timeout)
-        put = channel_pb.PutRun(first_number=number, run=run)
-        if wait.seconds is not None:
-            put.wait_nanos = wait.nanos
+        wait_nanos = None if wait.seconds is None else wait.nanos
         blocks = self._state.info.policy.on_full == "block"
         wait_s = wait.seconds if blocks else 0.0
         limit_s = None if wait_s is None else wait_s + CALL_TIMEOUT_S
 
         async def put_at(binding: Binding) -> Item:
-            ack = await self._stream(binding).put(self._request(binding, put), limit_s)
-            return self._accepted(run, ack)
+            head = put_head(binding.channel_id, binding.epoch, self._state.producer_id)
+            request = put_request(head, number, item.run_parts(), wait_nanos)
+            return self._accepted(item, await self._stream(binding).put(request, limit_s))
 
         return await self._session.perform(self._state, put_at, limit_s)
 
@@ -66,47 +67,58 @@ class PutStreams:
             self._streams[key] = (binding, stream)
         return stream
 
-    def _request(self, binding: Binding, put: channel_pb.PutRun) -> channel_pb.PutRequest:
-        return channel_pb.PutRequest(
-            channel_id=binding.channel_id, epoch=binding.epoch, producer_id=self._state.producer_id, puts=(put,)
-        )
-
-    def _accepted(self, run: item_pb2.ItemRun, ack: channel_pb.PutAck) -> Item:
+    def _accepted(self, item: _Single, ack: channel_pb.PutAck) -> Item:
         if ack.HasField("error"):
             raise from_error_message(ack.error)
         if ack.rejections:
             raise from_error_message(ack.rejections[0].error)
-        duration = run.duration_nanos[0] if run.duration_nanos else None
-        time = ack.stamped_unix_nano if ack.HasField("stamped_unix_nano") else run.time_unix_nano[0]
+        time = ack.stamped_unix_nano if item.time is None else item.time
         return Item(
             time,
-            None if duration is None else time + duration,
-            duration,
+            None if item.duration is None else time + item.duration,
+            item.duration,
             ack.first_seq,
-            run.payloads,
-            dict(run.attributes),
-            run.content_type or self._state.info.policy.content_type or "",
-            len(run.payloads),
+            item.payload,
+            item.attributes,
+            item.content_type or self._state.info.policy.content_type or "",
+            len(item.payload),
             ack.incarnation,
         )
 
 
-def single_run(
-    payload: bytes,
-    time: InstantLike | None,
-    duration: DurationLike | int | None,
-    attributes: Mapping[str, str] | None,
-    content_type: str | None,
-) -> item_pb2.ItemRun:
-    """A run of one item. Raises InvalidArgument for what the wire cannot carry."""
-    payload = check_payload(payload)
-    check_attributes(attributes)
-    nanos = parse_item_duration(duration)
-    return item_pb2.ItemRun(
-        time_unix_nano=() if time is None else (parse_instant(time),),
-        duration_nanos=() if nanos is None else (nanos,),
-        payload_length_bytes=(len(payload),),
-        content_type=content_type or "",
-        attributes=attributes,
-        payloads=payload,
-    )
+@dataclass(frozen=True, slots=True)
+class _Single:
+    """One item as its caller stated it, checked."""
+
+    payload: bytes
+    time: int | None
+    duration: int | None
+    attributes: Mapping[str, str]
+    content_type: str
+
+    @classmethod
+    def parse(
+        cls,
+        payload: bytes,
+        time: InstantLike | None,
+        duration: DurationLike | int | None,
+        attributes: Mapping[str, str] | None,
+        content_type: str | None,
+    ) -> _Single:
+        check_attributes(attributes)
+        return cls(
+            check_payload(payload),
+            None if time is None else parse_instant(time),
+            parse_item_duration(duration),
+            dict(attributes or {}),
+            content_type or "",
+        )
+
+    def run_parts(self) -> list[bytes]:
+        return run_parts(
+            (self.payload,),
+            times=None if self.time is None else (self.time,),
+            durations=None if self.duration is None else (self.duration,),
+            content_type=self.content_type,
+            attributes=self.attributes,
+        )

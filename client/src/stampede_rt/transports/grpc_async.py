@@ -13,7 +13,7 @@ import grpc.aio
 from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
@@ -34,6 +34,10 @@ class Port:
         self.directory = DirectoryServiceStub(self._channel)
         self.gatekeeper = GatekeeperServiceStub(self._channel)
         self.channels = ChannelServiceStub(self._channel)
+        # Requests are framed by hand (wire/put_frames.py) and sent as they are.
+        self._put: Callable[..., Any] = self._channel.stream_stream(
+            PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
+        )
         self._gets: GetExchange | None = None
 
     async def call(self, method: Callable[..., Any], request: Any, timeout_s: float) -> Any:
@@ -55,7 +59,7 @@ class Port:
 
     def puts(self) -> PutExchange:
         """A new stream for puts, which its caller closes."""
-        return PutExchange(self.channels.Put(metadata=self.metadata), self.target)
+        return PutExchange(self._put(metadata=self.metadata), self.target)
 
     def duplex(
         self,
@@ -63,7 +67,7 @@ class Port:
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
         """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
-        return PutDuplex(self.channels.Put(metadata=self.metadata), self.target, on_response, on_end)
+        return PutDuplex(self._put(metadata=self.metadata), self.target, on_response, on_end)
 
     async def aclose(self) -> None:
         """End everything that is under way here."""
@@ -201,7 +205,7 @@ class PutExchange(_Exchange):
         self._waiting: deque[asyncio.Future[channel_pb.PutAck]] = deque()
         super().__init__(call, target)
 
-    async def put(self, request: channel_pb.PutRequest, timeout_s: float | None) -> channel_pb.PutAck:
+    async def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
         """The ack of the one run in `request`."""
         future: asyncio.Future[channel_pb.PutAck] = asyncio.get_running_loop().create_future()
         try:
@@ -243,7 +247,7 @@ class PutDuplex(_Exchange):
         self._on_end = on_end
         super().__init__(call, target)
 
-    async def write(self, request: channel_pb.PutRequest) -> None:
+    async def write(self, request: bytes) -> None:
         """Send `request`; blocks while the connection's window is full. Raises Unavailable."""
         await self._write(request)
 

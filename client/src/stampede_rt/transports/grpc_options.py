@@ -1,7 +1,8 @@
-"""The limits of the client's gRPC channels (design: bounds on both sides)."""
+"""The limits of the client's gRPC channels, the same for both kinds."""
 
 from __future__ import annotations
 
+PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
 CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (

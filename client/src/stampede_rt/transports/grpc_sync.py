@@ -13,7 +13,7 @@ import grpc.experimental
 from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
@@ -36,6 +36,10 @@ class Port:
         self.directory = DirectoryServiceStub(self._channel)
         self.gatekeeper = GatekeeperServiceStub(self._channel)
         self.channels = ChannelServiceStub(self._channel)
+        # Requests are framed by hand (wire/put_frames.py) and sent as they are.
+        self._put: Callable[..., Any] = self._channel.stream_stream(
+            PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
+        )
         self._watchdog = Watchdog()
         self._of_thread = threading.local()
 
@@ -59,13 +63,13 @@ class Port:
 
     def puts(self) -> PutExchange:
         """A new stream for puts, which its caller closes."""
-        return PutExchange(self, self.channels.Put, self._watchdog)
+        return PutExchange(self, self._put, self._watchdog)
 
     def duplex(
         self, on_response: Callable[[channel_pb.PutResponse], None], on_end: Callable[[StampedeError], None]
     ) -> PutDuplex:
         """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
-        return PutDuplex(self, self.channels.Put, on_response, on_end)
+        return PutDuplex(self, self._put, on_response, on_end)
 
     def close(self) -> None:
         """End everything that is under way here."""
@@ -160,7 +164,7 @@ class GetExchange(_Lockstep):
 class PutExchange(_Lockstep):
     """Puts on one open stream, one at a time."""
 
-    def put(self, request: channel_pb.PutRequest, timeout_s: float | None) -> channel_pb.PutAck:
+    def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
         """The ack of the one run in `request`."""
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
@@ -183,7 +187,7 @@ class PutDuplex(_Exchange):
         self._on_end = on_end
         threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()
 
-    def write(self, request: channel_pb.PutRequest) -> None:
+    def write(self, request: bytes) -> None:
         """Send `request`. Raises Unavailable if the stream is broken."""
         if self.broken:
             raise Unavailable(f"the stream to {self._target} is broken")

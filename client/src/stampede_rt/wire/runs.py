@@ -28,6 +28,7 @@ ABSENT = -1
 _FIRST_SEQ = struct.Struct("<BQ")
 _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
 _TIMES_TAG = 1 << 3 | 2  # field 1, packed
+_PAYLOADS_TAG = bytes((6 << 3 | 2,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +49,30 @@ def encode_run(
     attributes: Mapping[str, str] | None = None,
 ) -> bytes:
     """The bytes of a run, as its producer sends it. `times` None: the host stamps the run on acceptance."""
-    return item_pb2.ItemRun(
+    return b"".join(
+        run_parts(payloads, times=times, durations=durations, content_type=content_type, attributes=attributes)
+    )
+
+
+def run_parts(
+    payloads: Sequence[bytes],
+    *,
+    times: Sequence[int] | None,
+    durations: Sequence[int] | None = None,
+    content_type: str = "",
+    attributes: Mapping[str, str] | None = None,
+) -> list[bytes]:
+    """The bytes of a run in pieces, the payloads among them as they are: joined with what goes around them, each is
+    copied once. A copy of 300 KB costs as much as a third of a round trip."""
+    lengths = [len(payload) for payload in payloads]
+    columns = item_pb2.ItemRun(
         time_unix_nano=times,
         duration_nanos=durations,
-        payload_length_bytes=[len(payload) for payload in payloads],
+        payload_length_bytes=lengths,
         content_type=content_type,
         attributes=attributes,
-        payloads=payloads[0] if len(payloads) == 1 else b"".join(payloads),
-    ).SerializeToString()
+    )
+    return [columns.SerializeToString(), _PAYLOADS_TAG, encode_varint(sum(lengths)), *payloads]
 
 
 def parse_run(raw: bytes) -> RunColumns:
@@ -113,10 +130,11 @@ def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = N
     if stamped_times is None:
         return raw + seq
     column = struct.pack(f"<{len(stamped_times)}q", *stamped_times)
-    return b"".join((raw, bytes((_TIMES_TAG,)), _varint(len(column)), column, seq))
+    return b"".join((raw, bytes((_TIMES_TAG,)), encode_varint(len(column)), column, seq))
 
 
-def _varint(value: int) -> bytes:
+def encode_varint(value: int) -> bytes:
+    """`value`, 0 or more, as protobuf writes numbers and lengths."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)

@@ -1,0 +1,35 @@
+"""Requests framed by hand are what protobuf would have made of the same values."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as some
+
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.runs import run_parts
+
+
+@given(
+    some.integers(1, 2**64 - 1),
+    some.lists(some.binary(max_size=300), min_size=1, max_size=4),
+    some.none() | some.integers(-1, 2**62),
+    some.booleans(),
+)
+def test_a_framed_put_reads_as_the_message(number: int, payloads: list[bytes], wait: int | None, first: bool) -> None:
+    head = put_head(b"c" * 16, 7, 9) if first else b""
+    times = list(range(len(payloads)))
+    request = channel_pb.PutRequest.FromString(
+        put_request(head, number, run_parts(payloads, times=times, attributes={"k": "v"}), wait)
+    )
+    run = item_pb2.ItemRun(
+        time_unix_nano=times,
+        payload_length_bytes=[len(payload) for payload in payloads],
+        attributes={"k": "v"},
+        payloads=b"".join(payloads),
+    )
+    expected = channel_pb.PutRequest(puts=[channel_pb.PutRun(first_number=number, wait_nanos=wait, run=run)])
+    if first:
+        expected.channel_id, expected.epoch, expected.producer_id = b"c" * 16, 7, 9
+    assert request == expected
