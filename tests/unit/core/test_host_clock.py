@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-import pytest
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,31 +16,41 @@ def test_host_time_starts_at_the_wall_clock_and_advances_with_the_monotonic_one(
     assert clock.offset_nanos == 0
 
 
-def test_a_wall_clock_that_steps_ahead_is_followed_slowly_until_it_is_reached() -> None:
+def test_a_small_offset_bends_time_by_little_and_melts_away() -> None:
     clock = HostTime(0, 0)
-    assert clock.read(SECOND, SECOND + SECOND) == SECOND + 500_000
-    assert clock.offset_nanos == SECOND - 500_000
-    assert clock.read(3000 * SECOND, 3001 * SECOND) == 3001 * SECOND
-    assert clock.offset_nanos == 0
+    millisecond = 1_000_000
+    assert clock.read(SECOND, SECOND + 30 * millisecond) == SECOND + millisecond
+    assert clock.read(2 * SECOND, 2 * SECOND + 31 * millisecond) == 2 * SECOND + 2 * millisecond
+    for second in range(3, 400):
+        clock.read(second * SECOND, second * SECOND + 30 * millisecond)
+    assert clock.offset_nanos < 1000
+
+
+def test_readings_in_quick_succession_follow_as_well_as_rare_ones() -> None:
+    clock = HostTime(0, 0)
+    for step in range(1, 100_001):
+        clock.read(step * 1000, step * 1000 + 1_000_000)
+    assert 1_000_000 - clock.offset_nanos == 3327  # of 1 ms after 0.1 s of 30: 1 - exp(-0.1 / 30), rounded down
+
+
+def test_a_wall_clock_that_steps_an_hour_ahead_is_reached_within_about_two() -> None:
+    clock = HostTime(0, 0)
+    assert clock.read(SECOND, 3601 * SECOND) == SECOND + SECOND // 2
+    for second in range(2, 7400):
+        clock.read(second * SECOND, (second + 3600) * SECOND)
+    assert clock.offset_nanos < SECOND
 
 
 def test_a_wall_clock_that_steps_back_never_turns_host_time_back() -> None:
     clock = HostTime(0, 3600 * SECOND)
-    times = [clock.read(step * SECOND // 10, step * SECOND // 10) for step in range(1, 100)]
-    assert times == sorted(times)
-    assert times[-1] == 3600 * SECOND + 99 * SECOND // 10 - 99 * 50_000
+    times = [clock.read(step * SECOND, step * SECOND) for step in range(1, 100)]
+    assert [after - before for before, after in pairwise(times)] == [SECOND // 2] * 98
 
 
 def test_a_monotonic_reading_from_before_counts_as_the_last_one() -> None:
     clock = HostTime(10, 1000)
     assert clock.read(20, 1010) == 1010
     assert clock.read(15, 5000) == 1010
-
-
-@pytest.mark.parametrize("slew_ppm", [0, -1, 1_000_000])
-def test_a_slew_that_would_stop_or_reverse_time_is_refused(slew_ppm: int) -> None:
-    with pytest.raises(ValueError, match=f"slew_ppm is {slew_ppm}"):
-        HostTime(0, 0, slew_ppm=slew_ppm)
 
 
 @given(st.lists(st.tuples(st.integers(0, 10**10), st.integers(-(10**13), 10**13)), max_size=30))
@@ -51,6 +62,7 @@ def test_host_time_keeps_within_the_slew_of_elapsed_time_whatever_the_wall_clock
     for elapsed, wall in steps:
         monotonic += elapsed
         host = clock.read(monotonic, wall)
-        assert abs(host - before - elapsed) <= elapsed * 500 // 1_000_000
+        assert elapsed - elapsed // 2 <= host - before <= elapsed + elapsed // 2
+        assert abs(wall - host) <= max(1, abs(wall - before - elapsed))
         assert clock.offset_nanos == wall - host
         before = host

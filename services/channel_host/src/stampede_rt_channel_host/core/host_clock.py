@@ -5,8 +5,12 @@ A stepped wall clock neither empties a retention window nor freezes one (paper, 
 
 from __future__ import annotations
 
-SLEW_PARTS_PER_MILLION = 500
-"""The most by which host time runs faster or slower than the monotonic clock, as NTP's own slewing does."""
+CATCH_UP_NANOS = 30_000_000_000
+"""An offset melts away within about this time; the smaller, the more gently: a millisecond bends time by 33 ppm."""
+
+SLEW_PPM_MAX = 500_000
+"""Never more than half as fast or slow again as the monotonic clock: a window then holds two thirds of its age, at the
+least, and a clock that was an hour wrong is right after two, not after the months that NTP's 500 ppm would take."""
 
 
 class HostTime:
@@ -15,25 +19,21 @@ class HostTime:
     The caller feeds it both clocks' readings, taken together; the oftener, the closer it follows.
     """
 
-    __slots__ = ("_host", "_monotonic", "_offset", "_slew_ppm")
+    __slots__ = ("_carry", "_host", "_monotonic", "_offset")
 
-    def __init__(self, monotonic_nanos: int, wall_unix_nano: int, *, slew_ppm: int = SLEW_PARTS_PER_MILLION) -> None:
-        """Starts at the wall clock's time. `slew_ppm` lies between 1 and 999,999."""
-        if not 0 < slew_ppm < 1_000_000:
-            raise ValueError(f"slew_ppm is {slew_ppm}; it is at least 1 and less than 1000000")
+    def __init__(self, monotonic_nanos: int, wall_unix_nano: int) -> None:
+        """Starts at the wall clock's time."""
         self._monotonic = monotonic_nanos
         self._host = wall_unix_nano
         self._offset = 0
-        self._slew_ppm = slew_ppm
+        self._carry = 0  # less than a nanosecond of correction, times CATCH_UP_NANOS: quick readings lose nothing
 
     def read(self, monotonic_nanos: int, wall_unix_nano: int) -> int:
         """Host time at these readings. A monotonic reading before the last one counts as that one."""
         elapsed = max(0, monotonic_nanos - self._monotonic)
         self._monotonic += elapsed
         straight = self._host + elapsed
-        most = elapsed * self._slew_ppm // 1_000_000
-        correction = max(-most, min(most, wall_unix_nano - straight))
-        self._host = straight + correction
+        self._host = straight + self._correction(wall_unix_nano - straight, elapsed)
         self._offset = wall_unix_nano - self._host
         return self._host
 
@@ -41,3 +41,11 @@ class HostTime:
     def offset_nanos(self) -> int:
         """How far the wall clock was ahead of host time at the last reading; what is still to be slewed."""
         return self._offset
+
+    def _correction(self, offset: int, elapsed: int) -> int:
+        """What of an offset is made up for in `elapsed`: its share of the time to catch up, as the slew allows."""
+        share = self._carry + offset * min(elapsed, CATCH_UP_NANOS)
+        made_up = abs(share) // CATCH_UP_NANOS
+        self._carry = (abs(share) % CATCH_UP_NANOS) * (1 if share > 0 else -1)
+        made_up = min(made_up, abs(offset), elapsed * SLEW_PPM_MAX // 1_000_000)
+        return made_up if share > 0 else -made_up
