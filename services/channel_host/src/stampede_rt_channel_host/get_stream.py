@@ -100,13 +100,14 @@ class GetStream:
         self._outbox.add(call_id, get_error(call_id, to_error_message(error)), _count_nothing)
 
     def _cancel(self, call_id: int) -> None:
-        get = self._calls.get(call_id)
+        get = self._calls.pop(call_id, None)
         if get is not None:
             get.cancel()
         self._outbox.drop(call_id)
 
     def _ended(self, call_id: int) -> None:
-        self._calls.pop(call_id, None)
+        if self._calls.get(call_id) is None:  # else the id was used again by a call that waits
+            self._calls.pop(call_id, None)
         if not self._calls:
             self._idle.set()
 

@@ -61,6 +61,7 @@ class PutStream:
                 await self._room.wait()
             self._acks.append(ack)  # not in one with an await: the writer takes the list meanwhile
         self._news.set()
+        await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
 
     async def _put(self, put: raw_run_pb2.RawPutRun) -> pb.PutAck:
         """The ack of one run. Blocks while the run waits for room."""

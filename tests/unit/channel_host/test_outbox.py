@@ -1,0 +1,107 @@
+"""The one writer of a stream: fair, bounded, and without a task for what can be written at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+
+from stampede_rt_channel_host.frames import Message
+from stampede_rt_channel_host.outbox import ANSWERS_QUEUED_MAX, Outbox
+from stampede_rt_channel_host.streams import OpenStream
+
+
+class Context:
+    """What gRPC gives a handler; while `open` is not set, nothing is taken."""
+
+    def __init__(self) -> None:
+        self.written: list[bytes] = []
+        self.open = asyncio.Event()
+        self.open.set()
+        self.begun = asyncio.Event()
+
+    async def write(self, message: bytes) -> None:
+        self.begun.set()
+        await self.open.wait()
+        self.written.append(message)
+
+
+class Box:
+    def __init__(self) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self.context = Context()
+        self.ended: list[int] = []
+        self.sent = 0
+        self.outbox = Outbox(self.context, OpenStream(task), self.ended.append)
+
+    def add(self, call_id: int, messages: int = 1) -> None:
+        self.outbox.add(call_id, answer(call_id, messages), self.count)
+
+    def count(self, payload_bytes: int) -> None:
+        self.sent += payload_bytes
+
+
+def answer(call_id: int, messages: int) -> Iterator[Message]:
+    for place in range(messages):
+        yield Message(b"%d.%d" % (call_id, place), 10, place == messages - 1)
+
+
+async def test_a_single_message_is_written_by_the_caller_itself() -> None:
+    box = Box()
+    tasks = len(asyncio.all_tasks())
+    box.add(1)
+    await box.outbox.flush()
+    assert (box.context.written, box.ended, box.sent) == ([b"1.0"], [1], 10)
+    assert len(asyncio.all_tasks()) == tasks
+
+
+async def test_answers_take_turns() -> None:
+    box = Box()
+    box.add(1, messages=3)
+    box.add(2)
+    box.add(3, messages=2)
+    await box.outbox.flush()
+    await box.outbox.finish()
+    assert box.context.written == [b"1.0", b"2.0", b"3.0", b"1.1", b"3.1", b"1.2"]
+    assert box.ended == [2, 3, 1]
+    assert box.sent == 60
+
+
+async def test_a_dropped_call_is_written_no_further() -> None:
+    box = Box()
+    box.context.open.clear()
+    box.add(1, messages=3)
+    box.add(2)
+    box.outbox.kick()
+    await box.context.begun.wait()
+    box.outbox.drop(1)
+    box.context.open.set()
+    await box.outbox.finish()
+    assert box.context.written == [b"1.0", b"2.0"]
+
+
+async def test_whoever_queues_too_much_is_held_back_until_it_is_written() -> None:
+    box = Box()
+    box.context.open.clear()
+    for call_id in range(ANSWERS_QUEUED_MAX + 2):
+        box.add(call_id)
+    flushing = asyncio.create_task(box.outbox.flush())
+    await box.context.begun.wait()
+    assert not flushing.done()
+    box.context.open.set()
+    await flushing
+    await box.outbox.finish()
+    assert len(box.context.written) == ANSWERS_QUEUED_MAX + 2
+
+
+async def test_a_closed_outbox_writes_no_more() -> None:
+    box = Box()
+    box.context.open.clear()
+    box.add(1)
+    box.add(2)
+    box.outbox.kick()
+    await box.context.begun.wait()
+    box.outbox.close()
+    box.context.open.set()
+    box.outbox.kick()
+    assert box.context.written == []
