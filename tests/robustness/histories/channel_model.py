@@ -1,0 +1,195 @@
+"""One name of the directory as a sequential object: claimed by whoever opens it first, a register while it is there.
+
+The register's value is the policy's `max_items`, since every caller can set and see it; `version` counts the changes,
+so that an update that was done twice shows. The epoch may rise at any moment (a host's lease ends, a host restarts)
+and is therefore only held to never falling.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from tests.robustness.histories.linearizability import check_linearizable
+from tests.robustness.histories.operations import Operation, by_key
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """Get or create; states `value` only if it is not 0."""
+
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Resolve:
+    """Find by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """Set the value of the channel with that id, if it is at that epoch."""
+
+    channel_id: bytes
+    epoch: int
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class Delete:
+    """Forget the channel with that id."""
+
+    channel_id: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The channel as an answer showed it."""
+
+    channel_id: bytes
+    epoch: int
+    value: int
+    version: int
+    created: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The answer was an error that the directory itself gave, for this reason."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Deleted:
+    """It was forgotten."""
+
+
+@dataclass(frozen=True, slots=True)
+class Absent:
+    """No channel has the name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """The channel that has it. An id of None: made by a call whose answer nobody heard, and not seen since."""
+
+    channel_id: bytes | None
+    epoch: int
+    value: int
+    version: int
+
+
+State: TypeAlias = Absent | Present
+
+
+class ChannelModel:
+    """`step` for one name. `created_ids`: what acknowledged creations gave; no unheard one can have made those."""
+
+    def __init__(self, created_ids: frozenset[bytes] = frozenset()) -> None:
+        self._created_ids = created_ids
+
+    def step(self, state: State, operation: Operation) -> State | None:
+        """The state after `operation`, or None where it cannot answer so."""
+        answer = operation.answer
+        match operation.call:
+            case Open(value=value):
+                return self._open(state, value, answer)
+            case Resolve():
+                return self._resolve(state, answer)
+            case Update():
+                return self._update(state, operation.call, answer)
+            case Delete(channel_id=channel_id):
+                return self._delete(state, channel_id, answer)
+        raise AssertionError(f"no such call: {operation.call}")
+
+    def _open(self, state: State, value: int, answer: object) -> State | None:
+        if isinstance(state, Absent):
+            if answer is None:
+                return Present(None, 1, value, 1)
+            if (
+                isinstance(answer, Seen)
+                and answer.created
+                and (answer.epoch, answer.value, answer.version)
+                == (
+                    1,
+                    value,
+                    1,
+                )
+            ):
+                return Present(answer.channel_id, 1, value, 1)
+            return None
+        if answer is None:
+            return None  # without effect: as well not done
+        return self._observe(state, answer) if isinstance(answer, Seen) and not answer.created else None
+
+    def _resolve(self, state: State, answer: object) -> State | None:
+        if answer == Refusal("CHANNEL_NOT_FOUND"):
+            return state if isinstance(state, Absent) else None
+        return self._observe(state, answer) if isinstance(answer, Seen) else None
+
+    def _observe(self, state: State, seen: Seen) -> State | None:
+        if isinstance(state, Absent):
+            return None
+        known = self._bind(state, seen.channel_id, seen.epoch)
+        if known is None or (known.epoch, known.value, known.version) != (seen.epoch, seen.value, seen.version):
+            return None
+        return known
+
+    def _bind(self, state: Present, channel_id: bytes, epoch: int) -> Present | None:
+        """The state, now known to have this id and, since epochs rise at any moment, at least this epoch."""
+        if state.channel_id is None and channel_id in self._created_ids:
+            return None
+        if state.channel_id not in (None, channel_id):
+            return None
+        return replace(state, channel_id=channel_id, epoch=max(state.epoch, epoch))
+
+    def _update(self, state: State, call: Update, answer: object) -> State | None:
+        known = self._bind(state, call.channel_id, call.epoch) if isinstance(state, Present) else None
+        if answer == Refusal("CHANNEL_NOT_FOUND"):
+            return self._without(state, call.channel_id)
+        if answer == Refusal("WRONG_EPOCH"):
+            # Somebody raised it, before or at this very moment; callers only name epochs that they were shown.
+            return replace(known, epoch=max(known.epoch, call.epoch + 1)) if known is not None else None
+        if known is None or known.epoch != call.epoch:
+            return None
+        changed = replace(known, value=call.value, version=known.version + (known.value != call.value))
+        if answer is None:
+            return changed
+        return self._observe(changed, answer) if isinstance(answer, Seen) else None
+
+    def _delete(self, state: State, channel_id: bytes, answer: object) -> State | None:
+        if answer == Refusal("CHANNEL_NOT_FOUND"):
+            return self._without(state, channel_id)
+        if answer not in (None, Deleted()):
+            return None
+        known = self._bind(state, channel_id, 0) if isinstance(state, Present) else None
+        return Absent() if known is not None else None
+
+    def _without(self, state: State, channel_id: bytes) -> State | None:
+        """No channel with this id is there. One whose id nobody has seen is taken for another."""
+        return None if isinstance(state, Present) and state.channel_id == channel_id else state
+
+
+def check_channel_histories(operations: Iterable[Operation]) -> int:
+    """Judge each name's history; returns how many names. Raises NotLinearizable or Undecided."""
+    histories = by_key(operations)
+    for history in histories.values():
+        answers = [one.answer for one in history if isinstance(one.answer, Seen) and one.answer.created]
+        model = ChannelModel(frozenset(answer.channel_id for answer in answers))
+        check_linearizable([one for one in history if not _says_nothing(one)], Absent(), model.step)
+    return len(histories)
+
+
+def _says_nothing(operation: Operation) -> bool:
+    return operation.ambiguous and isinstance(operation.call, Resolve)
+
+
+def acknowledged_writes(operations: Iterable[Operation]) -> int:
+    """How many changes callers were told of: channels made, values set, channels forgotten."""
+    return sum(
+        isinstance(one.answer, Deleted)
+        or (isinstance(one.answer, Seen) and (one.answer.created or isinstance(one.call, Update)))
+        for one in operations
+    )

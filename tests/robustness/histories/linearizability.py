@@ -1,0 +1,123 @@
+"""Is there an order of the operations, within their times, in which a sequential object gives the same answers?
+
+The search of Wing and Gong (1993), with Lowe's memory of visited configurations (2017), as in Porcupine and Knossos:
+always linearize some operation that no unfinished one precedes; undo where nothing fits; never visit a set of
+linearized operations with the same state twice. Written here because PyPI has no such checker (Porcupine is Go,
+Knossos Clojure); one page is less than a foreign toolchain in the test suite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from tests.robustness.histories.operations import Operation
+
+State = TypeVar("State", bound=Hashable)
+CONFIGURATIONS_MAX = 2_000_000
+
+
+class NotLinearizable(AssertionError):
+    """No order explains what the callers were told."""
+
+
+class Undecided(AssertionError):
+    """The search was given up; counts as a failure, since nothing is proven."""
+
+
+@dataclass(slots=True)
+class _Node:
+    """A call or a return in the doubly linked list of what is not linearized yet, in the order of time."""
+
+    position: int  # of the operation
+    is_call: bool
+    before: _Node | None = None
+    after: _Node | None = None
+    match: _Node | None = None  # the call's return; None for an ambiguous call, which never forces anything
+
+    def lift(self) -> None:
+        """Take a call and its return out of the list."""
+        for node in (self, self.match):
+            if node is not None:
+                assert node.before is not None
+                node.before.after = node.after
+                if node.after is not None:
+                    node.after.before = node.before
+
+    def unlift(self) -> None:
+        """Put them back, the return first: the reverse of `lift`."""
+        for node in (self.match, self):
+            if node is not None:
+                assert node.before is not None
+                node.before.after = node
+                if node.after is not None:
+                    node.after.before = node
+
+
+def check_linearizable(
+    operations: Sequence[Operation],
+    initial: State,
+    step: Callable[[State, Operation], State | None],
+    *,
+    configurations_max: int = CONFIGURATIONS_MAX,
+) -> None:
+    """`step` gives the state after an operation that answers as recorded, or None if it cannot come there.
+
+    Raises NotLinearizable with the operation at which every order fails, or Undecided.
+    """
+    head = _linked(operations)
+    unfinished = sum(not operation.ambiguous for operation in operations)
+    state, linearized = initial, 0
+    visited: set[tuple[int, State]] = set()
+    trail: list[tuple[_Node, State]] = []
+    node, furthest = head.after, 0
+    while unfinished:
+        assert node is not None, "an unfinished operation's return is still in the list"
+        if node.is_call:
+            following = step(state, operations[node.position])
+            configuration = (linearized | 1 << node.position, following)
+            if following is not None and configuration not in visited:
+                visited.add(configuration)  # type: ignore[arg-type]  # following is not None
+                if len(visited) > configurations_max:
+                    raise Undecided(f"key {operations[0].key}: more than {configurations_max} configurations")
+                trail.append((node, state))
+                state, linearized = following, linearized | 1 << node.position
+                unfinished -= node.match is not None
+                node.lift()
+                node = head.after
+            else:
+                node = node.after
+            continue
+        furthest = max(furthest, len(trail))
+        if not trail:
+            raise NotLinearizable(_explanation(operations, node.position))
+        node, state = trail.pop()
+        linearized &= ~(1 << node.position)
+        unfinished += node.match is not None
+        node.unlift()
+        node = node.after
+
+
+def _linked(operations: Sequence[Operation]) -> _Node:
+    """The list's head. Of a call and a return at one moment the call comes first: they may have overlapped."""
+    events: list[tuple[float, int, _Node]] = []
+    for position, operation in enumerate(operations):
+        call = _Node(position, True)
+        events.append((operation.invoked, 0, call))
+        if not operation.ambiguous:
+            call.match = _Node(position, False)
+            events.append((operation.returned, 1, call.match))
+    head = last = _Node(-1, True)
+    for _, _, node in sorted(events, key=lambda event: event[:2]):
+        node.before, last.after, last = last, node, node
+    return head
+
+
+def _explanation(operations: Sequence[Operation], position: int) -> str:
+    culprit = operations[position]
+    lines = "\n".join(
+        f"  {'>' if one is culprit else ' '} {one.invoked:10.4f} - {one.returned:10.4f}  {one.call}  ->  {one.answer}"
+        for one in sorted(operations, key=lambda one: one.invoked)
+    )
+    return f"key {culprit.key}: no order of these operations explains their answers; they fail by >\n{lines}"

@@ -1,0 +1,165 @@
+"""The checker finds what is planted, and nothing where nothing is."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from tests.robustness.histories.channel_model import (
+    Absent,
+    ChannelModel,
+    Delete,
+    Deleted,
+    Open,
+    Present,
+    Refusal,
+    Resolve,
+    Seen,
+    Update,
+    acknowledged_writes,
+    check_channel_histories,
+)
+from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
+from tests.robustness.histories.operations import Operation
+
+A, B = b"a" * 16, b"b" * 16
+NOT_FOUND = Refusal("CHANNEL_NOT_FOUND")
+
+
+def op(call: object, invoked: float, returned: float | None, answer: object = None) -> Operation:
+    return Operation("cam", call, invoked, *(() if returned is None else (returned, answer)))  # type: ignore[arg-type]
+
+
+CREATED = op(Open(1), 0, 1, Seen(A, 1, 1, 1, created=True))
+
+
+def seen(value: int, version: int, *, epoch: int = 1, channel_id: bytes = A) -> Seen:
+    return Seen(channel_id, epoch, value, version)
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        [],
+        [CREATED, op(Resolve(), 2, 3, seen(1, 1))],
+        [op(Resolve(), 0, 1, NOT_FOUND), op(Open(1), 0, 1, Seen(A, 1, 1, 1, created=True))],
+        # Two creators at once: one made it, the other got the same.
+        [op(Open(7), 0, 9, seen(1, 1)), op(Open(1), 1, 8, Seen(A, 1, 1, 1, created=True))],
+        # Concurrent with an update, one reader sees the old value and another one the new.
+        [
+            CREATED,
+            op(Update(A, 1, 2), 2, 9, seen(2, 2)),
+            op(Resolve(), 3, 4, seen(1, 1)),
+            op(Resolve(), 5, 6, seen(2, 2)),
+        ],
+        # An update that nobody heard of takes effect much later, or never.
+        [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(1, 1)), op(Resolve(), 5, 6, seen(2, 2))],
+        [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(1, 1))],
+        # A creation that nobody heard of.
+        [op(Open(1), 0, None), op(Resolve(), 2, 3, seen(1, 1, channel_id=B))],
+        [CREATED, op(Delete(A), 2, 3, Deleted()), op(Resolve(), 4, 5, NOT_FOUND)],
+        [CREATED, op(Delete(A), 2, 3, Deleted()), op(Open(2), 4, 5, Seen(B, 1, 2, 1, created=True))],
+        # The channel was placed anew in between.
+        [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=2)), op(Update(A, 1, 3), 4, 5, Refusal("WRONG_EPOCH"))],
+    ],
+)
+def test_a_history_that_some_order_explains_is_accepted(history: list[Operation]) -> None:
+    check_channel_histories(history)
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        # An acknowledged write is lost.
+        [CREATED, op(Update(A, 1, 2), 2, 3, seen(2, 2)), op(Resolve(), 4, 5, seen(1, 1))],
+        [CREATED, op(Resolve(), 2, 3, NOT_FOUND)],
+        # Two creators both won.
+        [CREATED, op(Open(2), 0, 1, Seen(B, 1, 2, 1, created=True))],
+        # A value goes back between two readers.
+        [CREATED, op(Update(A, 1, 2), 2, None), op(Resolve(), 3, 4, seen(2, 2)), op(Resolve(), 5, 6, seen(1, 1))],
+        # Done twice: the version shows it.
+        [CREATED, op(Update(A, 1, 2), 2, 3, seen(2, 2)), op(Resolve(), 4, 5, seen(2, 3))],
+        # Done although its caller was told that it was not (and therefore is in no history).
+        [CREATED, op(Resolve(), 2, 3, seen(9, 2))],
+        # The epoch falls.
+        [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=3)), op(Resolve(), 4, 5, seen(1, 1, epoch=2))],
+        # Updated under an epoch that had passed.
+        [CREATED, op(Resolve(), 2, 3, seen(1, 1, epoch=2)), op(Update(A, 1, 5), 4, 5, seen(5, 2, epoch=1))],
+        # Forgotten, and yet there.
+        [CREATED, op(Delete(A), 2, 3, Deleted()), op(Resolve(), 4, 5, seen(1, 1))],
+        # An effect before its cause.
+        [CREATED, op(Resolve(), 2, 3, seen(2, 2)), op(Update(A, 1, 2), 4, 5, seen(2, 2))],
+        # The id of a later creation cannot have come from an earlier, unheard one.
+        [op(Open(1), 0, None), op(Resolve(), 1, 2, seen(1, 1)), op(Open(1), 3, 4, Seen(A, 1, 1, 1, created=True))],
+    ],
+)
+def test_a_planted_violation_is_found(history: list[Operation]) -> None:
+    with pytest.raises(NotLinearizable, match="no order of these operations"):
+        check_channel_histories(history)
+
+
+def run_of_one_object(dice: random.Random, *, callers: int = 5, length: int = 60) -> list[Operation]:
+    """A true history: every call takes effect at one moment between its times; some answers are not heard."""
+    model: list[tuple[float, float, float, object]] = []
+    for caller in range(callers):
+        now = dice.random()
+        for number in range(length // callers):
+            invoked, moment, returned = now, now + dice.random(), now + 2 * dice.random() + 1
+            kind = dice.random()
+            value = 1000 * caller + number + 10
+            model.append((moment, invoked, returned, Resolve() if kind < 0.4 else Open(1) if kind < 0.5 else value))
+            now = returned
+    state: Present | None = None
+    history, ids = [], 0
+    for moment, invoked, returned, what in sorted(model, key=lambda one: one[0]):
+        call, answer = what, None
+        if isinstance(what, Open) and state is None:
+            ids += 1
+            state = Present(ids.to_bytes(16, "big"), 1, 1, 1)
+            answer = Seen(state.channel_id or b"", 1, 1, 1, created=True)
+        elif isinstance(what, int):
+            if state is None or state.channel_id is None:
+                continue
+            call = Update(state.channel_id, 1, what)
+            state = Present(state.channel_id, 1, what, state.version + 1)
+        if answer is None:
+            answer = Seen(state.channel_id or b"", 1, state.value, state.version) if state else NOT_FOUND
+        if dice.random() < 0.15:
+            history.append(Operation("cam", call, invoked))
+        else:
+            history.append(Operation("cam", call, invoked, max(returned, moment), answer))
+    return history
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_true_histories_are_accepted_and_spoilt_ones_are_not(seed: int) -> None:
+    dice = random.Random(seed)
+    history = run_of_one_object(dice)
+    check_channel_histories(history)
+    reads = [
+        number for number, one in enumerate(history) if isinstance(one.call, Resolve) and isinstance(one.answer, Seen)
+    ]
+    if not reads:
+        return
+    spoilt = dice.choice(reads)
+    one = history[spoilt]
+    assert isinstance(one.answer, Seen)
+    wrong = Seen(one.answer.channel_id, 1, one.answer.value, one.answer.version + 1)
+    history[spoilt] = Operation(one.key, one.call, one.invoked, one.returned, wrong)
+    with pytest.raises(NotLinearizable):
+        check_channel_histories(history)
+
+
+def test_a_search_that_grows_too_large_proves_nothing_and_says_so() -> None:
+    history = [Operation("cam", Update(A, 1, value), 0.0) for value in range(2, 30)]
+    history += [CREATED, op(Resolve(), 2, 3, seen(99, 9))]
+    with pytest.raises(Undecided, match="more than 500"):
+        check_linearizable(history, Absent(), ChannelModel().step, configurations_max=500)
+
+
+def test_each_name_is_judged_by_itself_and_its_changes_are_counted() -> None:
+    other = Operation("mic", Open(1), 0, 1, Seen(B, 1, 1, 1, created=True))
+    history = [CREATED, other, op(Update(A, 1, 2), 2, 3, seen(2, 2)), op(Update(A, 1, 3), 2, None)]
+    assert check_channel_histories(history) == 2
+    assert acknowledged_writes(history) == 3
