@@ -7,13 +7,11 @@ import gc
 import socket
 from collections.abc import Sequence
 
-import grpc
-
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_channel_host.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_runtime.clock import SystemClock
-from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.main import EXIT_FAILED, announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.values import Address, parse_address
@@ -26,8 +24,8 @@ class _Service:
 
     def __init__(self, settings: HostSettings) -> None:
         self._settings = settings
-        self._secret = settings.load_secret()
-        self._server = ServiceServer(secret=self._secret)
+        self._credentials = settings.load_credentials(Role.HOST)
+        self._server = ServiceServer(secret=self._credentials.secret, tls=self._credentials.tls)
         self._failed = False
         self._health: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
 
@@ -57,22 +55,28 @@ class _Service:
         settings = self._settings
         identity = HostIdentity(
             host_id=load_host_id(settings.data_dir),
-            name=settings.name or default_name(),
+            name=self._name(),
             boot_incarnation=new_boot_incarnation(),
             zone=settings.zone,
         )
         return ChannelHost(
             identity,
             frontends=settings.frontend,
-            dial=self._dial,
+            dial=self._credentials,
+            explain=self._credentials.explain,
             clock=SystemClock(),
             memory_bytes_max=settings.memory_bytes_max,
             on_serving=self._serving_changed,
             on_defect=self._end,
         )
 
-    def _dial(self, target: str) -> grpc.aio.Channel:
-        return dial(target, secret=self._secret)
+    def _name(self) -> str:
+        """What it is told to be called; with certificates that is what they say."""
+        tls, told = self._credentials.tls, self._settings.name
+        if tls is None:
+            return told or default_name()
+        tls.require_name(told or tls.identity.name, "--name")
+        return tls.identity.name
 
     def _serving_changed(self, serving: bool) -> None:
         if not self._server.stopping.is_set():

@@ -15,8 +15,8 @@ from stampede_rt.wire.reads import reason_to_message, resolved_to_message
 from stampede_rt_channel_host.channels import HostedChannel
 from stampede_rt_channel_host.core import Answer, WakeAt
 from stampede_rt_channel_host.frames import get_error, get_responses
+from stampede_rt_channel_host.get_plans import GetCall, GetPlan, GetPlans
 from stampede_rt_channel_host.outbox import Outbox
-from stampede_rt_channel_host.requests import parse, query_of, wait_nanos_of
 from stampede_rt_channel_host.store import ChannelStore
 from stampede_rt_channel_host.streams import OpenStream
 from stampede_rt_channel_host.waiting_gets import Outcome, WaitingGet
@@ -31,6 +31,7 @@ class GetStream:
         self._store = store
         self._context = context
         self._calls: dict[int, WaitingGet | None] = {}  # None: being answered
+        self._plans = GetPlans()
         self._idle = asyncio.Event()
         self._outbox = Outbox(context, stream, self._ended)
 
@@ -38,7 +39,7 @@ class GetStream:
         """Until the caller has closed its side and every call is answered. Raises InvalidArgument for garbage."""
         try:
             while (raw := await self._context.read()) is not EOF:
-                self._take(parse(pb.GetRequest, raw, "GetRequest"))
+                self._take(self._plans.read(raw))
                 await self._outbox.flush()
             while self._calls:
                 self._idle.clear()
@@ -50,50 +51,49 @@ class GetStream:
                 if get is not None:
                     get.cancel()
 
-    def _take(self, request: pb.GetRequest) -> None:
-        if request.cancel:
-            self._cancel(request.call_id)
-            return
-        try:
-            self._begin(request)
-        except StampedeError as error:
-            self._refuse(request.call_id, error)
+    def _take(self, call: GetCall) -> None:
+        if call.plan is not None:
+            try:
+                self._begin(call.call_id, call.plan)
+            except StampedeError as error:
+                self._refuse(call.call_id, error)
+        elif call.refusal is not None:
+            self._refuse(call.call_id, call.refusal)
+        else:
+            self._cancel(call.call_id)
 
-    def _begin(self, request: pb.GetRequest) -> None:
-        call_id = request.call_id
+    def _begin(self, call_id: int, plan: GetPlan) -> None:
         if call_id in self._calls:
             raise InvalidArgument(f"call {call_id} is under way on this stream; choose an id that is not")
         if len(self._calls) >= CALLS_MAX:
             raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, which is the most; open another stream")
-        hosted = self._store.find(request.channel_id, request.epoch)
-        query, wait_nanos, now = query_of(request), wait_nanos_of(request), self._store.now()
-        if not wait_nanos:
-            self._answer(request, hosted, hosted.channel.read(query, now), now)
+        hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
+        if not plan.wait_nanos:
+            self._answer(call_id, plan, hosted, hosted.channel.read(plan.query, now), now)
             return
-        pending = hosted.channel.begin(query, now)
+        pending = hosted.channel.begin(plan.query, now)
         found = hosted.channel.poll(pending, now)
         if isinstance(found, WakeAt):
-            on_outcome = self._releaser(request, hosted)
-            self._calls[call_id] = hosted.gets.add(pending, found, wait_nanos, now, on_outcome)
+            on_outcome = self._releaser(call_id, plan, hosted)
+            self._calls[call_id] = hosted.gets.add(pending, found, plan.wait_nanos, now, on_outcome)
         else:
-            self._answer(request, hosted, found, now)
+            self._answer(call_id, plan, hosted, found, now)
 
-    def _releaser(self, request: pb.GetRequest, hosted: HostedChannel) -> Callable[[Outcome], None]:
+    def _releaser(self, call_id: int, plan: GetPlan, hosted: HostedChannel) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
             if isinstance(outcome, StampedeError):
-                self._refuse(request.call_id, outcome)
+                self._refuse(call_id, outcome)
             else:
-                self._answer(request, hosted, outcome, self._store.now())
+                self._answer(call_id, plan, hosted, outcome, self._store.now())
             self._outbox.kick()
 
         return release
 
-    def _answer(self, request: pb.GetRequest, hosted: HostedChannel, answer: Answer, now: int) -> None:
-        self._calls[request.call_id] = None
-        messages = get_responses(
-            request.call_id, answer, summary_of(answer, now), without_payloads=request.without_payloads
-        )
-        self._outbox.add(request.call_id, messages, hosted.count_delivered)
+    def _answer(self, call_id: int, plan: GetPlan, hosted: HostedChannel, answer: Answer, now: int) -> None:
+        self._calls[call_id] = None
+        summary = summary_of(answer, now)
+        messages = get_responses(call_id, answer, summary, without_payloads=plan.without_payloads)
+        self._outbox.add(call_id, messages, hosted.count_delivered)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Not entered among the calls: a refused id may be one that is under way."""

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.identity import HostIdentity
 from stampede_rt_channel_host.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.store import ChannelStore
 from stampede_rt_channel_host.streams import OpenStreams
-from stampede_rt_channel_host.supernodes import Supernodes
+from stampede_rt_channel_host.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.sweep import sweep_forever
 from stampede_rt_runtime.clock import HostClock
 
@@ -45,9 +45,10 @@ class ChannelHost:
         memory_bytes_max: int,
         on_serving: Callable[[bool], None],
         on_defect: Callable[[BaseException], None],
+        explain: Explain | None = None,
     ) -> None:
         self.identity = identity
-        self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone)
+        self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
         self._registration = Registration(
             identity, self._supernodes, clock, on_registered=self._registered, on_lease=self._lease_changed
         )

@@ -7,7 +7,7 @@ import logging
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
 import grpc
@@ -25,16 +25,23 @@ BIND_SECONDS_MAX = 3.0
 SUPERNODES_MAX = 64
 
 Dial = Callable[[str], grpc.aio.Channel]
+Explain = Callable[[str], Awaitable[StampedeError | None]]
 
 
 class Supernodes:
-    """Calls the directory. The supernode that leads, or else the last that answered, is asked first."""
+    """Calls the directory. The supernode that leads, or else the last that answered, is asked first.
 
-    def __init__(self, frontends: Sequence[str], dial: Dial, *, peer_name: str, zone: str = "") -> None:
+    `explain` may know better than gRPC why a front-end cannot be talked to.
+    """
+
+    def __init__(
+        self, frontends: Sequence[str], dial: Dial, *, peer_name: str, zone: str = "", explain: Explain | None = None
+    ) -> None:
         self._frontends = tuple(frontends)
         self._dial = dial
         self._peer_name = peer_name
         self._zone = zone
+        self._explain = explain
         self._targets: list[str] = []
         self._channels: dict[str, grpc.aio.Channel] = {}
         self.cluster_id = ""
@@ -71,11 +78,18 @@ class Supernodes:
             except StampedeError as error:
                 if not may_pass(error):
                     raise
-                failure = error
+                failure = await self._better(target, error)
                 continue
             await self._learn(response)
             return
+        if not may_pass(failure):
+            raise failure
         raise Unavailable(f"cannot find the supernodes by {', '.join(self._frontends)}: {failure}")
+
+    async def _better(self, target: str, error: StampedeError) -> StampedeError:
+        if self._explain is None or not isinstance(error, Unavailable):
+            return error
+        return await self._explain(target) or error
 
     async def _ask_frontend(self, target: str, timeout_s: float) -> frontend_service_pb2.BindResponse:
         request = frontend_service_pb2.BindRequest(
