@@ -40,6 +40,7 @@ from stampede_rt.errors import (
 )
 from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Item, Items, Policy, Reason, SupernodeInfo
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
+from stampede_rt.tls import TlsFiles
 from stampede_rt.version import VERSION as __version__  # noqa: N811
 
 __all__ = [
@@ -78,6 +79,7 @@ __all__ = [
     "StampedeError",
     "Subscription",
     "SupernodeInfo",
+    "TlsFiles",
     "TooOld",
     "Unavailable",
     "VersionMismatch",
@@ -91,15 +93,21 @@ __all__ = [
 
 
 def connect(
-    url: str | None = None, *, name: str | None = None, secret: str | None = None, zone: str | None = None
+    url: str | None = None,
+    *,
+    name: str | None = None,
+    secret: str | None = None,
+    zone: str | None = None,
+    tls: TlsFiles | None = None,
 ) -> Connection:
     """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
 
     `name`: this participant's name; `secret`: the cluster's, found by itself on the same machine; `zone`: where the
-    caller is, to prefer what is near. Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch.
+    caller is, to prefer what is near; `tls`: certificates, if the cluster asks for them. Blocks 5 s at most. Raises
+    Unavailable, PermissionDenied, VersionMismatch.
     """
-    target = _parse_target(url, name=name, secret=secret, zone=zone)
-    session = _Session(target.frontends, target.secret, peer_name=target.name, zone=target.zone)
+    target = _parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
+    session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
     try:
         return Connection(session, target.name).open()
     except BaseException:

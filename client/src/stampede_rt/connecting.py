@@ -1,4 +1,4 @@
-"""What `connect` is told, checked: addresses, the secret, the caller's name and zone."""
+"""What `connect` is told, checked: addresses, the secret, certificates, the caller's name and zone."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import os
 from dataclasses import dataclass
 
 from stampede_rt.addresses import DEFAULT_URL, parse_addresses
-from stampede_rt.credentials import read_secret
+from stampede_rt.credentials import Credentials, read_secret
 from stampede_rt.policy import parse_name
+from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
 
 _LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
 
@@ -20,21 +21,33 @@ class Target:
     secret: str | None
     name: str
     zone: str
+    tls: TlsReader | None = None
+
+    @property
+    def credentials(self) -> Credentials:
+        """What every connection brings."""
+        return Credentials(secret=self.secret, tls=self.tls)
 
 
-def parse_target(url: str | None, *, name: str | None, secret: str | None, zone: str | None) -> Target:
+def parse_target(
+    url: str | None, *, name: str | None, secret: str | None, zone: str | None, tls: TlsFiles | None = None
+) -> Target:
     """`url`: front-ends, "host:port,host:port"; default `$STAMPEDE_URL`, then localhost:7580.
 
     Without `secret`, the one in `$STAMPEDE_SECRET_FILE` is used; the user's own secret file (see `credentials`) only
-    towards this machine, so that it is told to nobody else.
+    towards this machine, so that it is told to nobody else. Without `tls`, `$STAMPEDE_TLS_CA`,
+    `$STAMPEDE_TLS_CERTIFICATE` and `$STAMPEDE_TLS_KEY` name the certificates, if they are set.
+    Raises InvalidArgument, PermissionDenied.
     """
     frontends = parse_addresses(url or os.environ.get("STAMPEDE_URL") or DEFAULT_URL)
     here = all(frontend.startswith(_LOOPBACK) for frontend in frontends)
     if secret is None and (here or os.environ.get("STAMPEDE_SECRET_FILE")):
         secret = read_secret()
+    files = tls or files_from_environment(os.environ)
     return Target(
         frontends=frontends,
         secret=secret,
         name=parse_name(name, "peer") if name else "",
         zone=zone or os.environ.get("STAMPEDE_ZONE", ""),
+        tls=TlsReader(files) if files else None,
     )

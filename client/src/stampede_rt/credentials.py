@@ -1,12 +1,14 @@
-"""Where the shared secret of a cluster without certificates lies, and how calls carry it."""
+"""What a caller proves itself with: the shared secret, where it lies and how calls carry it, and certificates."""
 
 from __future__ import annotations
 
 import os
 import stat
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.tls import TlsMaterial, TlsReader
 
 
 def secret_file() -> Path:
@@ -39,3 +41,15 @@ def read_secret(path: Path | None = None) -> str | None:
 def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:
     """The metadata that a call brings along; none without a secret."""
     return (("authorization", f"Bearer {secret}"),) if secret else ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Credentials:
+    """What a caller brings: the secret, the certificates, both, or nothing."""
+
+    secret: str | None = field(default=None, repr=False)
+    tls: TlsReader | None = None
+
+    def material(self) -> TlsMaterial | None:
+        """The certificates as they are now, for a new connection; None: it is in plain text."""
+        return self.tls.current() if self.tls else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from stampede_rt.credentials import Credentials
 from stampede_rt.transports.concurrency_async import Mutex
 from stampede_rt.transports.grpc_async import Port
 
@@ -9,26 +10,40 @@ PORTS_MAX = 1024
 
 
 class Ports:
-    """Opens a port at its first use and keeps it; beyond a bound the longest unused one is let go."""
+    """Opens a port at its first use and keeps it; beyond a bound the longest unused one is let go.
 
-    def __init__(self, secret: str | None) -> None:
-        self._secret = secret
+    Certificates that change count for new ports: what is under way goes on where it began, what comes next does not.
+    """
+
+    def __init__(self, credentials: Credentials) -> None:
+        self.credentials = credentials
+        self._material = credentials.material()
         self._ports: dict[str, Port] = {}
+        self._former: list[Port] = []  # of the certificates before; their streams may still be read
         self._mutex = Mutex()
 
     def to(self, target: str) -> Port:
         """The port to `target`."""
         with self._mutex:
-            port = self._ports.pop(target, None) or Port(target, self._secret)
+            self._look_at_certificates()
+            port = self._ports.pop(target, None) or Port(target, self.credentials.secret, self._material)
             self._ports[target] = port
             if len(self._ports) > PORTS_MAX:
                 self._ports.pop(next(iter(self._ports)))
             return port
 
+    def _look_at_certificates(self) -> None:
+        material = self.credentials.material()
+        if material is not self._material:
+            self._material = material
+            self._former = list(self._ports.values())
+            self._ports.clear()
+
     async def aclose(self) -> None:
         """End everything that is under way."""
         with self._mutex:
-            ports = list(self._ports.values())
+            ports = [*self._former, *self._ports.values()]
+            self._former.clear()
             self._ports.clear()
         for port in ports:
             await port.aclose()

@@ -16,6 +16,7 @@ from typing import TypeVar
 from stampede_rt._async.ports import Ports
 from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S, Supernodes
 from stampede_rt.binding import Binding, BindingCache, Owner
+from stampede_rt.credentials import Credentials
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.model import ChannelInfo, Policy
 from stampede_rt.retry import Backoff
@@ -47,8 +48,8 @@ class ChannelState:
 class Session:
     """The caches and the retries behind every handle of one connection."""
 
-    def __init__(self, frontends: tuple[str, ...], secret: str | None, *, peer_name: str, zone: str) -> None:
-        self.ports = Ports(secret)
+    def __init__(self, frontends: tuple[str, ...], credentials: Credentials, *, peer_name: str, zone: str) -> None:
+        self.ports = Ports(credentials)
         self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.closed = False

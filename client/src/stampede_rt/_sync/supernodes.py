@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import random
 import time
 from typing import Any
@@ -11,7 +12,8 @@ from stampede_rt._sync.ports import Ports
 from stampede_rt.binding import order_by_round_trip
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.retry import Backoff
-from stampede_rt.transports.concurrency_sync import sleep
+from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.transports.concurrency_sync import in_thread, sleep
 from stampede_rt.transports.grpc_sync import Stream
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
@@ -21,6 +23,7 @@ MEASURE_EVERY_S = 60.0
 PING_TIMEOUT_S = 1.0
 TRY_TIMEOUT_S = 2.5  # for one supernode while there are others: one that is stopped must not use up all the time
 CONNECT_TIMEOUT_S = 5.0
+EXPLAIN_TIMEOUT_S = 1.0  # after it no other front-end is looked at
 
 
 class Supernodes:
@@ -69,6 +72,8 @@ class Supernodes:
         return response
 
     def _unbound(self, failure: StampedeError | None) -> StampedeError:
+        if isinstance(failure, Unavailable):
+            failure = self._explain() or failure
         if failure is not None and not isinstance(failure, Unavailable | DeadlineExceeded):
             return failure
         addresses = ", ".join(self._frontends)
@@ -77,6 +82,17 @@ class Supernodes:
             "$STAMPEDE_URL",
             reason=failure.reason if failure else "NO_QUORUM",
         )
+
+    def _explain(self) -> StampedeError | None:
+        """Whether it is for certificates that no front-end answers."""
+        deadline_s = time.monotonic() + EXPLAIN_TIMEOUT_S
+        for target in self._frontends:
+            if time.monotonic() > deadline_s:
+                break
+            found = in_thread(functools.partial(explain_refusal, target, self._ports.credentials.tls))
+            if found is not None:
+                return found
+        return None
 
     def _measure(self) -> None:
         """Ping every supernode and order them by round trip; what does not answer goes last."""

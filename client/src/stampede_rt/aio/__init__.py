@@ -14,6 +14,7 @@ from stampede_rt._async.subscription import Subscription
 from stampede_rt._async.watch import Watch
 from stampede_rt.connecting import Target as _Target
 from stampede_rt.connecting import parse_target as _parse_target
+from stampede_rt.tls import TlsFiles
 
 __all__ = ["Channel", "Connection", "Producer", "Subscription", "Watch", "connect"]
 
@@ -27,7 +28,7 @@ class _Connecting:
 
     async def _connect(self) -> Connection:
         target = self._target
-        session = _Session(target.frontends, target.secret, peer_name=target.name, zone=target.zone)
+        session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
         try:
             self._connection = await Connection(session, target.name).open()
         except BaseException:
@@ -49,7 +50,12 @@ class _Connecting:
 
 
 def connect(
-    url: str | None = None, *, name: str | None = None, secret: str | None = None, zone: str | None = None
+    url: str | None = None,
+    *,
+    name: str | None = None,
+    secret: str | None = None,
+    zone: str | None = None,
+    tls: TlsFiles | None = None,
 ) -> _Connecting:
     """As `stampede_rt.connect`; await it, or enter it with `async with`."""
-    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone))
+    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls))

@@ -45,7 +45,7 @@ class Finding:
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Look at every part; exit status 1 if something is to be fixed."""
     target = parse_target(arguments.url or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
-    ports = Ports(target.secret)
+    ports = Ports(target.credentials)
     try:
         findings = list(_examine(target, ports))
     finally:

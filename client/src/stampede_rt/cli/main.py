@@ -22,6 +22,7 @@ SERVICE_VERBS = {
     "frontend": "run a front-end",
     "supernode": "run a supernode",
     "host": "run a channel host",
+    "certs": "make the certificates of a cluster",
     "demo": "see it at work on real media",
 }
 

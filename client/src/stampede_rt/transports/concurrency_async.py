@@ -6,6 +6,9 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from types import TracebackType
+from typing import TypeVar
+
+Result = TypeVar("Result")
 
 monotonic_s = time.monotonic
 
@@ -49,6 +52,11 @@ class Signal:
 async def sleep(delay_s: float) -> None:
     """Block for `delay_s`."""
     await asyncio.sleep(delay_s)
+
+
+async def in_thread(operation: Callable[[], Result]) -> Result:
+    """The result of an operation that blocks."""
+    return await asyncio.to_thread(operation)
 
 
 def thread_id() -> int:

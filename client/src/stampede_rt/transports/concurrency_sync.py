@@ -5,6 +5,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import TypeVar
+
+Result = TypeVar("Result")
 
 Mutex = threading.Lock
 sleep = time.sleep
@@ -29,6 +32,11 @@ class Signal:
     def wait(self, timeout_s: float | None) -> bool:
         """Block until `set`, `timeout_s` at most; whether it was set."""
         return self._event.wait(timeout_s)
+
+
+def in_thread(operation: Callable[[], Result]) -> Result:
+    """The result of an operation that blocks; this thread is the caller's own."""
+    return operation()
 
 
 def begin_now(operation: Callable[[], None]) -> None:

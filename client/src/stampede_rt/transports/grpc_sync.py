@@ -13,6 +13,8 @@ import grpc.experimental
 from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
+from stampede_rt.tls import TlsMaterial
+from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -24,14 +26,20 @@ from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 Response = TypeVar("Response")
 
 
+def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.Channel:
+    options = (*CHANNEL_OPTIONS, (grpc.experimental.ChannelOptions.SingleThreadedUnaryStream, 1))
+    if tls is None:
+        return grpc.insecure_channel(target, options=options)
+    return grpc.secure_channel(target, channel_credentials(tls), options=options)
+
+
 class Port:
     """A gRPC connection to one address, shared by all calls there."""
 
-    def __init__(self, target: str, secret: str | None) -> None:
+    def __init__(self, target: str, secret: str | None, tls: TlsMaterial | None = None) -> None:
         self.target = target
         self.metadata = call_metadata(secret)
-        options = (*CHANNEL_OPTIONS, (grpc.experimental.ChannelOptions.SingleThreadedUnaryStream, 1))
-        self._channel = grpc.insecure_channel(target, options=options)
+        self._channel = _open_channel(target, tls)
         self.frontend = FrontendServiceStub(self._channel)
         self.directory = DirectoryServiceStub(self._channel)
         self.gatekeeper = GatekeeperServiceStub(self._channel)

@@ -8,11 +8,15 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from stampede_rt.tls import TlsFiles
+from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_runtime.auth import Secret, make_secret_file
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.values import Address, parse_address
 
+_TITLES = {Role.SUPERNODE: "supernode", Role.FRONTEND: "front-end", Role.HOST: "host"}
 READY_SECONDS = 40.0  # a quiet machine needs 1 to 2, a busy one may need 10
 
 
@@ -21,8 +25,9 @@ class LocalCluster:
 
     `listen` is the first front-end's address; the others and all other services take free ports of the same host.
     If `durable`, supernodes keep their log and hosts their identity in `folder`, and can be restarted. `folder` is a
-    temporary one unless named, None if nothing needs it; `secret_file` is made in it unless named. `on_line` and
-    `on_exit`: see ServiceProcess.
+    temporary one unless named, None if nothing needs it; `secret_file` is made in it unless named. With `tls` all ports
+    ask for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is named. `on_line`
+    and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -35,6 +40,7 @@ class LocalCluster:
         durable: bool = True,
         folder: Path | None = None,
         secret_file: Path | None = None,
+        tls: bool = False,
         allow_insecure_anywhere: bool = False,
         log_level: str = "info",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
@@ -45,13 +51,16 @@ class LocalCluster:
                 "a cluster needs at least one supernode and one front-end, and no negative number of hosts"
             )
         # In memory and with the user's own secret nothing is written, so that even SIGKILL leaves no folder behind.
-        self._temporary = folder is None and (durable or secret_file is None)
+        self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
         self._listen = parse_address(listen)
         self._durable = durable
         self._on_line, self._on_exit = on_line, on_exit
-        self._shared = ["--secret-file", str(self.secret.path), "--log-level", log_level]
+        self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
+        self._shared = ["--log-level", log_level]
+        if secret_file is not None or not tls:
+            self._shared += ["--secret-file", str(self.secret.path)]
         if allow_insecure_anywhere:
             self._shared.append("--allow-insecure-anywhere")
         ports = free_ports(supernodes + frontends, self._listen.host, besides=self._listen.port)
@@ -68,6 +77,10 @@ class LocalCluster:
     def secret_file(self) -> Path:
         """Where clients find the secret (`$STAMPEDE_SECRET_FILE`)."""
         return self.secret.path
+
+    def tls_files(self, name: str = "somebody", role: Role = Role.CLIENT) -> TlsFiles | None:
+        """A certificate for a caller, made anew; None without `tls`."""
+        return self.certificates.issue(role, name) if self.certificates else None
 
     def processes(self) -> Iterator[ServiceProcess]:
         """All of them, hosts first: the order in which they can be stopped without errors in their logs."""
@@ -127,8 +140,16 @@ class LocalCluster:
     def _at(self, port: int) -> str:
         return str(Address(self._listen.host, port))
 
-    def _process(self, name: str, module: str, *arguments: str) -> ServiceProcess:
-        return ServiceProcess(name, module, [*arguments, *self._shared], on_line=self._on_line, on_exit=self._on_exit)
+    def _process(self, role: Role, name: str, module: str, *arguments: str) -> ServiceProcess:
+        words = [*arguments, *self._tls_arguments(role, name), *self._shared]
+        title = f"{_TITLES[role]} {name}"
+        return ServiceProcess(title, module, words, on_line=self._on_line, on_exit=self._on_exit)
+
+    def _tls_arguments(self, role: Role, name: str) -> list[str]:
+        if self.certificates is None:
+            return []
+        ca, certificate, key = self.certificates.issue(role, name).paths()
+        return ["--tls-ca", str(ca), "--tls-certificate", str(certificate), "--tls-key", str(key)]
 
     def _plan_supernodes(self, ports: list[int]) -> list[ServiceProcess]:
         members = {f"s{number}": self._at(port) for number, port in enumerate(ports, start=1)}
@@ -138,14 +159,15 @@ class LocalCluster:
 
     def _plan_supernode(self, name: str, address: str) -> ServiceProcess:
         arguments = ["--listen", address, "--id", name, "--members", self._members, *self._data_dir(name)]
-        return self._process(f"supernode {name}", "stampede_rt_supernode", *arguments)
+        return self._process(Role.SUPERNODE, name, "stampede_rt_supernode", *arguments)
 
     def _plan_frontends(self, ports: list[int]) -> list[ServiceProcess]:
         ports = [self._listen.port or ports[0], *ports[1:]]
         self._frontend_addresses = [self._at(port) for port in ports]
         return [
             self._process(
-                f"front-end {number}",
+                Role.FRONTEND,
+                str(number),
                 "stampede_rt_frontend",
                 *("--listen", address, "--supernodes", self._supernode_addresses),
             )
@@ -155,4 +177,4 @@ class LocalCluster:
     def _plan_host(self, number: int) -> ServiceProcess:
         name = f"h{number}"
         arguments = ["--listen", self._at(0), "--name", name, "--frontend", self.address, *self._data_dir(name)]
-        return self._process(f"host {name}", "stampede_rt_channel_host", *arguments)
+        return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments)

@@ -10,7 +10,7 @@ from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.roster import SUPERNODES_MAX, Roster
 from stampede_rt_frontend.servicer import FrontendServicer
 from stampede_rt_runtime.clock import SystemClock
-from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.main import ServiceSettings, announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import setting
@@ -44,10 +44,10 @@ class FrontendSettings(ServiceSettings):
 
 async def serve(settings: FrontendSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or PermissionDenied."""
-    secret = settings.load_secret()
-    server = ServiceServer(secret=secret)
+    credentials = settings.load_credentials(Role.FRONTEND)
+    server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
     roster = Roster(tuple(dict.fromkeys(settings.supernodes)))
-    async with Prober(roster, lambda target: dial(target, secret=secret)) as prober:
+    async with Prober(roster, credentials, explain=credentials.explain) as prober:
         servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server.grpc)
         address = await server.start(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)

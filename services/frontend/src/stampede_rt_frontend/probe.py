@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from time import perf_counter_ns
 
 import grpc
 
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
 from stampede_rt_frontend.ranking import Supernode
@@ -23,10 +24,20 @@ _RETRY_SECONDS_MIN = 0.05  # a supernode that is just starting is found soon; th
 
 
 class Prober:
-    """Keeps a Roster fresh, with one task and one connection per supernode. Use as an async context manager."""
+    """Keeps a Roster fresh, with one task and one connection per supernode. Use as an async context manager.
 
-    def __init__(self, roster: Roster, dial: Callable[[str], grpc.aio.Channel]) -> None:
+    `explain` may know better than gRPC why a supernode cannot be talked to.
+    """
+
+    def __init__(
+        self,
+        roster: Roster,
+        dial: Callable[[str], grpc.aio.Channel],
+        *,
+        explain: Callable[[str], Awaitable[StampedeError | None]] | None = None,
+    ) -> None:
         self._roster = roster
+        self._explain = explain
         self._dial = dial
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._changed = asyncio.Condition()
@@ -84,11 +95,16 @@ class Prober:
                 self._roster.listed(await _list(stub))
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:
-            why = str(from_rpc_error(error, target))
+            why = str(await self._better(target, from_rpc_error(error, target)))
             logger.debug("probe failed", extra={"target": target, "why": why})
             self._roster.failed(target, why)
             return False
         return answer.ready and accepted
+
+    async def _better(self, target: str, error: StampedeError) -> StampedeError:
+        if self._explain is None or not isinstance(error, Unavailable):
+            return error
+        return await self._explain(target) or error
 
 
 def _log_defect(task: asyncio.Task[None]) -> None:

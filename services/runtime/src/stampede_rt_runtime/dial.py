@@ -1,26 +1,67 @@
-"""Outgoing connections of services: the same limits as incoming ones, and the secret with every call."""
+"""Outgoing connections of services: the same limits as incoming ones, the secret with every call, certificates."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import grpc
 
 from stampede_rt.credentials import call_metadata
+from stampede_rt.errors import StampedeError
+from stampede_rt.tls import TlsMaterial, TlsReader
+from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt_runtime.auth import Secret
-from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.limits import Limits, Option
+from stampede_rt_runtime.renewing import RenewingChannel
+from stampede_rt_runtime.tls import ServiceTls
 
 
-def dial(target: str, *, secret: Secret | None, limits: Limits | None = None) -> grpc.aio.Channel:
+def dial(
+    target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
+) -> grpc.aio.Channel:
     """A channel to `target` that brings `secret` with every call. Connects lazily; the caller closes it.
+
+    With `tls` both sides prove themselves by certificates, and calls after a renewal go over a new connection.
 
     gRPC's call credentials need TLS, and its interceptors cost a task per call; so the channel itself adds the secret.
     """
     options = (limits or Limits()).channel_options()
-    channel = grpc.aio.insecure_channel(target, options=options)
+    channel = _open(target, options, tls)
     metadata = call_metadata(secret.text if secret else None)
     return _AuthorizedChannel(channel, metadata) if metadata else channel
+
+
+def _open(target: str, options: list[Option], tls: TlsReader | None) -> grpc.aio.Channel:
+    if tls is None:
+        return grpc.aio.insecure_channel(target, options=options)
+
+    def connect(material: TlsMaterial) -> grpc.aio.Channel:
+        return grpc.aio.secure_channel(target, channel_credentials(material), options=options)
+
+    return RenewingChannel(connect, tls)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Dialer:
+    """Opens a service's connections, all with the same credentials; callable in the place of `dial`."""
+
+    secret: Secret | None
+    tls: ServiceTls | None = None
+
+    def __call__(self, target: str) -> grpc.aio.Channel:
+        """A channel to `target`; the caller closes it."""
+        return dial(target, secret=self.secret, tls=self._reader())
+
+    async def explain(self, target: str) -> StampedeError | None:
+        """Why `target` cannot be talked to, if that is for certificates. Takes 3 s at most."""
+        return await asyncio.to_thread(explain_refusal, target, self._reader())
+
+    def _reader(self) -> TlsReader | None:
+        return self.tls.reader if self.tls else None
 
 
 class _AuthorizedChannel(grpc.aio.Channel):

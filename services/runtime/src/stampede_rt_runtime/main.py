@@ -12,10 +12,14 @@ from pathlib import Path
 from typing import TypeVar
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.tls import TlsFiles
 from stampede_rt_runtime.auth import Secret, load_secret
+from stampede_rt_runtime.dial import Dialer
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.logs import LEVELS, set_up_logging
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS, HelpRequested, SettingsError, load_settings, setting
+from stampede_rt_runtime.tls import ServiceTls, load_tls
 
 logger = logging.getLogger(__name__)
 
@@ -37,11 +41,40 @@ class ServiceSettings:
         default=False,
         metadata=setting(help="listen beyond this machine without encryption; all the network can read along"),
     )
+    tls_ca: Path | None = field(
+        default=None,
+        metadata=setting(metavar="FILE", help="the cluster's authorities (PEM); with it, all must bring certificates"),
+    )
+    tls_certificate: Path | None = field(
+        default=None, metadata=setting(metavar="FILE", help="this service's own certificate (PEM)")
+    )
+    tls_key: Path | None = field(
+        default=None, metadata=setting(metavar="FILE", help="its private key (PEM), for its user's eyes only")
+    )
     log_level: str = field(default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="what is logged"))
 
     def load_secret(self) -> Secret | None:
-        """The secret, or None if none is set up. Reads a file. Raises PermissionDenied."""
+        """The secret, or None if none is set up. Reads a file. Raises PermissionDenied.
+
+        With certificates the secret is asked for only if its file is named: they suffice alone.
+        """
+        if self.tls_ca is not None and self.secret_file is None and "STAMPEDE_SECRET_FILE" not in os.environ:
+            return None
         return load_secret(self.secret_file)
+
+    def load_tls(self, role: Role) -> ServiceTls | None:
+        """The certificates, or None if none are named. Reads files. Raises SettingsError or PermissionDenied."""
+        named = {"--tls-ca": self.tls_ca, "--tls-certificate": self.tls_certificate, "--tls-key": self.tls_key}
+        missing = [flag for flag, path in named.items() if path is None]
+        if len(missing) == len(named):
+            return None
+        if self.tls_ca is None or self.tls_certificate is None or self.tls_key is None:
+            raise SettingsError(f"{' and '.join(missing)} must be given, too: certificates need {', '.join(named)}")
+        return load_tls(TlsFiles(ca=self.tls_ca, certificate=self.tls_certificate, key=self.tls_key), role)
+
+    def load_credentials(self, role: Role) -> Dialer:
+        """Secret and certificates together, as its server and its outgoing connections need them."""
+        return Dialer(secret=self.load_secret(), tls=self.load_tls(role))
 
 
 S = TypeVar("S", bound=ServiceSettings)
@@ -66,7 +99,7 @@ def run_service(
     set_up_logging(settings.log_level)
     try:
         return run_loop(serve(settings)) or 0
-    except NotAllowed as error:
+    except (NotAllowed, SettingsError) as error:
         return _complain(service, error, EXIT_BAD_SETTINGS)
     except (CannotListen, StampedeError) as error:
         return _complain(service, error, EXIT_FAILED)

@@ -1,4 +1,4 @@
-"""A gRPC server as every service runs it: bounded, asking for the secret, with health, and stopping in order."""
+"""A gRPC server as every service runs it: bounded, asking who calls, with health, and stopping in order."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from typing import Any
 import grpc
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
+from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret, SecretInterceptor
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
+from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.values import Address
 
 logger = logging.getLogger(__name__)
@@ -26,13 +28,15 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 class ServiceServer:
     """One listening server. Order of use: make, register servicers on `.grpc`, `start`, then `run` or `stop`.
 
-    Must be made on the event loop that serves. Without a secret every caller is let in.
+    Must be made on the event loop that serves. With `tls` every caller must
+    bring a certificate whose role may call what it calls. With neither secret nor `tls` every caller is let in.
     """
 
-    def __init__(self, *, secret: Secret | None, limits: Limits | None = None) -> None:
+    def __init__(self, *, secret: Secret | None, limits: Limits | None = None, tls: ServiceTls | None = None) -> None:
         limits = limits or Limits()
+        self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            interceptors=[SecretInterceptor(secret)] if secret else [],
+            interceptors=_interceptors(secret, tls),
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.concurrent_rpcs_max,
         )
@@ -47,9 +51,9 @@ class ServiceServer:
         Health answers NOT_SERVING until `set_serving` is called.
         """
         await self.set_serving(False)
-        place = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere)
+        place = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None)
         try:
-            port = self.grpc.add_insecure_port(str(place))
+            port = self._add_port(str(place))
         except RuntimeError as error:  # another process was faster than the check before
             raise CannotListen(f"{place} cannot be listened at: {error}") from error
         if port == 0:
@@ -57,6 +61,11 @@ class ServiceServer:
         await self.grpc.start()
         self.address = str(Address(place.host, port))
         return self.address
+
+    def _add_port(self, place: str) -> int:
+        if self._tls is None:
+            return self.grpc.add_insecure_port(place)
+        return self.grpc.add_secure_port(place, self._tls.server_credentials())
 
     async def set_serving(self, serving: bool) -> None:
         """What the standard health service says from now on."""
@@ -90,6 +99,11 @@ class ServiceServer:
         await self.grpc.stop(DRAIN_SECONDS)
 
 
+def _interceptors(secret: Secret | None, tls: ServiceTls | None) -> list[grpc.aio.ServerInterceptor]:
+    asked: list[grpc.aio.ServerInterceptor] = [SecretInterceptor(secret)] if secret else []
+    return [*asked, AdmissionInterceptor(tls.identity)] if tls else asked
+
+
 async def _bounded(work: Awaitable[Any]) -> None:
     try:
         await asyncio.wait_for(work, DRAIN_SECONDS)
@@ -117,9 +131,10 @@ async def serving(
     listen: str = "localhost:0",
     secret: Secret | None = None,
     limits: Limits | None = None,
+    tls: ServiceTls | None = None,
 ) -> AsyncIterator[ServiceServer]:
     """A started server for as long as the block lasts, loopback only; for tests and for servers inside a client."""
-    server = ServiceServer(secret=secret, limits=limits)
+    server = ServiceServer(secret=secret, limits=limits, tls=tls)
     register(server.grpc)
     await server.start(listen)
     await server.set_serving(True)

@@ -8,13 +8,11 @@ import socket
 from collections.abc import AsyncIterator, Coroutine, Sequence
 from typing import Any
 
-import grpc
-
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.clock import SystemClock
-from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.dial import Dialer
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import check_listen
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
@@ -41,15 +39,15 @@ HEALTH_SECONDS = 0.1
 
 async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
-    secret = settings.load_secret()
+    credentials = settings.load_credentials(Role.SUPERNODE)
     listen = _concrete(settings)
-    server = ServiceServer(secret=secret)
-    async with _open_log(settings, listen, server, secret) as (log, replica):
+    server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
+    async with _open_log(settings, listen, server, credentials) as (log, replica):
         clock = SystemClock()
         submission = Submission(log, time_unix_nano=clock.time_unix_nano)
         leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
         watches = Watches(replica, log)
-        probe = Probe(log, lambda target: dial(target, secret=secret))
+        probe = Probe(log, credentials, explain=credentials.explain)
         members = Members(log, replica, probe, advertise=settings.advertise or _own_address(log), zone=settings.zone)
         servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
@@ -69,7 +67,9 @@ async def serve(settings: SupernodeSettings) -> None:
 
 def _concrete(settings: SupernodeSettings) -> str:
     """Where to listen, with a free port in the place of port 0: the log must know the address before it is bound."""
-    place = check_listen(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+    place = check_listen(
+        settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere or settings.tls_ca is not None
+    )
     if place.port != 0:
         return str(place)
     with socket.create_server((place.host, 0)) as probe:
@@ -78,25 +78,23 @@ def _concrete(settings: SupernodeSettings) -> str:
 
 @contextlib.asynccontextmanager
 async def _open_log(
-    settings: SupernodeSettings, listen: str, server: ServiceServer, secret: Secret | None
+    settings: SupernodeSettings, listen: str, server: ServiceServer, credentials: Dialer
 ) -> AsyncIterator[tuple[ReplicatedLog, DirectoryReplica]]:
     """The log and the directory that it drives. Raises StampedeError if the store cannot be used."""
     members = settings.member_list(listen)
     self_member = members[0] if not settings.members else next(m for m in members if m.member_id == settings.id)
+    if credentials.tls is not None:
+        credentials.tls.require_name(self_member.member_id, "--id")
     replica = DirectoryReplica()
     replication = ReplicationSettings(self_member=self_member, initial_members=members, data_dir=settings.data_dir)
     try:
-        log = await open_replicated_log(replication, replica, lambda target: _dial_member(target, secret), server.grpc)
+        log = await open_replicated_log(replication, replica, credentials, server.grpc)
     except (StoreDamaged, StoreRefused, LibraryMismatch) as error:
         raise StampedeError(str(error)) from error
     try:
         yield log, replica
     finally:
         await log.close()
-
-
-def _dial_member(target: str, secret: Secret | None) -> grpc.aio.Channel:
-    return dial(target, secret=secret)
 
 
 def _own_address(log: ReplicatedLog) -> str:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 import grpc
 
+from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member, ReplicatedLog
+
+logger = logging.getLogger(__name__)
 
 PERIOD_SECONDS = 2.0
 PROBE_SECONDS = 1.0
@@ -25,10 +29,21 @@ class Finding:
 
 
 class Probe:
-    """Probes every member but this one. Holds one connection per member."""
+    """Probes every member but this one. Holds one connection per member.
 
-    def __init__(self, log: ReplicatedLog, dial: Callable[[str], grpc.aio.Channel]) -> None:
+    `explain` may know better than gRPC why a member cannot be talked to.
+    """
+
+    def __init__(
+        self,
+        log: ReplicatedLog,
+        dial: Callable[[str], grpc.aio.Channel],
+        *,
+        explain: Callable[[str], Awaitable[StampedeError | None]] | None = None,
+    ) -> None:
         self._log = log
+        self._explain = explain
+        self._told: dict[str, str] = {}  # address -> why it refuses us, as last logged
         self._dial = dial
         self._channels: dict[str, grpc.aio.Channel] = {}
         self._findings: dict[str, Finding] = {}
@@ -63,8 +78,17 @@ class Probe:
         try:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
         except grpc.aio.AioRpcError:  # for whatever reason: it cannot be used from here
+            await self._tell_why(member)
             return Finding(False, None)
+        self._told.pop(member.address, None)
         return Finding(pong.ready, time.monotonic_ns() - began)
+
+    async def _tell_why(self, member: Member) -> None:
+        """Log once that it is for certificates, if so."""
+        refusal = await self._explain(member.address) if self._explain else None
+        if refusal is not None and self._told.get(member.address) != refusal.message:
+            self._told[member.address] = refusal.message
+            logger.warning("no certificates in common with member %s: %s", member.member_id, refusal.message)
 
     async def _hang_up(self, addresses: Sequence[str]) -> None:
         for address in addresses:

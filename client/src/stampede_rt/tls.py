@@ -1,0 +1,149 @@
+"""The certificate files of a cluster with mutual TLS: named, read, checked, and read again when they change."""
+
+from __future__ import annotations
+
+import logging
+import os
+import ssl
+import stat
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from stampede_rt.errors import InvalidArgument, PermissionDenied
+
+logger = logging.getLogger(__name__)
+
+LOOK_EVERY_S = 1.0  # a changed file counts after this, at the latest, for every new connection
+_VARIABLES = {"ca": "STAMPEDE_TLS_CA", "certificate": "STAMPEDE_TLS_CERTIFICATE", "key": "STAMPEDE_TLS_KEY"}
+_READ_TRIES_MAX = 3
+
+_Stamp = tuple[tuple[int, int, int], ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TlsFiles:
+    """Where a caller's certificate lies. PEM files.
+
+    `ca`: the authorities that are trusted, one or more; `certificate`: the caller's own, with what leads to an
+    authority; `key`: its private key, not encrypted, for its user's eyes only.
+    """
+
+    ca: str | os.PathLike[str]
+    certificate: str | os.PathLike[str]
+    key: str | os.PathLike[str]
+
+    def paths(self) -> tuple[Path, Path, Path]:
+        """`ca`, `certificate`, `key`."""
+        return Path(self.ca), Path(self.certificate), Path(self.key)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TlsMaterial:
+    """What the files held when they were read last; compared by identity, so that a new reading is another one."""
+
+    ca: bytes
+    certificate: bytes
+    key: bytes
+
+    def __repr__(self) -> str:
+        return "TlsMaterial(...)"  # never the key
+
+
+def files_from_environment(environ: Mapping[str, str]) -> TlsFiles | None:
+    """The files that `$STAMPEDE_TLS_CA`, `_CERTIFICATE` and `_KEY` name; None if none of them is set.
+
+    Raises InvalidArgument if only some are.
+    """
+    named = {field: environ[variable] for field, variable in _VARIABLES.items() if environ.get(variable)}
+    missing = [f"${variable}" for field, variable in _VARIABLES.items() if field not in named]
+    if named and missing:
+        raise InvalidArgument(f"{' and '.join(missing)} must be set, too: TLS needs all of {_all_of_them()}")
+    return TlsFiles(**named) if named else None
+
+
+def _all_of_them() -> str:
+    return ", ".join(f"${variable}" for variable in _VARIABLES.values())
+
+
+class TlsReader:
+    """Gives what the files hold now. May be used by several threads.
+
+    Making one reads the files, and raises PermissionDenied if they cannot be used together. Later changes that cannot
+    be used (half written, a key of another certificate) are logged and waited out: the last good ones count.
+    """
+
+    def __init__(self, files: TlsFiles) -> None:
+        self.files = files
+        self._lock = threading.Lock()
+        self._stamp, self._material = _read(files)
+        self._refused: _Stamp | None = None
+        self._looked_s = time.monotonic()
+
+    def current(self) -> TlsMaterial:
+        """The newest usable contents. Looks at the files at most once in LOOK_EVERY_S."""
+        with self._lock:
+            if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
+                self._looked_s = time.monotonic()
+                self._look()
+            return self._material
+
+    def _look(self) -> None:
+        try:
+            stamp = _stamp(self.files)
+            if stamp in (self._stamp, self._refused):
+                return
+            self._stamp, self._material = _read(self.files)
+            logger.info("certificates were renewed: %s", self.files.certificate)
+        except (PermissionDenied, OSError) as error:
+            logger.warning("the certificates have changed, but cannot be used; the former ones count: %s", error)
+            self._refused = _stamp_if_there(self.files)
+
+
+def _stamp(files: TlsFiles) -> _Stamp:
+    found = (os.stat(path) for path in files.paths())
+    return tuple((one.st_ino, one.st_size, one.st_mtime_ns) for one in found)
+
+
+def _stamp_if_there(files: TlsFiles) -> _Stamp | None:
+    try:
+        return _stamp(files)
+    except OSError:
+        return None
+
+
+def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
+    """The contents of all three as they were at one moment, checked. Raises PermissionDenied."""
+    for _ in range(_READ_TRIES_MAX):
+        before = _stamp_if_there(files)
+        ca, certificate, key = (_bytes_of(path) for path in files.paths())
+        check_files(files)
+        if before is not None and _stamp_if_there(files) == before:
+            return before, TlsMaterial(ca=ca, certificate=certificate, key=key)
+    raise PermissionDenied(f"the certificate {files.certificate} changes while it is read; try again")
+
+
+def _bytes_of(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise PermissionDenied(f"{path} cannot be read: {error.strerror}; it must be a file in PEM form") from error
+
+
+def check_files(files: TlsFiles) -> None:
+    """Raises PermissionDenied if the files hold no certificates, do not belong together, or others may read the key."""
+    ca, certificate, key = files.paths()
+    if stat.S_IMODE(key.stat().st_mode) & 0o007:
+        raise PermissionDenied(f"the private key {key} can be read by every user; run: chmod 600 {key}")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(cafile=ca)
+    except ssl.SSLError as error:
+        raise PermissionDenied(f"{ca} holds no certificate of an authority ({error.reason or error})") from error
+    try:
+        context.load_cert_chain(certificate, key, password=lambda: "-")  # without it OpenSSL would ask at the terminal
+    except ssl.SSLError as error:
+        what = f"the certificate {certificate} and the private key {key} cannot be used together"
+        raise PermissionDenied(f"{what} ({error.reason or error}); issue both anew") from error

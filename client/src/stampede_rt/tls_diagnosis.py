@@ -1,0 +1,159 @@
+"""Why a connection with certificates did not come about, in one sentence.
+
+gRPC says "Socket closed" for most of it: its server ends a handshake without telling why. So the handshake is tried
+again with the standard library, which tells what the other side is, and what it is that our side lacks is looked up
+in our own files.
+"""
+
+from __future__ import annotations
+
+import socket
+import ssl
+
+from stampede_rt.errors import InvalidArgument, PermissionDenied
+from stampede_rt.tls import TlsReader
+
+CONNECT_SECONDS = 0.5
+HANDSHAKE_SECONDS = 1.0
+_FLIGHTS_MAX = 8  # of a handshake in memory; TLS 1.3 needs 3
+_NOT_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAILURE"})
+
+
+def explain_refusal(target: str, tls: TlsReader | None) -> PermissionDenied | None:
+    """Why a caller with `tls` (None: in plain text) cannot talk to `target`; None if certificates are not the reason.
+
+    Blocks for about 2 * (CONNECT_SECONDS + HANDSHAKE_SECONDS) at most, once the name is resolved.
+    """
+    # Said only if it is so twice: a server that is just stopping hangs up, too, but then it is gone.
+    if not _look(target, tls) or not (reason := _look(target, tls)):
+        return None
+    return PermissionDenied(reason, reason="UNAUTHENTICATED", metadata={"target": target})
+
+
+def _look(target: str, tls: TlsReader | None) -> str:
+    place = _place(target)
+    if place is None:
+        return ""
+    try:
+        with socket.create_connection(place, CONNECT_SECONDS) as connection:
+            connection.settimeout(HANDSHAKE_SECONDS)
+            return _try_plain(connection, target) if tls is None else _try_tls(connection, place[0], target, tls)
+    except (OSError, UnicodeError):  # not there, or it says nothing: that is another trouble
+        return ""
+
+
+def _place(target: str) -> tuple[str, int] | None:
+    host, _, port = target.rpartition(":")
+    if target.startswith("unix:") or not port.isdecimal():
+        return None
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def _try_plain(connection: socket.socket, target: str) -> str:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE  # nothing is sent or believed: only whether TLS is spoken counts
+    context.set_alpn_protocols(["h2"])
+    try:
+        with context.wrap_socket(connection):
+            return (
+                f"{target} asks for certificates (TLS), and this caller has none; name yours with connect(tls=...) or "
+                "$STAMPEDE_TLS_CA, $STAMPEDE_TLS_CERTIFICATE and $STAMPEDE_TLS_KEY (services: --tls-ca, "
+                "--tls-certificate, --tls-key)"
+            )
+    except ssl.SSLError:
+        return ""
+
+
+def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) -> str:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    ca, certificate, key = tls.files.paths()
+    context.load_verify_locations(cafile=ca)
+    context.load_cert_chain(certificate, key)
+    context.set_alpn_protocols(["h2"])
+    try:
+        with context.wrap_socket(connection, server_hostname=host) as secured:
+            answered = secured.recv(1)  # a server that accepts the certificate speaks first (HTTP/2 SETTINGS)
+    except ssl.SSLCertVerificationError as error:
+        return _about_theirs(error, target, tls)
+    except ssl.SSLError as error:
+        spoken = error.reason not in _NOT_TLS
+        return "" if spoken else f"{target} speaks plain text, not TLS; leave the certificates out, or secure it"
+    except ConnectionError:
+        answered = b""
+    return "" if answered else _about_ours(target, tls)
+
+
+def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsReader) -> str:
+    text = error.verify_message
+    if "expired" in text:
+        return f"the certificate of {target} has expired; issue it anew (stampede certs issue)"
+    if "not yet valid" in text:
+        return f"the certificate of {target} is not valid yet; look at the clocks of both machines"
+    if "mismatch" in text or "doesn't match" in text or "not valid for" in text:
+        return f"the certificate of {target} is for other addresses ({text}); issue it with --address for this one"
+    if "purpose" in text:
+        return f"the certificate of {target} is not one of a service ({text})"
+    return (
+        f"the certificate of {target} is of an authority that {tls.files.ca} does not hold ({text}); "
+        "use the CA file of that cluster"
+    )
+
+
+def _about_ours(target: str, tls: TlsReader) -> str:
+    """The server hung up after it had seen our certificate."""
+    own = tls.files.certificate
+    try:
+        check_own_certificate(tls)
+    except PermissionDenied as error:
+        return f"{target} refused this caller: {error.message}"
+    return f"{target} refused the certificate {own}: it trusts no authority that has issued it; use this cluster's"
+
+
+def check_own_certificate(tls: TlsReader) -> dict[str, object]:
+    """Our certificate as the standard library shows it, once it has passed the test that a server would make of it.
+
+    That test is a handshake in memory with ourselves. Raises PermissionDenied with what is wrong, InvalidArgument if
+    the handshake does not end.
+    """
+    ca, certificate, key = tls.files.paths()
+    server_side = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server_side.verify_mode = ssl.CERT_REQUIRED
+    server_side.load_verify_locations(cafile=ca)
+    client_side = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    client_side.check_hostname = False
+    client_side.verify_mode = ssl.CERT_NONE
+    for context in (server_side, client_side):
+        context.load_cert_chain(certificate, key)
+    try:
+        return _shake_hands(client_side, server_side)
+    except ssl.SSLCertVerificationError as error:
+        raise PermissionDenied(_about_own(error.verify_message, tls), reason="UNAUTHENTICATED") from error
+
+
+def _about_own(text: str, tls: TlsReader) -> str:
+    own, ca = tls.files.certificate, tls.files.ca
+    if "expired" in text:
+        return f"the certificate {own} has expired; issue it anew (stampede certs issue)"
+    if "not yet valid" in text:
+        return f"the certificate {own} is not valid yet; look at this machine's clock"
+    return f"the certificate {own} is not of an authority in {ca} ({text})"
+
+
+def _shake_hands(client_side: ssl.SSLContext, server_side: ssl.SSLContext) -> dict[str, object]:
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    client = client_side.wrap_bio(to_client, to_server)
+    server = server_side.wrap_bio(to_server, to_client, server_side=True)
+    for _ in range(_FLIGHTS_MAX):
+        done = [_step(client), _step(server)]
+        if all(done):
+            return dict(server.getpeercert() or {})
+    raise InvalidArgument("the certificate cannot be tried: the handshake does not end")
+
+
+def _step(side: ssl.SSLObject) -> bool:
+    try:
+        side.do_handshake()
+    except ssl.SSLWantReadError:
+        return False
+    return True

@@ -1,0 +1,65 @@
+"""The certificates of a cluster on this machine: an authority in a folder, and what it issues for each part."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from stampede_rt.tls import TlsFiles
+from stampede_rt_runtime.certificates import Issued, issue, make_authority
+from stampede_rt_runtime.certs_command import write_pair
+from stampede_rt_runtime.identity import Identity, Role
+
+CLUSTER = "local"
+LIFETIME = timedelta(days=30)
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+
+class ClusterCertificates:
+    """Makes its authority at once. `folder` is made, for this user only; services are called at `host`."""
+
+    def __init__(self, folder: Path, *, host: str = "localhost", cluster: str = CLUSTER) -> None:
+        self.folder = folder
+        self._cluster = cluster
+        self._addresses = tuple(dict.fromkeys((host, *_LOOPBACK)))
+        self._issued: dict[tuple[Role, str], TlsFiles] = {}
+        folder.mkdir(mode=0o700, parents=True)
+        self._trusted: list[bytes] = []
+        self._authority = self.take_over()
+
+    @property
+    def ca(self) -> Path:
+        """The file with the authorities that all parts trust."""
+        return self.folder / "ca.pem"
+
+    def take_over(self) -> Issued:
+        """A new authority issues from now on; the former ones stay trusted."""
+        self._authority = make_authority(self._cluster, now=datetime.now(UTC), lifetime=LIFETIME)
+        self._trust([*self._trusted, self._authority.certificate])
+        return self._authority
+
+    def forget_former(self) -> None:
+        """Only the newest authority is trusted from now on."""
+        self._trust([self._authority.certificate])
+
+    def _trust(self, authorities: list[bytes]) -> None:
+        self._trusted = authorities
+        draft = self.folder / ".ca.pem"
+        draft.write_bytes(b"".join(authorities))
+        draft.replace(self.ca)
+
+    def issue(
+        self, role: Role, name: str, *, begins: datetime | None = None, lifetime: timedelta = LIFETIME
+    ) -> TlsFiles:
+        """A certificate for that part, in the place of its former one. `begins`: now, unless told."""
+        identity = Identity(self._cluster, role, name)
+        now = begins or datetime.now(UTC)
+        made = issue(self._authority, identity, self._addresses, now=now, lifetime=lifetime)
+        certificate, key = write_pair(made, self.folder, f"{role}-{name.replace('/', '-')}")
+        self._issued[role, name] = TlsFiles(ca=self.ca, certificate=certificate, key=key)
+        return self._issued[role, name]
+
+    def renew(self) -> None:
+        """Issue every certificate anew."""
+        for role, name in list(self._issued):
+            self.issue(role, name)

@@ -1,0 +1,212 @@
+"""Makes and reads the certificates of one cluster. Nothing here touches a file or a clock.
+
+Keys are ECDSA over P-256: every TLS library has it, and signing costs a tenth of RSA's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import secrets
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from stampede_rt_runtime.identity import SERVICES, Identity, identity_among
+
+BACKDATED = timedelta(minutes=5)  # clocks of two machines seldom agree to the second
+_COMMON_NAME_CHARS_MAX = 64
+
+
+class CertificateError(Exception):
+    """A certificate or key cannot be used; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Issued:
+    """A certificate with its private key, both PEM."""
+
+    certificate: bytes
+    key: bytes
+
+    def __repr__(self) -> str:
+        return "Issued(...)"  # never the key
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """What a certificate says. `identity` is None for an authority and for a certificate that is not ours."""
+
+    subject: str
+    issuer: str
+    identity: Identity | None
+    addresses: tuple[str, ...]
+    not_before: datetime
+    not_after: datetime
+    is_authority: bool
+    serial: int
+    sha256: str
+
+
+def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issued:
+    """A new authority for `cluster`, which signs itself. It may sign certificates, but no further authorities."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    # Two authorities of a cluster, while one takes over from the other, must not have the same name.
+    name = _name(f"Stampede RT authority {secrets.token_hex(4)}", cluster)
+    builder = _builder(name, name, key.public_key(), now, lifetime).add_extension(
+        x509.BasicConstraints(ca=True, path_length=0), critical=True
+    )
+    usage = _key_usage(sign_certificates=True)
+    signed = builder.add_extension(usage, critical=True).sign(key, hashes.SHA256())
+    return Issued(signed.public_bytes(serialization.Encoding.PEM), _key_bytes(key))
+
+
+def issue(
+    authority: Issued, identity: Identity, addresses: tuple[str, ...], *, now: datetime, lifetime: timedelta
+) -> Issued:
+    """A certificate for `identity`; a service's is also good for serving at `addresses` (names or IPs, no ports).
+
+    It ends with its authority at the latest. Raises CertificateError.
+    """
+    signer, signer_key = _load_authority(authority)
+    if identity.role in SERVICES and not addresses:
+        raise CertificateError(f"a {identity.role} needs the addresses at which it is called")
+    lifetime = min(lifetime, signer.not_valid_after_utc - now)
+    if lifetime <= timedelta(0):
+        raise CertificateError("the authority has expired; make a new one, and let all trust both for a while")
+    key = ec.generate_private_key(ec.SECP256R1())
+    names = [*map(_general_name, addresses), x509.UniformResourceIdentifier(identity.uri)]
+    purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]
+    if identity.role in SERVICES:
+        purposes.append(ExtendedKeyUsageOID.SERVER_AUTH)
+    subject = _name(f"{identity.role} {identity.name}", identity.cluster)
+    builder = (
+        _builder(subject, signer.subject, key.public_key(), now, lifetime)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(sign_certificates=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(signer_key.public_key()), critical=False)
+    )
+    signed = builder.sign(signer_key, hashes.SHA256())
+    return Issued(signed.public_bytes(serialization.Encoding.PEM), _key_bytes(key))
+
+
+def describe(pem: bytes) -> list[Described]:
+    """What the certificates in `pem` say, in their order. Raises CertificateError."""
+    try:
+        return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
+    except ValueError as error:
+        raise CertificateError(f"it holds no certificate in PEM form ({error})") from error
+
+
+def cluster_of(authority: bytes) -> str:
+    """The cluster whose authority this is. Raises CertificateError."""
+    try:
+        certificate = x509.load_pem_x509_certificate(authority)
+    except ValueError as error:
+        raise CertificateError(f"it holds no certificate in PEM form ({error})") from error
+    found = certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
+    if not found:
+        raise CertificateError(f"{_common_name(certificate.subject)!r} is no authority that `stampede certs init` made")
+    return str(found[0].value)
+
+
+def _described(certificate: x509.Certificate) -> Described:
+    names, is_authority = _alternative_names(certificate), False
+    with contextlib.suppress(x509.ExtensionNotFound):  # an old kind of certificate: no authority
+        is_authority = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    addresses = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
+    return Described(
+        subject=_common_name(certificate.subject),
+        issuer=_common_name(certificate.issuer),
+        identity=identity_among(names.get_values_for_type(x509.UniformResourceIdentifier)),
+        addresses=tuple(addresses),
+        not_before=certificate.not_valid_before_utc,
+        not_after=certificate.not_valid_after_utc,
+        is_authority=is_authority,
+        serial=certificate.serial_number,
+        sha256=certificate.fingerprint(hashes.SHA256()).hex(),
+    )
+
+
+def _alternative_names(certificate: x509.Certificate) -> x509.SubjectAlternativeName:
+    try:
+        return certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except x509.ExtensionNotFound:
+        return x509.SubjectAlternativeName([])
+
+
+def _common_name(name: x509.Name) -> str:
+    found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(found[0].value) if found else name.rfc4514_string()
+
+
+def _load_authority(authority: Issued) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    try:
+        certificate = x509.load_pem_x509_certificate(authority.certificate)
+        key = serialization.load_pem_private_key(authority.key, password=None)
+    except (ValueError, TypeError) as error:
+        raise CertificateError(f"the authority cannot be read ({error})") from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+        raise CertificateError("the authority's key and certificate do not belong together")
+    return certificate, key
+
+
+def _general_name(address: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(address.strip("[]")))
+    except ValueError:
+        pass  # then it is a name
+    try:
+        return x509.DNSName(address)
+    except ValueError as error:
+        raise CertificateError(f"{address!r} is no name or IP address of a machine ({error})") from error
+
+
+def _name(common: str, cluster: str) -> x509.Name:
+    return x509.Name(
+        [
+            x509.NameAttribute(NameOID.ORGANIZATION_NAME, cluster),
+            x509.NameAttribute(NameOID.COMMON_NAME, common[:_COMMON_NAME_CHARS_MAX]),
+        ]
+    )
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, now: datetime, lifetime: timedelta
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - BACKDATED)
+        .not_valid_after(now + lifetime)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+    )
+
+
+def _key_usage(*, sign_certificates: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not sign_certificates,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=sign_certificates,
+        crl_sign=sign_certificates,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _key_bytes(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )

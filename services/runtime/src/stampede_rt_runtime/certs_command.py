@@ -1,0 +1,169 @@
+"""`stampede certs`: makes the authority of a cluster and the certificates of its parts, and shows what is in them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import secrets
+import socket
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from stampede_rt_runtime.certificates import (
+    CertificateError,
+    Described,
+    Issued,
+    cluster_of,
+    describe,
+    issue,
+    make_authority,
+)
+from stampede_rt_runtime.identity import SERVICES, Identity, Role
+from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
+
+DEFAULT_FOLDER = Path("certs")
+AUTHORITY_DAYS, CERTIFICATE_DAYS = 3650, 365
+EXIT_FAILED = 1
+_SOON = timedelta(days=30)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `stampede certs`; returns the exit code: 0 done, 1 failed, 2 used wrongly."""
+    try:
+        arguments = _parser().parse_args(argv)
+    except SystemExit as end:  # argparse has said why
+        return int(end.code or 0)
+    try:
+        for line in arguments.run(arguments):
+            sys.stdout.write(line + "\n")
+    except (CertificateError, ValueError) as error:
+        sys.stderr.write(f"stampede certs: {error}\n")
+        return EXIT_BAD_SETTINGS if isinstance(error, ValueError) else EXIT_FAILED
+    except OSError as error:
+        sys.stderr.write(f"stampede certs: {error.filename} cannot be used: {error.strerror}\n")
+        return EXIT_FAILED
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
+    verbs = parser.add_subparsers(metavar="VERB", required=True)
+    init = verbs.add_parser("init", help="make the cluster's authority, in a folder that only this user may open")
+    init.add_argument("folder", nargs="?", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="default: certs")
+    init.add_argument("--cluster", default="stampede", metavar="NAME", help="the cluster's name; default: stampede")
+    init.add_argument("--days", type=_days, default=AUTHORITY_DAYS, metavar="N", help=f"default: {AUTHORITY_DAYS}")
+    init.set_defaults(run=_init)
+    one = verbs.add_parser("issue", help="make the certificate of one part; again, to renew it")
+    one.add_argument("--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's; default: certs")
+    one.add_argument("--name", required=True, help="the part's name: a supernode's --id, a host's --name")
+    one.add_argument("--role", required=True, choices=[str(role) for role in Role], help="what it is for")
+    one.add_argument(
+        "--address",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="HOST",
+        help="names and IP addresses at which a service is called; default: this machine's name and localhost",
+    )
+    one.add_argument("--out", type=Path, metavar="DIR", help="where it is written; default: beside the authority")
+    one.add_argument("--days", type=_days, default=CERTIFICATE_DAYS, metavar="N", help=f"default: {CERTIFICATE_DAYS}")
+    one.set_defaults(run=_issue)
+    show = verbs.add_parser("show", help="tell who certificates are for, and until when")
+    show.add_argument("files", nargs="+", type=Path, metavar="FILE")
+    show.set_defaults(run=_show)
+    return parser
+
+
+def _days(text: str) -> int:
+    if not text.isdecimal() or not 0 < int(text) <= 36500:
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: 1 to 36500")
+    return int(text)
+
+
+def _init(arguments: argparse.Namespace) -> list[str]:
+    folder: Path = arguments.folder
+    Identity(arguments.cluster, Role.CLIENT, "any")  # the cluster's name, checked
+    made = make_authority(arguments.cluster, now=datetime.now(UTC), lifetime=timedelta(days=arguments.days))
+    if (folder / "ca.key").exists():
+        raise CertificateError(
+            f"{folder / 'ca.key'} is there already; for a second authority, which can take over from it, name another "
+            "folder"
+        )
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    write_pair(made, folder, "ca")
+    return [
+        f"{folder / 'ca.pem'}: the authority of cluster {arguments.cluster}; every part of the cluster needs this file",
+        f"{folder / 'ca.key'}: its private key; whoever has it can enter the cluster; keep it elsewhere",
+    ]
+
+
+def _issue(arguments: argparse.Namespace) -> list[str]:
+    folder: Path = arguments.dir
+    authority = Issued((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
+    identity = Identity(cluster_of(authority.certificate), Role(arguments.role), arguments.name)
+    addresses = tuple(arguments.address) or (_own_addresses() if identity.role in SERVICES else ())
+    lifetime = timedelta(days=arguments.days)
+    made = issue(authority, identity, addresses, now=datetime.now(UTC), lifetime=lifetime)
+    out: Path = arguments.out or folder
+    out.mkdir(mode=0o700, parents=True, exist_ok=True)
+    certificate, key = write_pair(made, out, f"{identity.role}-{identity.name.replace('/', '-')}")
+    reached = f", called at {', '.join(addresses)}" if addresses else ""
+    end = describe(made.certificate)[0].not_after
+    return [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d}", f"{key}: its private key"]
+
+
+def _own_addresses() -> tuple[str, ...]:
+    return tuple(dict.fromkeys((socket.gethostname(), "localhost", "127.0.0.1", "::1")))
+
+
+def _show(arguments: argparse.Namespace) -> list[str]:
+    now = datetime.now(UTC)
+    lines = []
+    for file in arguments.files:
+        try:
+            lines += [f"{file}: {_told(one, now)}" for one in describe(file.read_bytes())]
+        except CertificateError as error:
+            raise CertificateError(f"{file}: {error}") from error
+    return lines
+
+
+def _told(one: Described, now: datetime) -> str:
+    who = str(one.identity or one.subject)
+    what = f"{who} (an authority)" if one.is_authority else who if one.identity else f"{who} (of no role)"
+    where = f", called at {', '.join(one.addresses)}" if one.addresses else ""
+    return f"{what}{where}; {_validity(one, now)}; issued by {one.issuer}; SHA-256 {one.sha256}"
+
+
+def _validity(one: Described, now: datetime) -> str:
+    if now < one.not_before:
+        return f"NOT VALID BEFORE {one.not_before:%Y-%m-%d %H:%M} UTC"
+    if now > one.not_after:
+        return f"EXPIRED on {one.not_after:%Y-%m-%d %H:%M} UTC"
+    soon = ", which is soon" if one.not_after - now < _SOON else ""
+    return f"valid until {one.not_after:%Y-%m-%d %H:%M} UTC{soon}"
+
+
+def write_pair(made: Issued, folder: Path, name: str) -> tuple[Path, Path]:
+    """Write `name`.pem and `name`.key (mode 0600), each appearing whole, in the place of former ones. Gives both."""
+    certificate, key = folder / f"{name}.pem", folder / f"{name}.key"
+    _replace(key, made.key, 0o600)
+    _replace(certificate, made.certificate, 0o644)
+    return certificate, key
+
+
+def _replace(place: Path, content: bytes, mode: int) -> None:
+    draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+        os.replace(draft, place)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""Who a certificate says that its bearer is: a URI `stampede://CLUSTER/ROLE/NAME` among its names. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+SCHEME = "stampede://"
+_CLUSTER = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+_NAME = re.compile(r"[a-z0-9][a-z0-9._/-]{0,127}")
+
+
+class Role(StrEnum):
+    """What the bearer of a certificate is for."""
+
+    SUPERNODE = "supernode"
+    FRONTEND = "frontend"
+    HOST = "host"
+    CLIENT = "client"
+    OPERATOR = "operator"  # a client that may also change who the supernodes are
+
+
+SERVICES = frozenset({Role.SUPERNODE, Role.FRONTEND, Role.HOST})
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """One participant of one cluster."""
+
+    cluster: str
+    role: Role
+    name: str
+
+    def __post_init__(self) -> None:
+        if not _CLUSTER.fullmatch(self.cluster):
+            raise ValueError(f"the cluster's name is {self.cluster!r}; allowed: {_CLUSTER.pattern}")
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"the name is {self.name!r}; allowed: {_NAME.pattern}")
+
+    def __str__(self) -> str:
+        return f"{self.role} {self.name} of cluster {self.cluster}"
+
+    @property
+    def uri(self) -> str:
+        """As it stands in the certificate."""
+        return f"{SCHEME}{self.cluster}/{self.role}/{self.name}"
+
+
+def parse_identity(uri: str) -> Identity:
+    """Raises ValueError with what is allowed."""
+    cluster, _, rest = uri.removeprefix(SCHEME).partition("/")
+    role, _, name = rest.partition("/")
+    if not uri.startswith(SCHEME) or role not in set(Role):
+        raise ValueError(f"{SCHEME}CLUSTER/ROLE/NAME, the role being one of {', '.join(Role)}")
+    return Identity(cluster, Role(role), name)
+
+
+def identity_among(uris: Iterable[str]) -> Identity | None:
+    """The one identity among a certificate's URIs; None if there is none, or more than one, or a broken one."""
+    ours = [uri for uri in uris if uri.startswith(SCHEME)]
+    if len(ours) != 1:
+        return None
+    try:
+        return parse_identity(ours[0])
+    except ValueError:
+        return None

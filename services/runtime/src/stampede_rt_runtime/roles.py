@@ -1,0 +1,82 @@
+"""Which role may call which RPC of a cluster with certificates. Pure.
+
+One row for each service of the contract, and one for each RPC that differs from its service. What has no row is
+refused: whoever adds a service decides here who it is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stampede_rt_runtime.identity import Identity, Role
+
+PACKAGE = "stampede_rt.v1"
+
+_ALL = frozenset(Role)
+_SUPERNODES = frozenset({Role.SUPERNODE})
+_HOSTS = frozenset({Role.HOST})
+# A host may live inside a participant's process, and hosts feed each other; so a host may do what a client may.
+_CALLERS = frozenset({Role.CLIENT, Role.OPERATOR, Role.HOST})
+_OPERATORS = frozenset({Role.OPERATOR})
+
+_SERVICES: Mapping[str, frozenset[Role]] = {
+    "ChannelService": _CALLERS,
+    "DirectoryService": _CALLERS,
+    "FrontendService": _ALL,
+    "GatekeeperService": _CALLERS,
+    "GroupDirectoryService": _CALLERS,
+    "GroupService": _CALLERS,
+    "MembershipService": _OPERATORS | _SUPERNODES,
+    "MigrationDirectoryService": _HOSTS,
+    "MigrationService": _CALLERS,
+    "PeerService": _CALLERS,
+    "QueueDirectoryService": _CALLERS,
+    "QueueService": _CALLERS,
+    "RaftService": _SUPERNODES,
+    "ReplicaDirectoryService": _CALLERS,
+    "ReplicaService": _CALLERS,
+}
+
+_METHODS: Mapping[str, frozenset[Role]] = {
+    "DirectoryService/Ping": _ALL,
+    "DirectoryService/ListSupernodes": _ALL,
+    "DirectoryService/RegisterHost": _HOSTS,
+    "DirectoryService/RenewHostLease": _HOSTS,
+    "DirectoryService/DeregisterHost": _HOSTS,
+    "GatekeeperService/Ping": _ALL,
+    "MembershipService/CreateJoinToken": _OPERATORS,
+    "MigrationDirectoryService/GetMove": _CALLERS,
+    "MigrationDirectoryService/ListMoves": _CALLERS,
+    "MigrationService/HoldSubject": _HOSTS,
+    "MigrationService/ReleaseSubject": _HOSTS,
+    "ReplicaDirectoryService/SetReplicaInSync": _HOSTS,
+    "ReplicaDirectoryService/ReportReplicaLoads": _HOSTS,
+    "ReplicaService/Feed": _HOSTS,
+}
+
+_FOREIGN: Mapping[str, frozenset[Role]] = {
+    "/grpc.health.v1.Health/": _ALL,
+    "/grpc.reflection.": _ALL,
+}
+
+
+def roles_for(method: str) -> frozenset[Role]:
+    """Who may call `/package.Service/Method`; nobody if it has no row."""
+    service, _, name = method.removeprefix(f"/{PACKAGE}.").partition("/")
+    if not method.startswith(f"/{PACKAGE}."):
+        return next((roles for prefix, roles in _FOREIGN.items() if method.startswith(prefix)), frozenset())
+    return _METHODS.get(f"{service}/{name}", _SERVICES.get(service, frozenset()))
+
+
+def why_refused(method: str, caller: Identity, own_cluster: str) -> str:
+    """Why `caller` may not call `method`, as one sentence; empty if it may."""
+    if caller.cluster != own_cluster:
+        return f"the certificate is one of cluster {caller.cluster}, and this is {own_cluster}; use one of this cluster"
+    allowed = roles_for(method)
+    if caller.role in allowed:
+        return ""
+    who = " or ".join(sorted(allowed)) or "nobody"
+    return (
+        f"{caller.role} {caller.name} may not call {method.rpartition('.')[2]}, which is for {who}; "
+        "use a certificate of that role"
+    )

@@ -1,0 +1,76 @@
+"""A service's certificates: loaded and judged at the start, given to its server, read again when the files change."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import grpc
+
+from stampede_rt.errors import PermissionDenied
+from stampede_rt.tls import TlsFiles, TlsMaterial, TlsReader
+from stampede_rt.tls_diagnosis import check_own_certificate
+from stampede_rt_runtime.certificates import describe
+from stampede_rt_runtime.identity import Identity, Role
+
+logger = logging.getLogger(__name__)
+
+SOON = timedelta(days=14)
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceTls:
+    """What a service listens and calls with, and who it is by its certificate."""
+
+    reader: TlsReader
+    identity: Identity
+
+    def server_credentials(self) -> grpc.ServerCredentials:
+        """Every caller must bring a certificate. New connections get what the files hold then."""
+        given = self.reader.current()
+
+        def newest() -> grpc.ServerCertificateConfiguration | None:
+            nonlocal given
+            found = self.reader.current()
+            if found is given:
+                return None  # as before
+            given = found
+            return _configuration(found)
+
+        return grpc.dynamic_ssl_server_credentials(
+            _configuration(given),
+            newest,  # type: ignore[arg-type, unused-ignore]  # None is documented: nothing has changed
+            require_client_authentication=True,
+        )
+
+    def require_name(self, name: str, flag: str) -> None:
+        """Raises PermissionDenied if the service is told to bear another name than its certificate."""
+        if name != self.identity.name:
+            raise PermissionDenied(
+                f"{flag} is {name!r}, but the certificate {self.reader.files.certificate} is one of "
+                f"{self.identity}; give it {flag} {self.identity.name}, or issue it a certificate of its own"
+            )
+
+
+def _configuration(material: TlsMaterial) -> grpc.ServerCertificateConfiguration:
+    return grpc.ssl_server_certificate_configuration([(material.key, material.certificate)], material.ca)
+
+
+def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
+    """The certificates of a service of that role. Reads files.
+
+    Raises PermissionDenied if they are missing, expired, of another authority or role, or do not belong together.
+    """
+    reader = TlsReader(files)
+    check_own_certificate(reader)
+    own = describe(reader.current().certificate)[0]
+    if own.identity is None or own.identity.role is not role:
+        who = str(own.identity) if own.identity else f"{own.subject}, of no role"
+        raise PermissionDenied(
+            f"the certificate {files.certificate} is one of {who}, and this is a {role}; "
+            f"issue it with `stampede certs issue --role {role}`"
+        )
+    if (left := own.not_after - datetime.now(UTC)) < SOON:
+        logger.warning("the certificate %s ends in %s; renew it", files.certificate, str(left).partition(".")[0])
+    return ServiceTls(reader, own.identity)
