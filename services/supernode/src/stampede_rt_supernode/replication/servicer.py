@@ -1,5 +1,6 @@
 """The incoming half of the network: the RaftService of one member. Members only; who they are is claimed in the
-hello, and the server's interceptor has checked the cluster's secret before.
+hello, which must agree with their certificate, if the cluster has certificates; the server's interceptors have checked
+the cluster's secret and the certificate's role before.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import grpc.aio
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message
 from stampede_rt_supernode.replication.links import REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received, StreamEnded, StreamOpened
@@ -86,6 +88,11 @@ class RaftServicer:
             await context.abort(failed, f"this member speaks protocol {PROTOCOL_VERSION}, not {hello.protocol_version}")
         if hello.cluster_id != settings.cluster_id:
             await context.abort(failed, f"this member is of cluster {settings.cluster_id!r}, not {hello.cluster_id!r}")
+        caller = caller_identity(context)
+        if caller is not None and caller.name != hello.member_id:
+            await context.abort(
+                grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} bears the certificate of {caller}"
+            )
         if hello.peer_member_id != settings.self_member.member_id:
             await context.abort(
                 failed, f"this is member {settings.self_member.member_id!r}, not {hello.peer_member_id!r}"
