@@ -13,13 +13,13 @@ import time
 from collections.abc import Callable
 from typing import NoReturn
 
-from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError
+from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
 from stampede_rt_channel_host.identity import HostIdentity
 from stampede_rt_channel_host.lease_keeper import RENEWALS_PER_TTL, LeaseKeeper
 from stampede_rt_channel_host.supernodes import Supernodes, may_pass
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_runtime.version import software_version
+from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
 logger = logging.getLogger(__name__)
 
@@ -134,9 +134,15 @@ class Registration:
             gatekeepers=[directory_pb2.Endpoint(target=self._target, zone=one.zone)],
             boot_incarnation=one.boot_incarnation,
             version=software_version(),
+            protocol_version=PROTOCOL_VERSION,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)
+        if response.protocol_version not in (0, PROTOCOL_VERSION):
+            raise VersionMismatch(
+                f"the directory speaks protocol {response.protocol_version}, this host {PROTOCOL_VERSION} (version "
+                f"{software_version()}); install the same release on both"
+            )
         self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
         logger.info("registered", extra={"host": one.name, "channels": len(response.channels)})

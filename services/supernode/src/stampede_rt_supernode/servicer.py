@@ -12,9 +12,11 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_runtime.version import software_version
+from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 from stampede_rt_supernode import commands, page_tokens
+from stampede_rt_supernode.callers import check_host_caller, check_protocol
 from stampede_rt_supernode.channel_transitions import open_unchanged
 from stampede_rt_supernode.directory import Directory, check_deed
 from stampede_rt_supernode.lease_keeper import LeaseKeeper
@@ -160,6 +162,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @_refusing
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:
         """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
+        check_protocol(request.protocol_version, request.version)
+        self._check_host(context, request.host_id, request.name)
         deed = commands.RegisterHost(
             host_id=request.host_id,
             name=request.name,
@@ -177,11 +181,13 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             lease_ttl_nanos=ttl_nanos,
             channels=[channel_record(channel) for channel in channels],
             cluster_id=entered.cluster_id,
+            protocol_version=PROTOCOL_VERSION,
         )
 
     @_refusing
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Any) -> pb.RenewHostLeaseResponse:
         """See the contract. Leaves no entry in the log."""
+        self._check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=_seconds(context)
         )
@@ -190,6 +196,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @_refusing
     async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Any) -> pb.DeregisterHostResponse:
         """See the contract."""
+        self._check_host(context, request.host_id)
         deed = commands.DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
         await self._submit(context, deed, commands.HostDeregistered, request.request_id)
         return pb.DeregisterHostResponse()
@@ -240,6 +247,12 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
                 )
         except StampedeError as error:
             await abort(context, error)
+
+    def _check_host(self, context: Any, host_id: bytes, name: str | None = None) -> None:
+        """Raises PermissionDenied if the caller's certificate is that of another host."""
+        caller = caller_identity(context)
+        known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))
+        check_host_caller(caller, known_as=known.name if known else None, name=name)
 
     async def _read(self, context: Any, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
         if not stale_ok:
