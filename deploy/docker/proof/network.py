@@ -19,7 +19,9 @@ def make_bridge(project: Mapping[str, Any]) -> str:
     (config,) = network["ipam"]["config"]
     prefix = ipaddress.ip_network(config["subnet"]).prefixlen
     ip("link", "set", "lo", "up")
-    ip("link", "add", BRIDGE, "type", "bridge")
+    # With a hardware address of its own: a bridge without one takes a new one when a port is added or removed, and its
+    # neighbours would lose the name server until they ask again.
+    ip("link", "add", BRIDGE, "address", _hardware_address(config["gateway"]), "type", "bridge")
     ip("addr", "add", f"{config['gateway']}/{prefix}", "dev", BRIDGE)
     ip("link", "set", BRIDGE, "up")
     return str(config["gateway"])
@@ -32,8 +34,7 @@ def plug_in(pid: int, link: str, address: str) -> None:
     is started again is found by neighbours that still remember it.
     """
     inner, outer = f"{link}-in", f"{link}-ex"
-    hardware = ":".join(f"{byte:02x}" for byte in (0x02, 0x42, *ipaddress.IPv4Address(address).packed))
-    ip("link", "add", outer, "type", "veth", "peer", "name", inner, "address", hardware)
+    ip("link", "add", outer, "type", "veth", "peer", "name", inner, "address", _hardware_address(address))
     ip("link", "set", outer, "master", BRIDGE, "up")
     ip("link", "set", inner, "netns", str(pid))
     for words in (
@@ -43,6 +44,10 @@ def plug_in(pid: int, link: str, address: str) -> None:
         ["link", "set", "eth0", "up"],
     ):
         subprocess.run(["nsenter", "--target", str(pid), "--net", "ip", *words], check=True)
+
+
+def _hardware_address(address: str) -> str:
+    return ":".join(f"{byte:02x}" for byte in (0x02, 0x42, *ipaddress.IPv4Address(address).packed))
 
 
 def unplug(link: str) -> None:
