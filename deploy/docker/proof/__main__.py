@@ -1,9 +1,10 @@
 """Runs a compose project without an engine, from its real images, and checks that it does what it promises.
 
-    unshare --net --mount python deploy/docker/proof --project project.json --images images.json --work FOLDER
+    unshare --net --mount --pid --mount-proc --fork \\
+        python deploy/docker/proof --project project.json --images images.json --work FOLDER
 
 `project.json` is what compose_check prints; `images.json` maps each image to its `root` folder and `config`. Must be
-root, in network and mount namespaces of its own: this process is the machine, every container gets namespaces below.
+root, in namespaces of its own: this process is the machine, every container gets namespaces below.
 Prints one line for each thing that was seen to hold; exit code 1, with the reason, at the first that does not.
 """
 
