@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import time as _time
 
+from stampede_rt import grpc_quiet as _grpc_quiet  # isort: skip  # noqa: F401  # first: it decides what gRPC logs
+
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.connection import Connection
 from stampede_rt._sync.producer import Producer

@@ -1,7 +1,8 @@
 """Asks a service on this machine whether it serves: `python -m stampede_rt_runtime.health_check [HOST:PORT]`.
 
 For the health checks of containers, which have no other client of the standard gRPC health service at hand. That
-service answers without a secret, so none is needed here.
+service answers without a secret, so none is needed here; with certificates, it uses those of the service beside it,
+which $STAMPEDE_TLS_CA, $STAMPEDE_TLS_CERTIFICATE and $STAMPEDE_TLS_KEY name.
 """
 
 from __future__ import annotations
@@ -13,6 +14,10 @@ from collections.abc import Mapping, Sequence
 import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
+from stampede_rt.errors import StampedeError
+from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.transports.grpc_credentials import channel_credentials
+from stampede_rt_runtime.certificates import CertificateError, describe
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.values import Address, parse_address
 
@@ -38,12 +43,28 @@ def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
     return str(Address(_LOOPBACK_OF_WILDCARD.get(address.host, address.host), address.port))
 
 
-def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS) -> str:
+def open_channel(target: str, files: TlsFiles | None) -> grpc.Channel:
+    """A channel to the service beside us. Raises PermissionDenied or CertificateError if `files` cannot be used.
+
+    The address that is called here need not be one of those in the certificate, which is our own all the same.
+    """
+    options = Limits().channel_options()
+    if files is None:
+        return grpc.insecure_channel(target, options=options)
+    material = TlsReader(files).current()
+    addresses = describe(material.certificate)[0].addresses
+    if addresses:
+        options.append(("grpc.ssl_target_name_override", addresses[0]))
+    return grpc.secure_channel(target, channel_credentials(material), options=options)
+
+
+def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsFiles | None = None) -> str:
     """What the service at `target` says of itself: `SERVING`, `NOT_SERVING`, or why it could not be asked.
 
-    Blocks for `timeout_seconds` at most. Raises nothing: a service that cannot be asked is not healthy.
+    Blocks for `timeout_seconds` at most. A service that cannot be asked is not healthy, and nothing is raised; see
+    `open_channel` for what `files` may raise.
     """
-    with grpc.insecure_channel(target, options=Limits().channel_options()) as channel:
+    with open_channel(target, files) as channel:
         stub = health_pb2_grpc.HealthStub(channel)
         try:
             answer = stub.Check(health_pb2.HealthCheckRequest(), timeout=timeout_seconds)
@@ -59,7 +80,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ValueError as error:
         sys.stderr.write(f"health check: {error}\n")
         return EXIT_BAD_ADDRESS
-    status = status_of(target)
+    try:
+        status = status_of(target, files=files_from_environment(os.environ))
+    except (StampedeError, CertificateError) as error:
+        status = str(error)
     sys.stdout.write(f"{target}: {status}\n")
     return EXIT_SERVING if status == "SERVING" else EXIT_NOT_SERVING
 

@@ -1,0 +1,203 @@
+"""Making and showing certificates, and the files that hold them."""
+
+from __future__ import annotations
+
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.cli.main import main as stampede
+from stampede_rt.errors import InvalidArgument, PermissionDenied
+from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.tls_diagnosis import check_own_certificate
+from stampede_rt_local.certificates import ClusterCertificates
+from stampede_rt_runtime.certificates import CertificateError, describe, issue, make_authority
+from stampede_rt_runtime.identity import Identity, Role
+from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_runtime.settings import SettingsError
+from stampede_rt_runtime.tls import load_tls
+
+NOW = datetime(2026, 5, 1, tzinfo=UTC)
+DAY = timedelta(days=1)
+HOST = Identity("lab", Role.HOST, "h1")
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> ClusterCertificates:
+    return ClusterCertificates(tmp_path / "certs")
+
+
+def test_a_certificate_says_who_it_is_for_and_where_and_until_when() -> None:
+    authority = make_authority("lab", now=NOW, lifetime=10 * DAY)
+    one = issue(authority, HOST, ("rig", "10.0.0.1", "[::1]"), now=NOW, lifetime=DAY)
+    (told,) = describe(one.certificate)
+    assert told.identity == HOST
+    assert told.addresses == ("rig", "10.0.0.1", "::1")
+    assert told.not_before < NOW
+    assert told.not_after == NOW + DAY
+    assert not told.is_authority
+    assert describe(authority.certificate)[0].is_authority
+    assert b"PRIVATE" not in repr(one).encode()
+
+
+def test_a_certificate_ends_with_its_authority() -> None:
+    authority = make_authority("lab", now=NOW, lifetime=10 * DAY)
+    one = issue(authority, HOST, ("rig",), now=NOW, lifetime=99 * DAY)
+    assert describe(one.certificate)[0].not_after == NOW + 10 * DAY
+    with pytest.raises(CertificateError, match="authority has expired"):
+        issue(authority, HOST, ("rig",), now=NOW + 11 * DAY, lifetime=DAY)
+
+
+def test_a_service_needs_addresses_and_a_client_none() -> None:
+    authority = make_authority("lab", now=NOW, lifetime=DAY)
+    with pytest.raises(CertificateError, match="needs the addresses"):
+        issue(authority, HOST, (), now=NOW, lifetime=DAY)
+    assert issue(authority, Identity("lab", Role.CLIENT, "cam"), (), now=NOW, lifetime=DAY)
+
+
+def test_the_commands_make_files_that_work_together(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / "ca")
+    assert stampede(["certs", "init", folder, "--cluster", "lab"]) == 0
+    words = ["certs", "issue", "--dir", folder, "--name", "s1", "--role", "supernode", "--address", "s1", "10.0.0.1"]
+    assert stampede(words) == 0
+    ca, certificate, key = (Path(folder) / one for one in ("ca.pem", "supernode-s1.pem", "supernode-s1.key"))
+    for secret in (key, Path(folder) / "ca.key"):
+        assert stat.S_IMODE(secret.stat().st_mode) == 0o600
+    tls = load_tls(TlsFiles(ca=ca, certificate=certificate, key=key), Role.SUPERNODE)
+    assert tls.identity == Identity("lab", Role.SUPERNODE, "s1")
+    capsys.readouterr()
+    assert stampede(["certs", "show", str(certificate), str(ca)]) == 0
+    told = capsys.readouterr().out
+    assert "supernode s1 of cluster lab, called at s1, 10.0.0.1; valid until" in told
+    assert "(an authority)" in told
+
+
+def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert stampede(["certs", "init", str(tmp_path)]) == 0
+    before = (tmp_path / "ca.pem").read_bytes()
+    assert stampede(["certs", "init", str(tmp_path)]) == 1
+    assert "is there already" in capsys.readouterr().err
+    assert (tmp_path / "ca.pem").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "complaint"),
+    [
+        (["issue", "--name", "n", "--role", "king"], 2, "invalid choice"),
+        (["issue", "--name", "N", "--role", "client"], 2, "the name is 'N'"),
+        (["init", "x", "--cluster", "A B"], 2, "the cluster's name is 'A B'"),
+        (["init", "x", "--days", "0"], 2, "allowed: 1 to 36500"),
+        (["issue", "--dir", "nowhere", "--name", "n", "--role", "client"], 1, "nowhere/ca.pem cannot be used"),
+        (["show", "ca.key"], 1, "holds no certificate"),
+    ],
+)
+def test_a_wrong_command_gets_one_sentence(
+    words: list[str],
+    status: int,
+    complaint: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    stampede(["certs", "init", "certs"])
+    (tmp_path / "ca.key").write_bytes((tmp_path / "certs" / "ca.key").read_bytes())
+    capsys.readouterr()
+    assert stampede(["certs", *words]) == status
+    said = capsys.readouterr().err
+    assert complaint in said
+    assert "Traceback" not in said
+
+
+def test_show_says_that_a_certificate_has_expired(
+    made: ClusterCertificates, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = made.issue(Role.CLIENT, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
+    assert stampede(["certs", "show", str(files.certificate)]) == 0
+    assert "EXPIRED on" in capsys.readouterr().out
+
+
+def test_a_service_does_not_start_with_a_certificate_that_nobody_would_accept(
+    made: ClusterCertificates, tmp_path: Path
+) -> None:
+    late = made.issue(Role.HOST, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
+    with pytest.raises(PermissionDenied, match="has expired; issue it anew"):
+        load_tls(late, Role.HOST)
+    good = made.issue(Role.HOST, "h1")
+    with pytest.raises(PermissionDenied, match="is one of host h1 of cluster local, and this is a supernode"):
+        load_tls(good, Role.SUPERNODE)
+    foreign = ClusterCertificates(tmp_path / "foreign")
+    with pytest.raises(PermissionDenied, match="is not of an authority in"):
+        load_tls(TlsFiles(ca=foreign.ca, certificate=good.certificate, key=good.key), Role.HOST)
+
+
+def test_files_that_cannot_be_used_are_named(made: ClusterCertificates, tmp_path: Path) -> None:
+    one, two = made.issue(Role.CLIENT, "one"), made.issue(Role.CLIENT, "two")
+    with pytest.raises(PermissionDenied, match=r"client-one\.pem and the private key .*client-two\.key cannot be used"):
+        TlsReader(TlsFiles(ca=one.ca, certificate=one.certificate, key=two.key))
+    with pytest.raises(PermissionDenied, match="absent cannot be read: No such file"):
+        TlsReader(TlsFiles(ca=tmp_path / "absent", certificate=one.certificate, key=one.key))
+    with pytest.raises(PermissionDenied, match="holds no certificate of an authority"):
+        TlsReader(TlsFiles(ca=one.key, certificate=one.certificate, key=one.key))
+    Path(one.key).chmod(0o644)
+    with pytest.raises(PermissionDenied, match="can be read by every user; run: chmod 600"):
+        TlsReader(one)
+
+
+def test_a_reader_gives_new_files_and_waits_out_broken_ones(
+    made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt.tls.LOOK_EVERY_S", 0.0)
+    files = made.issue(Role.CLIENT, "cam")
+    reader = TlsReader(files)
+    first = reader.current()
+    assert reader.current() is first
+    made.issue(Role.CLIENT, "cam")
+    second = reader.current()
+    assert second is not first
+    assert second.certificate != first.certificate
+    right_key = Path(files.key).read_bytes()
+    Path(files.key).write_bytes(Path(made.issue(Role.CLIENT, "other").key).read_bytes())
+    assert reader.current() is second
+    Path(files.key).unlink()
+    assert reader.current() is second
+    Path(files.key).write_bytes(right_key)
+    Path(files.key).chmod(0o600)
+    third = reader.current()
+    assert third is not second
+    assert third.key == second.key
+
+
+def test_the_standard_library_shows_our_own_certificate(made: ClusterCertificates) -> None:
+    told = check_own_certificate(TlsReader(made.issue(Role.CLIENT, "cam")))
+    assert ("URI", "stampede://local/client/cam") in told["subjectAltName"]  # type: ignore[operator]
+
+
+def test_the_environment_names_all_three_files_or_none(made: ClusterCertificates) -> None:
+    assert files_from_environment({}) is None
+    files = made.issue(Role.CLIENT, "cam")
+    environ = {"STAMPEDE_TLS_CA": str(files.ca), "STAMPEDE_TLS_CERTIFICATE": str(files.certificate)}
+    with pytest.raises(InvalidArgument, match=r"^\$STAMPEDE_TLS_KEY must be set, too"):
+        files_from_environment(environ)
+    found = files_from_environment(environ | {"STAMPEDE_TLS_KEY": str(files.key)})
+    assert found is not None
+    assert found.paths() == files.paths()
+
+
+def test_a_service_is_told_which_flag_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match="--tls-certificate and --tls-key must be given, too"):
+        ServiceSettings(tls_ca=tmp_path / "ca.pem").load_tls(Role.HOST)
+
+
+def test_certificates_suffice_without_the_secret_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "config" / "stampede" / "secret"
+    place.parent.mkdir(parents=True)
+    place.write_text("s3cret")
+    place.chmod(0o600)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+    assert ServiceSettings().load_secret() is not None
+    assert ServiceSettings(tls_ca=tmp_path).load_secret() is None
+    assert ServiceSettings(tls_ca=tmp_path, secret_file=place).load_secret() is not None
