@@ -1,0 +1,321 @@
+"""A whole cluster with certificates: who is let in, who is not, and what they are told."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import pickle
+import random
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.errors import PermissionDenied
+from stampede_rt.status import from_rpc_error
+from stampede_rt.tls import TlsReader
+from stampede_rt.v1 import directory_pb2, directory_service_pb2, directory_service_pb2_grpc, raft_service_pb2_grpc
+from stampede_rt.v1 import raft_service_pb2 as raft_pb
+from stampede_rt_local.certificates import ClusterCertificates
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceFailed, ServiceProcess
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
+
+DAY = timedelta(days=1)
+PATIENCE_SECONDS = 5.0
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with pytest.MonkeyPatch.context() as patch, LocalCluster(tls=True, hosts=1, supernodes=3, durable=False) as made:
+        patch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+        yield made
+
+
+@pytest.fixture
+def certificates(cluster: LocalCluster) -> ClusterCertificates:
+    assert cluster.certificates is not None
+    return cluster.certificates
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> ClusterCertificates:
+    return ClusterCertificates(tmp_path / "foreign")
+
+
+def connect_blocking(address: str, tls: st.TlsFiles | None) -> None:
+    st.connect(address, tls=tls).close()
+
+
+def connect_awaited(address: str, tls: st.TlsFiles | None) -> None:
+    async def enter() -> None:
+        async with aio.connect(address, tls=tls):
+            pass
+
+    asyncio.run(enter())
+
+
+Connect = Callable[[str, st.TlsFiles | None], None]
+both_surfaces = pytest.mark.parametrize("connect", [connect_blocking, connect_awaited])
+
+
+def refusal(connect: Connect, address: str, tls: st.TlsFiles | None) -> str:
+    began = time.monotonic()
+    with pytest.raises(PermissionDenied) as caught:
+        connect(address, tls)
+    assert time.monotonic() - began < PATIENCE_SECONDS
+    assert "\n" not in caught.value.message
+    return caught.value.message
+
+
+@both_surfaces
+def test_a_certificate_of_the_cluster_is_enough(connect: Connect, cluster: LocalCluster) -> None:
+    connect(cluster.address, cluster.tls_files())
+
+
+@both_surfaces
+def test_a_caller_without_a_certificate_is_told_to_bring_one(connect: Connect, cluster: LocalCluster) -> None:
+    told = refusal(connect, cluster.address, None)
+    assert told.startswith(f"{cluster.address} asks for certificates (TLS), and this caller has none; name yours with")
+
+
+@both_surfaces
+def test_an_expired_certificate_is_refused(
+    connect: Connect, cluster: LocalCluster, certificates: ClusterCertificates
+) -> None:
+    late = certificates.issue(Role.CLIENT, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
+    assert refusal(connect, cluster.address, late) == (
+        f"{cluster.address} refused this caller: the certificate {late.certificate} has expired; "
+        "issue it anew (stampede certs issue)"
+    )
+
+
+@both_surfaces
+def test_a_caller_of_another_authority_does_not_trust_the_cluster(
+    connect: Connect, cluster: LocalCluster, foreign: ClusterCertificates
+) -> None:
+    told = refusal(connect, cluster.address, foreign.issue(Role.CLIENT, "cam"))
+    assert told.startswith(f"the certificate of {cluster.address} is of an authority that {foreign.ca} does not hold")
+
+
+@both_surfaces
+def test_a_foreign_certificate_is_refused_also_with_the_right_authority_file(
+    connect: Connect, cluster: LocalCluster, certificates: ClusterCertificates, foreign: ClusterCertificates
+) -> None:
+    stranger = foreign.issue(Role.CLIENT, "cam")
+    mixed = st.TlsFiles(ca=certificates.ca, certificate=stranger.certificate, key=stranger.key)
+    told = refusal(connect, cluster.address, mixed)
+    assert f"refused this caller: the certificate {stranger.certificate} is not of an authority in" in told
+
+
+@both_surfaces
+def test_a_certificate_that_only_the_caller_trusts_is_refused(
+    connect: Connect,
+    cluster: LocalCluster,
+    certificates: ClusterCertificates,
+    foreign: ClusterCertificates,
+    tmp_path: Path,
+) -> None:
+    stranger = foreign.issue(Role.CLIENT, "cam")
+    bundle = tmp_path / "both.pem"
+    bundle.write_bytes(certificates.ca.read_bytes() + foreign.ca.read_bytes())
+    mixed = st.TlsFiles(ca=bundle, certificate=stranger.certificate, key=stranger.key)
+    assert refusal(connect, cluster.address, mixed) == (
+        f"{cluster.address} refused the certificate {stranger.certificate}: "
+        "it trusts no authority that has issued it; use this cluster's"
+    )
+
+
+def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> str:
+    """What a supernode answers to a call with this certificate; empty if it was let in and the call went through."""
+
+    async def asked() -> str:
+        assert files is not None
+        async with dial(address, secret=None, tls=TlsReader(files)) as channel:
+            try:
+                await call(channel)
+            except grpc.aio.AioRpcError as error:
+                return f"{error.code().name}: {from_rpc_error(error, 'it').message}"
+        return ""
+
+    return asyncio.run(asked())
+
+
+def registering(name: str) -> Callable[[grpc.aio.Channel], Any]:
+    request = directory_service_pb2.RegisterHostRequest(
+        request_id=os.urandom(16),
+        host_id=os.urandom(16),
+        name=name,
+        gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
+        boot_incarnation=1,
+        version="0.1.0",
+        protocol_version=1,
+    )
+    return lambda channel: directory_service_pb2_grpc.DirectoryServiceStub(channel).RegisterHost(request, timeout=5)
+
+
+def greeting(member: str, to: str) -> Callable[[grpc.aio.Channel], Any]:
+    hello = raft_pb.RaftHello(protocol_version=1, member_id=member, peer_member_id=to)
+
+    async def greet(channel: grpc.aio.Channel) -> None:
+        call: Any = raft_service_pb2_grpc.RaftServiceStub(channel).Exchange(timeout=5)
+        await call.write(raft_pb.RaftServiceExchangeRequest(hello=hello))
+        if await call.read() is grpc.aio.EOF:
+            await call.read()
+            raise AssertionError("the stream ended without a reason")
+
+    return greet
+
+
+def test_only_a_host_registers_and_only_under_its_own_name(cluster: LocalCluster) -> None:
+    supernode = cluster.supernodes[0].address
+    told = ask(supernode, cluster.tls_files("cam"), registering("cam"))
+    assert told.startswith("PERMISSION_DENIED: client cam may not call DirectoryService/RegisterHost")
+    told = ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h1"))
+    assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1")
+    assert ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h9")) == ""
+
+
+def test_a_host_cannot_end_or_prolong_the_lease_of_another(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        (h1,) = [one for one in rt.hosts() if one.name == "h1"]
+    for name in ("RenewHostLease", "DeregisterHost"):
+        kind = getattr(directory_service_pb2, f"{name}Request")
+        request = kind(host_id=h1.host_id, boot_incarnation=1)
+
+        def call(channel: grpc.aio.Channel, name: str = name, request: Any = request) -> Any:
+            return getattr(directory_service_pb2_grpc.DirectoryServiceStub(channel), name)(request, timeout=5)
+
+        told = ask(cluster.supernodes[0].address, cluster.tls_files("h9", Role.HOST), call)
+        assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1"), name
+
+
+def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: LocalCluster) -> None:
+    first = cluster.supernodes[0].address
+    told = ask(first, cluster.tls_files("h1", Role.HOST), greeting("s2", "s1"))
+    assert told.startswith("PERMISSION_DENIED: host h1 may not call RaftService/Exchange, which is for supernode")
+    told = ask(first, cluster.tls_files("s9", Role.SUPERNODE), greeting("s2", "s1"))
+    assert "'s2' bears the certificate of supernode s9 of cluster local" in told
+
+
+@pytest.mark.parametrize(
+    ("role", "name", "complaint"),
+    [
+        (Role.CLIENT, "cam", "is one of client cam of cluster local, and this is a host"),
+        (Role.HOST, "h7", "--name is 'h8', but the certificate"),
+        (None, "foreign", "is of an authority that"),
+        (None, "", "asks for certificates (TLS), and this caller has none"),
+    ],
+)
+def test_a_host_that_is_not_let_in_ends_with_one_sentence(
+    role: Role | None, name: str, complaint: str, cluster: LocalCluster, foreign: ClusterCertificates
+) -> None:
+    files = cluster.tls_files(name, role) if role else foreign.issue(Role.HOST, "h8") if name else None
+    words = ["--frontend", cluster.address, "--name", "h8"]
+    if files is not None:
+        ca, certificate, key = map(str, files.paths())
+        words += ["--tls-ca", ca, "--tls-certificate", certificate, "--tls-key", key]
+    host = ServiceProcess("host h8", "stampede_rt_channel_host", words)
+    host.start()
+    with pytest.raises(ServiceFailed):
+        host.wait_ready(30)
+    assert host.exit_code == 1
+    assert complaint in host.last_lines[-1]
+    assert host.last_lines[-1].startswith("stampede host: ")
+    assert not any("Traceback" in line for line in host.last_lines)
+
+
+def test_the_command_line_takes_certificates_from_the_environment(cluster: LocalCluster) -> None:
+    files = cluster.tls_files("shell")
+    assert files is not None
+    named = dict(zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True))
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
+    command = [sys.executable, "-m", "stampede_rt.cli", "ls", "--url", cluster.address]
+    secured = plain | {f"STAMPEDE_TLS_{name}": value for name, value in named.items()}
+    done = subprocess.run(command, env=secured, capture_output=True, text=True, timeout=20)
+    assert (done.returncode, done.stderr) == (0, "")
+    refused = subprocess.run(command, env=plain, capture_output=True, text=True, timeout=20)
+    assert refused.returncode == 1
+    assert refused.stderr.startswith(f"stampede: {cluster.address} asks for certificates (TLS)")
+    assert refused.stderr.count("\n") == 1
+
+
+class Bomb:
+    """A pickle that makes a file when it is loaded."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        return (os.mkdir, (str(self.place),))
+
+
+def send(address: str, data: bytes, context: ssl.SSLContext | None) -> None:
+    """Send `data` and read until the other side has had enough of it, for one second at most."""
+    host, _, port = address.rpartition(":")
+    with contextlib.suppress(OSError):  # it hung up, which is what it should do
+        plain = socket.create_connection((host, int(port)), 5)
+        plain.settimeout(1)
+        with plain, context.wrap_socket(plain, server_hostname=host) if context else plain as stream:
+            stream.sendall(data)
+            while stream.recv(4096):
+                pass
+
+
+async def send_as_messages(address: str, files: st.TlsFiles, data: bytes) -> None:
+    """The same bytes as the messages of every RPC that a member may call, and of those that it may not."""
+    async with dial(address, secret=None, tls=TlsReader(files)) as channel:
+        for method in ("RaftService/Exchange", "DirectoryService/RegisterHost", "FrontendService/Bind", "No/Such"):
+            call: Any = channel.stream_stream(f"/stampede_rt.v1.{method}")(iter([data]), timeout=3)
+            assert await outcome(call) is not grpc.StatusCode.OK
+
+
+async def outcome(call: Any) -> grpc.StatusCode:
+    with contextlib.suppress(grpc.aio.AioRpcError):
+        async for _ in call:
+            pass
+    return grpc.StatusCode(await call.code())
+
+
+def test_random_bytes_and_pickles_do_nothing_at_any_port(cluster: LocalCluster, tmp_path: Path) -> None:
+    place = tmp_path / "exploded"
+    bombs = [pickle.dumps(Bomb(place), protocol) for protocol in (0, 2, 5)]
+    preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+    noise = [random.Random(seed).randbytes(4096) for seed in range(3)]
+    member = cluster.tls_files("s1", Role.SUPERNODE)
+    assert member is not None
+    context = ssl.create_default_context(cafile=member.paths()[0])
+    context.load_cert_chain(*member.paths()[1:])
+    context.set_alpn_protocols(["h2"])
+    payloads = [*bombs, *noise, *(preface + data for data in (*bombs, *noise))]
+    ports = [process.address for process in cluster.processes()]
+    with ThreadPoolExecutor(16) as pool:
+        sent = [
+            pool.submit(send, address, data, how) for address in ports for data in payloads for how in (None, context)
+        ]
+        for one in sent:
+            one.result()
+    for address in ports:
+        for data in bombs:
+            asyncio.run(send_as_messages(address, member, data))
+    assert not place.exists()
+    assert all(process.alive for process in cluster.processes())
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        channel = rt.channel("after/noise", max_age="10s")
+        channel.put(b"still here")
+        assert channel.newest().payload == b"still here"
+    pickle.loads(bombs[0])
+    assert place.exists()  # they would have worked

@@ -1,0 +1,51 @@
+"""The contract's essentials over mutual TLS: the same tests as elsewhere, on a cluster with certificates."""
+
+# ruff: noqa: F401  # the tests are those of tests/contract, and take this file's fixture
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.contract.surfaces import Surface
+from tests.contract.test_puts import (
+    test_a_producer_keeps_order_and_loses_nothing,
+    test_a_put_behind_an_advance_is_too_old,
+    test_max_items_drops_the_oldest,
+    test_seqs_grow_by_one,
+)
+from tests.contract.test_reads import (
+    test_an_item_keeps_what_its_producer_said_of_it,
+    test_items_come_in_the_order_of_time_whatever_the_order_of_arrival,
+    test_limit_keeps_the_earliest_and_pages_on,
+)
+from tests.contract.test_subscriptions import (
+    test_every_item_comes_once_whatever_its_time,
+    test_newest_never_goes_back_and_counts_what_it_skips,
+)
+from tests.contract.test_waiting import (
+    test_a_blocking_get_is_released_by_the_first_matching_item,
+    test_a_cancelled_get_leaves_nothing_behind,
+    test_many_gets_wait_side_by_side,
+)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False) as made:
+        yield made
+
+
+@pytest.fixture(params=["aio", "sync"])
+async def surface(request: pytest.FixtureRequest, cluster: LocalCluster) -> AsyncIterator[Surface]:
+    tls = cluster.tls_files()
+    if request.param == "aio":
+        async with aio.connect(cluster.address, tls=tls) as connection:
+            yield Surface(connection)
+        return
+    with st.connect(cluster.address, tls=tls) as blocking, ThreadPoolExecutor(16) as pool:
+        yield Surface(blocking, pool)
