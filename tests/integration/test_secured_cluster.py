@@ -23,6 +23,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsReader
@@ -157,7 +158,7 @@ def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> 
 def registering(name: str) -> Callable[[grpc.aio.Channel], Any]:
     request = directory_service_pb2.RegisterHostRequest(
         request_id=os.urandom(16),
-        host_id=os.urandom(16),
+        host_id=name.encode().ljust(16, b"."),
         name=name,
         gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
         boot_incarnation=1,
@@ -165,6 +166,13 @@ def registering(name: str) -> Callable[[grpc.aio.Channel], Any]:
         protocol_version=1,
     )
     return lambda channel: directory_service_pb2_grpc.DirectoryServiceStub(channel).RegisterHost(request, timeout=5)
+
+
+def leaving(name: str) -> Callable[[grpc.aio.Channel], Any]:
+    request = directory_service_pb2.DeregisterHostRequest(
+        request_id=os.urandom(16), host_id=name.encode().ljust(16, b"."), boot_incarnation=1
+    )
+    return lambda channel: directory_service_pb2_grpc.DirectoryServiceStub(channel).DeregisterHost(request, timeout=5)
 
 
 def greeting(member: str, to: str) -> Callable[[grpc.aio.Channel], Any]:
@@ -187,6 +195,7 @@ def test_only_a_host_registers_and_only_under_its_own_name(cluster: LocalCluster
     told = ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h1"))
     assert told.startswith("PERMISSION_DENIED: host h9 of cluster local cannot speak for host h1")
     assert ask(supernode, cluster.tls_files("h9", Role.HOST), registering("h9")) == ""
+    assert ask(supernode, cluster.tls_files("h9", Role.HOST), leaving("h9")) == ""
 
 
 def test_a_host_cannot_end_or_prolong_the_lease_of_another(cluster: LocalCluster) -> None:
@@ -232,6 +241,7 @@ def test_a_host_that_is_not_let_in_ends_with_one_sentence(
     host.start()
     with pytest.raises(ServiceFailed):
         host.wait_ready(30)
+    host.stop()
     assert host.exit_code == 1
     assert complaint in host.last_lines[-1]
     assert host.last_lines[-1].startswith("stampede host: ")
@@ -251,6 +261,19 @@ def test_the_command_line_takes_certificates_from_the_environment(cluster: Local
     assert refused.returncode == 1
     assert refused.stderr.startswith(f"stampede: {cluster.address} asks for certificates (TLS)")
     assert refused.stderr.count("\n") == 1
+
+
+def test_doctor_finds_a_secured_cluster_well_and_says_what_a_caller_lacks(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert stampede(["doctor", "--url", cluster.address]) == 1
+    assert f"{cluster.address} asks for certificates (TLS), and this caller has none" in capsys.readouterr().out
+    files = cluster.tls_files("doctor")
+    assert files is not None
+    for variable, path in zip(("CA", "CERTIFICATE", "KEY"), files.paths(), strict=True):
+        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+    assert stampede(["doctor", "--url", cluster.address]) == 0
+    assert "Everything is well." in capsys.readouterr().out
 
 
 class Bomb:

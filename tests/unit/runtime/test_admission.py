@@ -21,6 +21,7 @@ from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import Dialer, dial
 from stampede_rt_runtime.health_check import main as health_check
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.listen import NotAllowed
 from stampede_rt_runtime.server import serving
 from stampede_rt_runtime.tls import ServiceTls, load_tls
 
@@ -222,3 +223,11 @@ async def test_nothing_is_said_of_certificates_when_all_is_well_or_nobody_is_the
         assert await asyncio.to_thread(explain_refusal, server.address, reader) is None
     assert await asyncio.to_thread(explain_refusal, server.address, reader) is None
     assert explain_refusal("unix:/nowhere", reader) is None
+
+
+async def test_with_certificates_a_service_may_listen_everywhere(own: ServiceTls) -> None:
+    async with serving(lambda _: None, listen="0.0.0.0:0", tls=own) as server:
+        assert server.address.startswith("0.0.0.0:")
+    with pytest.raises(NotAllowed):
+        async with serving(lambda _: None, listen="0.0.0.0:0"):
+            pass

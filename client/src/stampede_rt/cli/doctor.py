@@ -13,8 +13,9 @@ from stampede_rt._sync.ports import Ports
 from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.output import print_rows
 from stampede_rt.connecting import Target, parse_target
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.timeline import format_duration
+from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
@@ -135,7 +136,8 @@ def _probe(ports: Ports, part: str, address: str, service: str, method: str, req
     try:
         response = port.call(getattr(getattr(port, service), method), request, TIMEOUT_S)
     except StampedeError as error:
-        return None, Finding(part, address, "unreachable", error.message)
+        refused = explain_refusal(address, ports.credentials.tls) if isinstance(error, Unavailable) else None
+        return None, Finding(part, address, "unreachable", (refused or error).message)
     round_trip = time.monotonic_ns() - started
     offset = response.time_unix_nano - (sent + round_trip // 2)
     finding = Finding(part, address, "ok", "", round_trip, offset, response.version)

@@ -8,9 +8,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+IDLE_S = 30.0
+
 
 class Watchdog:
-    """Calls back what is overdue, from one daemon thread that starts with the first limit."""
+    """Calls back what is overdue, from one daemon thread that starts with the first limit.
+
+    The thread ends when there was none for IDLE_S, so that a connection that is let go leaves none behind.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -56,7 +61,11 @@ class Watchdog:
                         overdue.append(True)
                         on_overdue()
                 self._wakes_at_s = self._limits[0][0] if self._limits else float("inf")
-                self._changed.wait(self._wakes_at_s - now_s if self._limits else None)
+                if self._limits:
+                    self._changed.wait(self._wakes_at_s - now_s)
+                elif not self._changed.wait(IDLE_S) and not self._limits:
+                    break
+            self._thread = None
 
     def close(self) -> None:
         """End the thread."""
