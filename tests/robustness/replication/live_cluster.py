@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import grpc
@@ -11,10 +11,13 @@ import grpc.aio
 
 from stampede_rt_supernode.replication import (
     CHANNEL_OPTIONS,
+    ChangeUnderWay,
     Member,
+    NotLeading,
     RaftTiming,
     ReplicatedLog,
     ReplicationSettings,
+    ReplicationStatus,
     open_replicated_log,
 )
 from tests.robustness.replication.machine import ListMachine
@@ -43,8 +46,12 @@ class LiveMember:
         self.port = self.server.add_insecure_port("127.0.0.1:0")
         self.member = Member(member_id=member_id, address=f"127.0.0.1:{self.port}")
         self.log: ReplicatedLog | None = None
+        # Whom it was told when it volunteered; None for a founder.
+        self.told: list[Member] | None = None
 
-    async def start(self, members: list[Member], timing: RaftTiming, *, snapshot_every: int) -> None:
+    async def start(
+        self, members: list[Member], timing: RaftTiming, *, snapshot_every: int, joining: bool = False
+    ) -> None:
         if self.log is None and self.server is None:
             self.server = grpc.aio.server(options=[("grpc.so_reuseport", 0)])
             assert self.server.add_insecure_port(f"127.0.0.1:{self.port}") == self.port
@@ -52,6 +59,7 @@ class LiveMember:
         settings = ReplicationSettings(
             self_member=self.member,
             initial_members=members,
+            joining=joining,
             data_dir=self.folder,
             timing=timing,
             snapshot_every_entries=snapshot_every,
@@ -76,11 +84,38 @@ class LiveCluster:
         self.failures: list[BaseException] = []
         self._timing = timing
         self._snapshot_every = snapshot_every
-        self.all = [
-            LiveMember(f"m{number}", folder / str(number) if folder else None, self.failures.append)
-            for number in range(size)
-        ]
+        self._folder = folder
+        self.all = [self._made(number) for number in range(size)]
         self.members = [each.member for each in self.all]
+
+    def _made(self, number: int) -> LiveMember:
+        folder = self._folder / str(number) if self._folder else None
+        return LiveMember(f"m{number}", folder, self.failures.append)
+
+    async def volunteer(self) -> LiveMember:
+        """A new process that waits to be added."""
+        newcomer = self._made(len(self.all))
+        newcomer.told = list(running(await self.leader()).status().members)
+        self.all.append(newcomer)
+        await self.start(newcomer)
+        return newcomer
+
+    async def add(self, newcomer: LiveMember) -> int:
+        return await self.on_leader(lambda log: log.add_member(newcomer.member, timeout=10.0))
+
+    async def on_leader(self, change: Callable[[ReplicatedLog], Awaitable[int]]) -> int:
+        """Have the leader do it, and the next one if it is replaced or hands over."""
+        while True:
+            try:
+                return await change(running(await self.leader()))
+            except (NotLeading, ChangeUnderWay):
+                continue
+
+    async def remove(self, member: LiveMember) -> None:
+        """Remove a member, whoever leads, and stop it."""
+        await self.on_leader(lambda log: log.remove_member(member.member.member_id, timeout=10.0))
+        self.all.remove(member)
+        await member.stop()
 
     async def __aenter__(self) -> LiveCluster:
         for each in self.all:
@@ -88,7 +123,8 @@ class LiveCluster:
         return self
 
     async def start(self, member: LiveMember) -> None:
-        await member.start(self.members, self._timing, snapshot_every=self._snapshot_every)
+        members, joining = member.told or self.members, member.told is not None
+        await member.start(members, self._timing, snapshot_every=self._snapshot_every, joining=joining)
 
     async def __aexit__(self, *exc_info: object) -> None:
         for each in self.all:
@@ -97,11 +133,12 @@ class LiveCluster:
             raise self.failures[0]
 
     async def leader(self, *, within: float = 10.0) -> LiveMember:
-        """The member that all running members take for their leader."""
+        """The member that all running members take for their leader; those who are not in yet do not count."""
         found: list[LiveMember] = []
 
         def agreed() -> bool:
-            statuses = {each.member.member_id: each.log.status() for each in self.all if each.log}
+            asked = [each for each in self.all if each.log and _is_in(each.log.status())]
+            statuses = {each.member.member_id: running(each).status() for each in asked}
             leaders = {status.leader_id for status in statuses.values()}
             if len(leaders) != 1 or None in leaders:
                 return False
@@ -114,6 +151,10 @@ class LiveCluster:
     async def followers(self) -> list[LiveMember]:
         leader = await self.leader()
         return [each for each in self.all if each.log and each is not leader]
+
+
+def _is_in(status: ReplicationStatus) -> bool:
+    return any(member.member_id == status.self_id for member in status.members)
 
 
 async def until(condition: Callable[[], bool], *, within: float = 10.0) -> None:

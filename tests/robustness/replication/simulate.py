@@ -12,10 +12,12 @@ import time
 import traceback
 
 from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.member_changes import HandOver
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.world import SimMember, Weather, World
 
 STORM_SECONDS = 12.0
+PROCESSES_MAX = 12
 # After everything is healed every member must serve, and then hold everything, within this time. Twice the worst
 # of 120 seeds; the promise for the first of it, an election included, is 5 s.
 HEAL_SECONDS = 8.0
@@ -32,6 +34,7 @@ def weather_of(dice: random.Random) -> Weather:
         partitions=dice.choice([0.0, 0.2, 0.5]),
         freezes=dice.choice([0.0, 0.0, 0.3]),
         link_breaks=dice.choice([0.0, 0.3, 2.0]),
+        changes=dice.choice([0.0, 0.0, 0.5, 2.0]),
     )
 
 
@@ -48,6 +51,7 @@ class Storm:
             (weather.partitions, self._partition),
             (weather.freezes, self._freeze),
             (weather.link_breaks, self._break_wire),
+            (weather.changes, self._change),
             (25.0, self._propose),
             (8.0, self._read),
         ):
@@ -97,6 +101,25 @@ class Storm:
         world.block(pairs)
         world.after(dice.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
+    def _change(self) -> None:
+        """Somebody asks whoever seems to lead to let a member come or go, or to hand over."""
+        dice, world = self._world.dice, self._world
+        leaders = [each for each in world.alive() if each.replica and each.replica.status().is_leader]
+        if not leaders:
+            return
+        leader = dice.choice(leaders)
+        assert leader.replica is not None
+        members = leader.replica.status().members
+        kind = dice.choice(["add", "add", "remove", "hand over"])
+        if kind == "hand over":
+            leader.replica.change_members(HandOver(lambda left: None))
+        elif kind == "remove":
+            world.change(leader, dice.choice(members), is_removal=True)
+        elif len(world.members) < PROCESSES_MAX:
+            world.change(leader, world.volunteer(members).member, is_removal=False)
+        else:
+            world.change(leader, dice.choice(list(world.members.values())).member, is_removal=False)
+
     def _propose(self) -> None:
         if (member := self._some()) is not None:
             self._commands += 1
@@ -139,7 +162,9 @@ def calm(world: World) -> None:
         member.frozen_until = 0.0
         world.restart(member)
     end = world.now + HEAL_SECONDS
-    for number, member in enumerate(world.members.values()):
+    settled = settled_members(world, end)
+    end = world.now + HEAL_SECONDS
+    for number, member in enumerate(settled):
         command, served = f"calm-{number}".encode(), False
         while not served and world.now < end:
             outcomes = world.propose(member, command, timeout=2.0)
@@ -148,7 +173,7 @@ def calm(world: World) -> None:
             command += b"'"
         if not served:
             raise PromiseBroken(f"{member.member.member_id} does not serve {HEAL_SECONDS} s after everything healed")
-    machines = [member.machine for member in world.members.values()]
+    machines = [member.machine for member in settled]
     target = world.history.highest_acknowledged
 
     def caught_up() -> bool:
@@ -158,6 +183,29 @@ def calm(world: World) -> None:
         raise PromiseBroken("a member does not catch up after everything healed")
     world.run_until(world.now + 1.0)
     world.history.check_end(machines)
+
+
+def settled_members(world: World, end: float) -> list[SimMember]:
+    """Who the members are, once nothing is on its way any more; no removal that was acknowledged is undone."""
+    found: list[SimMember] = []
+
+    def settled() -> bool:
+        leading = [each for each in world.alive() if each.replica and each.replica.status().is_leader]
+        found[:] = []
+        for leader in leading:
+            assert leader.replica is not None
+            names = {member.member_id for member in leader.replica.status().members}
+            rosters = [world.members[name].replica for name in names]
+            agreed = all({m.member_id for m in each.roster.members} == names for each in rosters if each)
+            if agreed and leader.replica.changes_are_settled():
+                found[:] = [world.members[name] for name in sorted(names)]
+        return bool(found)
+
+    if not world.run_until(end, settled):
+        raise PromiseBroken(f"nobody leads with settled members {HEAL_SECONDS} s after everything healed")
+    if back := world.removed & {member.member.member_id for member in found}:
+        raise PromiseBroken(f"{back} were removed, and are members")
+    return found
 
 
 def main() -> int:

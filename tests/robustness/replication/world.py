@@ -15,14 +15,16 @@ from stampede_rt_supernode.replication.interface import Ambiguous, Member, Unava
 from stampede_rt_supernode.replication.mailroom import (
     Connected,
     Disconnected,
+    MembersTold,
     Outgoing,
     Received,
     StreamEnded,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.member_changes import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.reads import Read
-from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.replica import Replica, Roster
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.disk import Crash, Disk, DiskStore
 from tests.robustness.replication.machine import History, ListMachine
@@ -41,6 +43,8 @@ class Weather:
     partitions: float = 0.0
     freezes: float = 0.0
     link_breaks: float = 0.0
+    # Members that are to come or go.
+    changes: float = 0.0
 
 
 @dataclass
@@ -52,14 +56,23 @@ class Wire:
     # Messages of an earlier connection are lost with it.
     generation: int = 0
     last_arrival: float = 0.0
+    answer_due: float = 0.0
 
 
 class SimMember:
     """One member: a disk that stays, and a replica that comes and goes. It is its replica's Network."""
 
-    def __init__(self, world: World, member: Member) -> None:
+    def __init__(self, world: World, member: Member, seeds: Sequence[Member], *, joining: bool = False) -> None:
         self.world = world
         self.member = member
+        self.settings = ReplicationSettings(
+            self_member=member,
+            initial_members=seeds,
+            joining=joining,
+            timing=world.timing,
+            snapshot_every_entries=15,
+            snapshot_piece_bytes=200,
+        )
         self.disk = Disk(crash_at_commit=self._dice_for_disk)
         self.machine = ListMachine(world.history)
         self.replica: Replica | None = None
@@ -70,7 +83,7 @@ class SimMember:
         """Come up from the disk, with every connection still to be made."""
         self.machine = ListMachine(self.world.history)
         self.replica = Replica(
-            self.world.settings_of(self.member),
+            self.settings,
             self.machine,
             store=DiskStore(self.disk),
             network=self,
@@ -90,6 +103,11 @@ class SimMember:
     def release(self, messages: Sequence[Outgoing]) -> None:
         for to, message in messages:
             self.world.send(self.member.member_id, to, message)
+
+    def follow(self, roster: Roster) -> None:
+        for ends in self.world.wires:
+            if ends[0] == self.member.member_id and ends[1] not in roster.peers:
+                self.world.break_wire(ends)
 
     def has_room(self, member_id: str) -> bool:
         return True
@@ -137,19 +155,29 @@ class World:
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         roster = [Member(member_id=f"m{number}", address=f"m{number}:1") for number in range(size)]
-        self.members = {member.member_id: SimMember(self, member) for member in roster}
-        self.wires = {(a, b): Wire() for a in self.members for b in self.members if a != b}
-        for wire in self.wires:
-            self._plan_connect(wire)
+        self.members: dict[str, SimMember] = {}
+        self.wires: dict[tuple[str, str], Wire] = {}
+        # Ids of members whose removal was acknowledged.
+        self.removed: set[str] = set()
+        for member in roster:
+            self._place(SimMember(self, member, roster))
 
-    def settings_of(self, member: Member) -> ReplicationSettings:
-        return ReplicationSettings(
-            self_member=member,
-            initial_members=[each.member for each in self.members.values()],
-            timing=self.timing,
-            snapshot_every_entries=15,
-            snapshot_piece_bytes=200,
-        )
+    def _place(self, newcomer: SimMember) -> None:
+        name = newcomer.member.member_id
+        ends = [pair for other in self.members for pair in ((name, other), (other, name))]
+        self.members[name] = newcomer
+        for pair in ends:
+            self.wires[pair] = Wire()
+            self._plan_connect(pair)
+
+    def volunteer(self, seeds: Sequence[Member]) -> SimMember:
+        """A new process that wants to be a member, and was told who the members are."""
+        name = f"m{len(self.members)}"
+        newcomer = SimMember(self, Member(member_id=name, address=f"{name}:1"), seeds, joining=True)
+        newcomer.disk.forgets = next(iter(self.members.values())).disk.forgets
+        self._place(newcomer)
+        newcomer.start()
+        return newcomer
 
     def at(self, when: float, call: Callable[[], None]) -> None:
         heapq.heappush(self._events, (when, next(self._order), call))
@@ -190,6 +218,14 @@ class World:
         replica = self.members[to].replica
         if replica is not None and self.wires[sender, to].generation == generation:
             replica.deliver(Received(sender, decode_message(pb.RaftMessage.FromString(data))))
+            self._answer(sender, to, replica)
+
+    def _answer(self, sender: str, to: str, receiver: Replica) -> None:
+        """As the stream does: every half second in which something came, the sender is told who the members are."""
+        wire, replica = self.wires[sender, to], self.members[sender].replica
+        if replica is not None and wire.up and not self.wires[to, sender].blocked and self.now > wire.answer_due:
+            wire.answer_due = self.now + 0.5
+            replica.deliver(MembersTold(to, receiver.roster.members))
 
     def break_wire(self, ends: tuple[str, str]) -> None:
         """The connection is gone, with what is on it; its sender notices and connects again."""
@@ -223,6 +259,13 @@ class World:
         if wire.up or sender is None:
             return
         if wire.blocked or receiver is None or self.wires[ends[1], ends[0]].blocked:
+            self._plan_connect(ends)
+            return
+        if ends[1] not in sender.roster.peers or ends[0] in receiver.roster.removed:
+            self._plan_connect(ends)
+            return
+        sender.deliver(MembersTold(ends[1], receiver.roster.members))
+        if ends[0] not in receiver.roster.peers:
             self._plan_connect(ends)
             return
         wire.up = True
@@ -281,6 +324,19 @@ class World:
 
         assert member.replica is not None
         member.replica.propose(Proposal(command, self.now + timeout, done))
+        return outcomes
+
+    def change(self, leader: SimMember, member: Member, *, is_removal: bool) -> list[ChangeOutcome]:
+        """Ask a live member to let another one come or go; the outcome appears in the list returned."""
+        outcomes: list[ChangeOutcome] = []
+
+        def done(outcome: ChangeOutcome) -> None:
+            outcomes.append(outcome)
+            if isinstance(outcome, int) and is_removal:
+                self.removed.add(member.member_id)
+
+        assert leader.replica is not None
+        leader.replica.change_members(MemberChange(member, is_removal, done))
         return outcomes
 
     def read(self, member: SimMember, *, timeout: float) -> list[int | None]:

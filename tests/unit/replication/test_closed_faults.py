@@ -8,11 +8,15 @@ import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.codec import encode_snapshot
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.raft_node import BytesNode, InvariantViolation
 from stampede_rt_supernode.replication.storage import Entry, MemoryStore, StoredSnapshot, StoredState
 from tests.robustness.replication.machine import ListMachine
 from tests.unit.replication.lone_node import LoneNode, acknowledgement, append, command, piece, vote
+
+ABC = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in "abc"])
 
 ON_BOTH = pytest.mark.parametrize(
     "rules",
@@ -30,7 +34,7 @@ def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[pb.RaftSna
     record = encode_snapshot(
         previous=Entry(command(f"{last - 1}/{term}"), last - 1, term),
         last=Entry(command(f"{last}/{term}"), last, term),
-        member_ids=["a", "b", "c"],
+        configuration=ABC,
         state=machine.snapshot(),
     )
     return [
@@ -88,7 +92,9 @@ class LeftByTwoSteps(MemoryStore):
 
     def load(self) -> StoredState:
         entries = [Entry(command(f"{index}/1"), index, 1) for index in range(1, 11)]
-        record = encode_snapshot(previous=entries[3], last=entries[4], member_ids=["a"], state=ListMachine().snapshot())
+        record = encode_snapshot(
+            previous=entries[3], last=entries[4], configuration=ABC, state=ListMachine().snapshot()
+        )
         return StoredState(
             entries=entries, term=1, commit_index=10, snapshot=StoredSnapshot(last_log_index=5, record=record)
         )

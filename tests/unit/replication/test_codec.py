@@ -13,11 +13,18 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.codec import (
     MalformedMessage,
     Message,
+    Snapshot,
+    check_command,
+    decode_configuration,
     decode_message,
     decode_snapshot,
+    encode_configuration,
+    encode_entry,
     encode_message,
     encode_snapshot,
 )
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX
 from stampede_rt_supernode.replication.storage import Entry
 from tests.unit.replication.lone_node import acknowledgement, append, vote
@@ -35,6 +42,8 @@ EVERY_KIND: list[Message] = [
     {"type": "read_index_response", "request_id": 5, "read_index": 10},
 ]
 
+MEMBERS = Configuration.of([Member(member_id="b", address="b:1"), Member(member_id="a", address="a:1")], retired=["c"])
+
 
 @pytest.mark.parametrize("message", EVERY_KIND, ids=lambda message: message["type"])
 def test_every_kind_of_message_comes_out_as_it_went_in(message: Message) -> None:
@@ -44,7 +53,7 @@ def test_every_kind_of_message_comes_out_as_it_went_in(message: Message) -> None
 
 def test_a_kind_that_is_never_sent_cannot_be_encoded() -> None:
     with pytest.raises(KeyError):
-        encode_message({"type": "timeout_now", "term": 1})
+        encode_message({"type": "set_version", "version": 1})
 
 
 def entry(index: int, term: int = 1, command: bytes = b"\x00") -> pb.RaftLogEntry:
@@ -87,12 +96,37 @@ def test_random_bytes_are_refused_or_well_formed(data: bytes) -> None:
 
 def test_a_snapshot_comes_out_as_it_went_in() -> None:
     previous, last = Entry(b"\x00a", 4, 1), Entry(b"\x01", 5, 2)
-    record = encode_snapshot(previous=previous, last=last, member_ids=["b", "a"], state=b"state")
-    assert decode_snapshot(record) == (previous, last, ["a", "b"], b"state")
+    record = encode_snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
+    assert decode_snapshot(record) == Snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
+
+
+def test_a_snapshot_from_before_members_could_change_has_no_configuration() -> None:
+    old = pb.RaftSnapshot(
+        previous=encode_entry(Entry(b"\x00", 4, 1)), last=encode_entry(Entry(b"\x00", 5, 1)), member_ids=["a"]
+    )
+    assert decode_snapshot(old.SerializeToString()).configuration is None
+
+
+def test_a_configuration_comes_out_as_it_went_in() -> None:
+    assert decode_configuration(encode_configuration(MEMBERS)) == MEMBERS
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        pb.RaftConfiguration(),
+        pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="")]),
+        pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="a:1")] * 2),
+        pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="a:1")], retired_ids=["a"]),
+    ],
+)
+def test_a_configuration_that_no_leader_writes_is_refused(broken: pb.RaftConfiguration) -> None:
+    with pytest.raises(MalformedMessage):
+        check_command(b"\x02" + broken.SerializeToString())
 
 
 def test_a_snapshot_whose_entries_are_no_neighbours_is_refused() -> None:
-    record = encode_snapshot(previous=Entry(b"\x00", 3, 1), last=Entry(b"\x00", 5, 2), member_ids=[], state=b"")
+    record = encode_snapshot(previous=Entry(b"\x00", 3, 1), last=Entry(b"\x00", 5, 2), configuration=MEMBERS, state=b"")
     with pytest.raises(MalformedMessage, match="neighbours"):
         decode_snapshot(record)
 

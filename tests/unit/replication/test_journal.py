@@ -10,12 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage import Entry, Store, StoredSnapshot
 from tests.robustness.replication.disk import Disk, DiskStore
 
 Reopen = Callable[[], Store]
+
+NOBODY = Configuration(())
 
 
 def sqlite_in(folder: Path) -> Reopen:
@@ -87,11 +90,11 @@ def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> No
     journal = with_entries(reopen(), 8)
     journal.sync()
     previous, last = journal[4], journal[5]
-    journal.adopt_snapshot(StoredSnapshot(last_log_index=6, record=b"state"), previous, last)
+    journal.adopt_snapshot(StoredSnapshot(last_log_index=6, record=b"state"), previous, last, NOBODY)
     before = Journal(reopen())
     assert (len(before), before.snapshot) == (8, None)
     previous, last = before[4], before[5]
-    before.adopt_snapshot(StoredSnapshot(last_log_index=6, record=b"state"), previous, last)
+    before.adopt_snapshot(StoredSnapshot(last_log_index=6, record=b"state"), previous, last, NOBODY)
     before.sync()
     after = Journal(reopen())
     assert [entry.log_index for entry in after[:]] == [5, 6, 7, 8]
@@ -127,7 +130,7 @@ def take_step(journal: Journal, step: str, number: int) -> None:
             previous, last = Entry(b"\x00p", number - 1, 9), Entry(b"\x00l", number, 9)
             if (held := journal.entry_at(number)) is not None:
                 previous, last = journal.entry_at(number - 1) or previous, held
-            journal.adopt_snapshot(StoredSnapshot(last_log_index=number, record=b"%d" % number), previous, last)
+            journal.adopt_snapshot(StoredSnapshot(last_log_index=number, record=b"%d" % number), previous, last, NOBODY)
         case "sync":
             journal.sync()
 

@@ -29,10 +29,30 @@ class RaftServiceExchangeRequest(_message.Message):
     def __init__(self, hello: _Optional[_Union[RaftHello, _Mapping]] = ..., messages: _Optional[_Iterable[_Union[RaftMessage, _Mapping]]] = ...) -> None: ...
 
 class RaftServiceExchangeResponse(_message.Message):
-    __slots__ = ("protocol_version",)
+    __slots__ = ("protocol_version", "members", "unknown_caller")
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    MEMBERS_FIELD_NUMBER: _ClassVar[int]
+    UNKNOWN_CALLER_FIELD_NUMBER: _ClassVar[int]
     protocol_version: int
-    def __init__(self, protocol_version: _Optional[int] = ...) -> None: ...
+    members: _containers.RepeatedCompositeFieldContainer[RaftMember]
+    unknown_caller: bool
+    def __init__(self, protocol_version: _Optional[int] = ..., members: _Optional[_Iterable[_Union[RaftMember, _Mapping]]] = ..., unknown_caller: bool = ...) -> None: ...
+
+class RaftMember(_message.Message):
+    __slots__ = ("member_id", "address")
+    MEMBER_ID_FIELD_NUMBER: _ClassVar[int]
+    ADDRESS_FIELD_NUMBER: _ClassVar[int]
+    member_id: str
+    address: str
+    def __init__(self, member_id: _Optional[str] = ..., address: _Optional[str] = ...) -> None: ...
+
+class RaftConfiguration(_message.Message):
+    __slots__ = ("members", "retired_ids")
+    MEMBERS_FIELD_NUMBER: _ClassVar[int]
+    RETIRED_IDS_FIELD_NUMBER: _ClassVar[int]
+    members: _containers.RepeatedCompositeFieldContainer[RaftMember]
+    retired_ids: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, members: _Optional[_Iterable[_Union[RaftMember, _Mapping]]] = ..., retired_ids: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RaftHello(_message.Message):
     __slots__ = ("cluster_id", "member_id", "peer_member_id", "protocol_version")
@@ -47,7 +67,7 @@ class RaftHello(_message.Message):
     def __init__(self, cluster_id: _Optional[str] = ..., member_id: _Optional[str] = ..., peer_member_id: _Optional[str] = ..., protocol_version: _Optional[int] = ...) -> None: ...
 
 class RaftMessage(_message.Message):
-    __slots__ = ("append_entries", "append_reply", "vote_request", "vote_reply", "forwarded_command", "forwarded_command_reply", "read_index_request", "read_index_reply")
+    __slots__ = ("append_entries", "append_reply", "vote_request", "vote_reply", "forwarded_command", "forwarded_command_reply", "read_index_request", "read_index_reply", "timeout_now")
     APPEND_ENTRIES_FIELD_NUMBER: _ClassVar[int]
     APPEND_REPLY_FIELD_NUMBER: _ClassVar[int]
     VOTE_REQUEST_FIELD_NUMBER: _ClassVar[int]
@@ -56,6 +76,7 @@ class RaftMessage(_message.Message):
     FORWARDED_COMMAND_REPLY_FIELD_NUMBER: _ClassVar[int]
     READ_INDEX_REQUEST_FIELD_NUMBER: _ClassVar[int]
     READ_INDEX_REPLY_FIELD_NUMBER: _ClassVar[int]
+    TIMEOUT_NOW_FIELD_NUMBER: _ClassVar[int]
     append_entries: RaftAppendEntries
     append_reply: RaftAppendReply
     vote_request: RaftVoteRequest
@@ -64,7 +85,8 @@ class RaftMessage(_message.Message):
     forwarded_command_reply: RaftForwardedCommandReply
     read_index_request: RaftReadIndexRequest
     read_index_reply: RaftReadIndexReply
-    def __init__(self, append_entries: _Optional[_Union[RaftAppendEntries, _Mapping]] = ..., append_reply: _Optional[_Union[RaftAppendReply, _Mapping]] = ..., vote_request: _Optional[_Union[RaftVoteRequest, _Mapping]] = ..., vote_reply: _Optional[_Union[RaftVoteReply, _Mapping]] = ..., forwarded_command: _Optional[_Union[RaftForwardedCommand, _Mapping]] = ..., forwarded_command_reply: _Optional[_Union[RaftForwardedCommandReply, _Mapping]] = ..., read_index_request: _Optional[_Union[RaftReadIndexRequest, _Mapping]] = ..., read_index_reply: _Optional[_Union[RaftReadIndexReply, _Mapping]] = ...) -> None: ...
+    timeout_now: RaftTimeoutNow
+    def __init__(self, append_entries: _Optional[_Union[RaftAppendEntries, _Mapping]] = ..., append_reply: _Optional[_Union[RaftAppendReply, _Mapping]] = ..., vote_request: _Optional[_Union[RaftVoteRequest, _Mapping]] = ..., vote_reply: _Optional[_Union[RaftVoteReply, _Mapping]] = ..., forwarded_command: _Optional[_Union[RaftForwardedCommand, _Mapping]] = ..., forwarded_command_reply: _Optional[_Union[RaftForwardedCommandReply, _Mapping]] = ..., read_index_request: _Optional[_Union[RaftReadIndexRequest, _Mapping]] = ..., read_index_reply: _Optional[_Union[RaftReadIndexReply, _Mapping]] = ..., timeout_now: _Optional[_Union[RaftTimeoutNow, _Mapping]] = ...) -> None: ...
 
 class RaftLogEntry(_message.Message):
     __slots__ = ("log_index", "term", "command")
@@ -146,6 +168,12 @@ class RaftVoteReply(_message.Message):
     voter_term: int
     def __init__(self, term: _Optional[int] = ..., trial: bool = ..., voter_term: _Optional[int] = ...) -> None: ...
 
+class RaftTimeoutNow(_message.Message):
+    __slots__ = ("term",)
+    TERM_FIELD_NUMBER: _ClassVar[int]
+    term: int
+    def __init__(self, term: _Optional[int] = ...) -> None: ...
+
 class RaftForwardedCommand(_message.Message):
     __slots__ = ("request_id", "command")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -181,13 +209,15 @@ class RaftReadIndexReply(_message.Message):
     def __init__(self, request_id: _Optional[int] = ..., read_index: _Optional[int] = ...) -> None: ...
 
 class RaftSnapshot(_message.Message):
-    __slots__ = ("previous", "last", "member_ids", "state")
+    __slots__ = ("previous", "last", "member_ids", "state", "configuration")
     PREVIOUS_FIELD_NUMBER: _ClassVar[int]
     LAST_FIELD_NUMBER: _ClassVar[int]
     MEMBER_IDS_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
+    CONFIGURATION_FIELD_NUMBER: _ClassVar[int]
     previous: RaftLogEntry
     last: RaftLogEntry
     member_ids: _containers.RepeatedScalarFieldContainer[str]
     state: bytes
-    def __init__(self, previous: _Optional[_Union[RaftLogEntry, _Mapping]] = ..., last: _Optional[_Union[RaftLogEntry, _Mapping]] = ..., member_ids: _Optional[_Iterable[str]] = ..., state: _Optional[bytes] = ...) -> None: ...
+    configuration: RaftConfiguration
+    def __init__(self, previous: _Optional[_Union[RaftLogEntry, _Mapping]] = ..., last: _Optional[_Union[RaftLogEntry, _Mapping]] = ..., member_ids: _Optional[_Iterable[str]] = ..., state: _Optional[bytes] = ..., configuration: _Optional[_Union[RaftConfiguration, _Mapping]] = ...) -> None: ...

@@ -12,7 +12,10 @@ On the way out, close the log before the server is stopped.
 
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
+    ChangeRefused,
+    ChangeUnderWay,
     Member,
+    NotLeading,
     ReplicatedLog,
     ReplicationStatus,
     StateMachine,
@@ -29,8 +32,11 @@ __all__ = [
     "CHANNEL_OPTIONS",
     "COMMAND_BYTES_MAX",
     "Ambiguous",
+    "ChangeRefused",
+    "ChangeUnderWay",
     "LibraryMismatch",
     "Member",
+    "NotLeading",
     "RaftTiming",
     "ReplicatedLog",
     "ReplicationSettings",

@@ -5,13 +5,16 @@ Decoding checks every number, size and kind: what it returns cannot make the lib
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from google.protobuf.message import DecodeError
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication.library import COMMAND, NO_OP
+from stampede_rt_supernode.replication.configuration import MEMBERS_MAX, RETIRED_MAX, Configuration
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.library import COMMAND, CONFIGURATION, NO_OP
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, SNAPSHOT_PIECE_BYTES_MAX
 from stampede_rt_supernode.replication.storage import Entry
 
@@ -33,11 +36,55 @@ def _number(value: int) -> int:
 
 def check_command(command: bytes) -> bytes:
     """Return a log command (kind byte and payload). Raises MalformedMessage."""
-    if not command or command[0] not in (COMMAND, NO_OP):
+    if not command or command[0] not in (COMMAND, NO_OP, CONFIGURATION):
         raise MalformedMessage("a log entry is of no known kind")
+    if command[0] == CONFIGURATION:
+        decode_configuration(command)
     if len(command) > COMMAND_BYTES_MAX + 1:
         raise MalformedMessage(f"a command of {len(command) - 1} bytes is over the limit of {COMMAND_BYTES_MAX}")
     return command
+
+
+def encode_members(members: Iterable[Member]) -> list[pb.RaftMember]:
+    """Members as they travel."""
+    return [pb.RaftMember(member_id=member.member_id, address=member.address) for member in members]
+
+
+def decode_members(members: Iterable[pb.RaftMember]) -> list[Member]:
+    """The members, checked. Raises MalformedMessage."""
+    found = [Member(member_id=member.member_id, address=member.address) for member in members]
+    if len({member.member_id for member in found}) != len(found) or len(found) > MEMBERS_MAX:
+        raise MalformedMessage(f"{len(found)} members are too many, or one is named twice")
+    if not all(member.member_id and member.address for member in found):
+        raise MalformedMessage("a member has no id or no address")
+    return found
+
+
+def encode_configuration(configuration: Configuration) -> bytes:
+    """The log command that puts a configuration into force."""
+    return bytes((CONFIGURATION,)) + _configuration_message(configuration).SerializeToString(deterministic=True)
+
+
+def decode_configuration(command: bytes) -> Configuration:
+    """The configuration in a log command of that kind. Raises MalformedMessage."""
+    try:
+        message = pb.RaftConfiguration.FromString(command[1:])
+    except DecodeError as error:
+        raise MalformedMessage(f"a configuration cannot be read: {error}") from error
+    return _configuration(message)
+
+
+def _configuration_message(configuration: Configuration) -> pb.RaftConfiguration:
+    return pb.RaftConfiguration(members=encode_members(configuration.members), retired_ids=configuration.retired)
+
+
+def _configuration(message: pb.RaftConfiguration) -> Configuration:
+    if not message.members or len(message.retired_ids) > RETIRED_MAX:
+        raise MalformedMessage("a configuration has no member, or too many retired ones")
+    members = decode_members(message.members)
+    if not {member.member_id for member in members}.isdisjoint(message.retired_ids):
+        raise MalformedMessage("a configuration names a member that was removed")
+    return Configuration.of(members, message.retired_ids)
 
 
 def encode_entry(entry: Entry) -> pb.RaftLogEntry:
@@ -221,6 +268,14 @@ def _decode_read_reply(body: pb.RaftReadIndexReply) -> Message:
     }
 
 
+def _encode_timeout_now(message: Message) -> pb.RaftMessage:
+    return pb.RaftMessage(timeout_now=pb.RaftTimeoutNow(term=message["term"]))
+
+
+def _decode_timeout_now(body: pb.RaftTimeoutNow) -> Message:
+    return {"type": "timeout_now", "term": _number(body.term)}
+
+
 _ENCODERS: dict[str, Callable[[Message], pb.RaftMessage]] = {
     "append_entries": _encode_append,
     "next_node_idx": _encode_append_reply,
@@ -230,6 +285,7 @@ _ENCODERS: dict[str, Callable[[Message], pb.RaftMessage]] = {
     "apply_command_response": _encode_command_reply,
     "read_index": _encode_read,
     "read_index_response": _encode_read_reply,
+    "timeout_now": _encode_timeout_now,
 }
 _DECODERS: dict[str, Callable[[Any], Message]] = {
     "append_entries": _decode_append,
@@ -240,6 +296,7 @@ _DECODERS: dict[str, Callable[[Any], Message]] = {
     "forwarded_command_reply": _decode_command_reply,
     "read_index_request": _decode_read,
     "read_index_reply": _decode_read_reply,
+    "timeout_now": _decode_timeout_now,
 }
 
 
@@ -256,15 +313,29 @@ def decode_message(message: pb.RaftMessage) -> Message:
     return _DECODERS[kind](getattr(message, kind))
 
 
-def encode_snapshot(*, previous: Entry, last: Entry, member_ids: list[str], state: bytes) -> bytes:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Snapshot:
+    """A snapshot taken apart. `configuration` is None in one from before members could change."""
+
+    previous: Entry
+    last: Entry
+    configuration: Configuration | None
+    state: bytes
+
+
+def encode_snapshot(*, previous: Entry, last: Entry, configuration: Configuration, state: bytes) -> bytes:
     """A snapshot as it rests and travels."""
     return pb.RaftSnapshot(
-        previous=encode_entry(previous), last=encode_entry(last), member_ids=sorted(member_ids), state=state
+        previous=encode_entry(previous),
+        last=encode_entry(last),
+        member_ids=[member.member_id for member in configuration.members],
+        configuration=_configuration_message(configuration),
+        state=state,
     ).SerializeToString(deterministic=True)
 
 
-def decode_snapshot(record: bytes) -> tuple[Entry, Entry, list[str], bytes]:
-    """(previous, last, member ids, state) of an encoded snapshot. Raises MalformedMessage."""
+def decode_snapshot(record: bytes) -> Snapshot:
+    """An encoded snapshot, taken apart and checked. Raises MalformedMessage."""
     try:
         snapshot = pb.RaftSnapshot.FromString(record)
     except DecodeError as error:
@@ -272,4 +343,5 @@ def decode_snapshot(record: bytes) -> tuple[Entry, Entry, list[str], bytes]:
     previous, last = decode_entry(snapshot.previous), decode_entry(snapshot.last)
     if last.log_index != previous.log_index + 1:
         raise MalformedMessage("a snapshot's last two entries are not neighbours")
-    return previous, last, list(snapshot.member_ids), snapshot.state
+    configuration = _configuration(snapshot.configuration) if snapshot.HasField("configuration") else None
+    return Snapshot(previous=previous, last=last, configuration=configuration, state=snapshot.state)

@@ -23,7 +23,7 @@ class RaftRules(Following, Leading):
     _votes: tuple[int, set[str]] = (0, set())
 
     def _SyncObj__onMessageReceived(self, node: Any, message: Message) -> None:  # noqa: N802
-        if node not in self._SyncObj__otherNodes:
+        if self.mailroom.node(node.id) is None:
             return
         match message["type"]:
             case "append_entries":
@@ -38,8 +38,15 @@ class RaftRules(Following, Leading):
                 super()._SyncObj__onMessageReceived(node, message)  # type: ignore[misc]
             case "read_index" | "read_index_response":
                 self.reads.on_message(node, message)
+            case "timeout_now":
+                self._on_timeout_now(node, message)
             case kind:
                 raise InvariantViolation(f"a message of kind {kind!r} came through")
+
+    def _on_timeout_now(self, node: Any, message: Message) -> None:
+        """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
+        if message["term"] == self._SyncObj__raftCurrentTerm and node == self._SyncObj__raftLeader and self.is_voter():
+            self._SyncObj__raftElectionDeadline = float("-inf")
 
     def _on_vote_request(self, node: Any, message: Message) -> None:
         if message["term"] > self._SyncObj__raftCurrentTerm:
@@ -58,6 +65,8 @@ class RaftRules(Following, Leading):
         """Count a vote once per node and term. The library counts messages."""
         if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != CANDIDATE:
             return
+        if node not in self._SyncObj__otherNodes:
+            return  # no member, or no longer one
         if self._votes[0] != message["term"]:
             self._votes = (message["term"], set())
         self._votes[1].add(node.id)
@@ -79,8 +88,16 @@ class TrialElections(RaftRules):
 
     def before_tick(self) -> None:
         """Turn an election that is due into a trial, unless its trial was won already."""
+        self.follow_log()
         due = self._SyncObj__raftElectionDeadline < self.clock()
-        if not due or self._SyncObj__raftState == LEADER or not self._SyncObj__otherNodes:
+        if not due or self._SyncObj__raftState == LEADER:
+            return
+        if not self.is_voter():
+            # Nobody may vote for a node that is not in yet, or was removed.
+            self._put_off_election()
+            self._lose_leader()
+            return
+        if not self._SyncObj__otherNodes:
             return
         term = self._SyncObj__raftCurrentTerm + 1
         self._lose_leader()
@@ -126,13 +143,19 @@ class TrialElections(RaftRules):
         if message["voter_term"] > self._SyncObj__raftCurrentTerm:
             self._step_down(message["voter_term"])
         term, voters = self._trial
-        if message["term"] != term or self._SyncObj__raftState == LEADER:
+        if message["term"] != term or self._SyncObj__raftState == LEADER or node not in self._SyncObj__otherNodes:
             return
         voters.add(node.id)
         if self.is_majority(1 + len(voters)):
             self._trial = (0, set())
             self._trial_won_term = self._SyncObj__raftCurrentTerm + 1
             self._SyncObj__raftElectionDeadline = float("-inf")
+
+    def _on_timeout_now(self, node: Any, message: Message) -> None:
+        super()._on_timeout_now(node, message)
+        if self._SyncObj__raftElectionDeadline == float("-inf"):
+            # Those who hear the leader would refuse a trial; the leader itself has asked for this election.
+            self._trial_won_term = self._SyncObj__raftCurrentTerm + 1
 
     def send_now(self) -> None:
         """Send to every member now, if this node leads."""

@@ -6,10 +6,11 @@ from typing import Any
 
 from stampede_rt_supernode.replication.codec import Message
 from stampede_rt_supernode.replication.library import FOLLOWER, LEADER
-from stampede_rt_supernode.replication.raft_node import InvariantViolation, NodeState
+from stampede_rt_supernode.replication.membership import Membership
+from stampede_rt_supernode.replication.raft_node import InvariantViolation
 
 
-class Following(NodeState):
+class Following(Membership):
     """Handles what leaders send. Tick thread only."""
 
     def _on_append(self, node: Any, message: Message) -> None:
@@ -53,6 +54,7 @@ class Following(NodeState):
             self._reply(node, message, next_index=self._SyncObj__raftCommitIndex + 1, reset=True)
         else:
             self._merge(entries)
+            self.follow_log()
             matched = previous + len(entries)
             self._raise_commit_index(min(message["commit_index"], matched))
             self._reply(node, message, next_index=matched + 1, success=True)
@@ -90,6 +92,7 @@ class Following(NodeState):
             return
         applied = self._SyncObj__raftLastApplied
         last = self.keeper.install_received(newer_than=applied)
+        self.follow_log()
         if last.log_index > applied:
             self._SyncObj__raftLastApplied = last.log_index
             self._raise_commit_index(last.log_index)

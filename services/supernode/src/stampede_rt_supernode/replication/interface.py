@@ -39,7 +39,8 @@ class Member:
 class ReplicationStatus:
     """What a replica believes of the log at this moment; it may be stale.
 
-    `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader.
+    `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may be
+    committed or not yet. `removed`: another member has said that this one was removed, for good.
     """
 
     self_id: str
@@ -49,10 +50,23 @@ class ReplicationStatus:
     term: int
     applied_index: int
     members: Sequence[Member]
+    removed: bool = False
 
 
 class Unavailable(Exception):
     """No majority answered in time and the command was certainly not taken into the log: safe to try again."""
+
+
+class NotLeading(Exception):
+    """Only the leader changes the members, and this replica is not it."""
+
+
+class ChangeUnderWay(Exception):
+    """One member comes or goes at a time, and another one is just coming or going: try again in a while."""
+
+
+class ChangeRefused(Exception):
+    """The members cannot be changed in this way; the message says why and what to do."""
 
 
 class Ambiguous(Exception):
@@ -73,6 +87,22 @@ class ReplicatedLog(Protocol):
 
         After it, this replica's own state answers linearizably. Raises Unavailable.
         """
+
+    async def add_member(self, member: Member, *, timeout: float) -> int:
+        """Let a replica in that runs at `member.address` and waits to join; return the log position of the change.
+
+        It is counted once it has caught up. Idempotent: an addition under way is waited for, and goes on after
+        `timeout`. Raises NotLeading, ChangeUnderWay, ChangeRefused, Unavailable or Ambiguous.
+        """
+
+    async def remove_member(self, member_id: str, *, timeout: float) -> int:
+        """Remove a member, or hand over to another leader if it is this one; return the log position of the change.
+
+        Idempotent: who is no member is removed. Raises as `add_member`; NotLeading after a hand-over.
+        """
+
+    async def hand_over(self, *, timeout: float) -> bool:
+        """Have another member lead, if this one does; whether this one does no more. Loses nothing if it fails."""
 
     def status(self) -> ReplicationStatus:
         """This replica's present view; never blocks."""

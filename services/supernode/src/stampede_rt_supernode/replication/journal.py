@@ -11,6 +11,9 @@ from __future__ import annotations
 
 from typing import overload
 
+from stampede_rt_supernode.replication.codec import decode_configuration
+from stampede_rt_supernode.replication.configuration import Configuration, Configurations
+from stampede_rt_supernode.replication.library import CONFIGURATION
 from stampede_rt_supernode.replication.storage import Entry, Store, StoreChanges, StoredSnapshot
 
 
@@ -25,6 +28,8 @@ class Journal:
         self._voted_for = state.voted_for
         self._commit_index = state.commit_index
         self.snapshot = state.snapshot
+        # Who the members are; it follows every change of the entries.
+        self.configurations = Configurations(Configuration(()))
         # Lowest log index from which the store differs from `_entries`; None when they agree.
         self._replace_from: int | None = None
         self._pending_snapshot: StoredSnapshot | None = None
@@ -32,11 +37,22 @@ class Journal:
         # losing it only means that the leader says it again.
         self._dirty = False
 
+    def track_members(self, base: Configuration) -> None:
+        """Say which configuration held before the first entry; those in the entries follow it."""
+        self.configurations = Configurations(base)
+        for entry in self._entries:
+            self._note_configuration(entry)
+
+    def _note_configuration(self, entry: Entry) -> None:
+        if entry.command[0] == CONFIGURATION:
+            self.configurations.note(entry.log_index, decode_configuration(entry.command))
+
     def add(self, command: bytes, idx: int, term: int) -> None:
         """Append an entry; `idx` follows the last one held."""
         if self._entries and idx != self._entries[-1].log_index + 1:
             raise AssertionError(f"entry {idx} does not follow {self._entries[-1].log_index}")
         self._entries.append(Entry(command, idx, term))
+        self._note_configuration(self._entries[-1])
         self._differs_from(idx)
 
     def clear(self) -> None:
@@ -49,6 +65,7 @@ class Journal:
         """Forget the entries at or past a position."""
         if entryFrom < len(self._entries):
             self._differs_from(self._entries[entryFrom].log_index)
+            self.configurations.cut_from(self._entries[entryFrom].log_index)
             del self._entries[entryFrom:]
 
     def deleteEntriesTo(self, entryTo: int) -> None:
@@ -100,8 +117,10 @@ class Journal:
         position = log_index - self._entries[0].log_index if self._entries else -1
         return self._entries[position] if 0 <= position < len(self._entries) else None
 
-    def adopt_snapshot(self, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
-        """Let the log begin with the two entries a snapshot ends with.
+    def adopt_snapshot(
+        self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration
+    ) -> None:
+        """Let the log begin with the two entries a snapshot ends with; `configuration` held at the last one.
 
         What follows `last` stays when this log holds the very same `last`: it may be acknowledged already.
         Snapshot and log reach the disk in one piece.
@@ -118,6 +137,8 @@ class Journal:
         else:
             self._differs_from(0)
             self._entries = [previous, last]
+            self.configurations.cut_from(0)
+        self.configurations.rebase(last.log_index, configuration)
         self.snapshot = self._pending_snapshot = snapshot
         self._dirty = True
 

@@ -6,13 +6,14 @@ from typing import Any
 
 from stampede_rt_supernode.replication.codec import Message
 from stampede_rt_supernode.replication.library import LEADER
-from stampede_rt_supernode.replication.raft_node import InvariantViolation, NodeState
+from stampede_rt_supernode.replication.membership import Membership
+from stampede_rt_supernode.replication.raft_node import InvariantViolation
 
 # How many batches of entries one member is sent at a time.
 BATCHES_PER_ROUND = 4
 
 
-class Leading(NodeState):
+class Leading(Membership):
     """Handles what followers answer, and sends to them. Tick thread only."""
 
     def _on_append_reply(self, node: Any, message: Message) -> None:
@@ -21,6 +22,8 @@ class Leading(NodeState):
             self._step_down(message["term"])
         if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != LEADER:
             return
+        if node not in self._SyncObj__raftMatchIndex:
+            return  # removed meanwhile
         end = self._SyncObj__raftLog[-1][1]
         next_index = min(message["next_node_idx"], end + 1)
         if message["success"]:
@@ -42,7 +45,7 @@ class Leading(NodeState):
         has nothing to send; here both have a bound, and the next heartbeat goes on.
         """
         self._SyncObj__newAppendEntriesTime = self.clock() + self.conf.appendEntriesPeriod
-        for node in self._SyncObj__otherNodes:
+        for node in self.sent_to():
             if node not in self._SyncObj__connectedNodes:
                 self.keeper.cancelTransmisstion(node)
             elif self._SyncObj__raftNextIndex[node] > self._SyncObj__raftLog[0][1] or self._send_snapshot(node):

@@ -20,7 +20,9 @@ PINNED_VERSION = "0.3.17"
 PINNED_SHA256 = "e8bdf06797085d734df86e24ab4802fe87893dff77268565ec036f7ad4a1cfe4"
 
 FOLLOWER, CANDIDATE, LEADER = 0, 1, 2
-COMMAND, NO_OP = 0, 1
+# The kinds of log entries. The library's own membership entries, pickles, would also be of kind 2; it is told not to
+# look at them.
+COMMAND, NO_OP, CONFIGURATION = 0, 1, 2
 
 
 class LibraryMismatch(RuntimeError):

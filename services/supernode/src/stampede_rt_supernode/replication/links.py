@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import random
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import grpc
@@ -14,9 +15,11 @@ import grpc.aio
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_supernode.replication.codec import MalformedMessage, decode_members
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.mailroom import Connected, Disconnected, NetworkEvent, Outgoing
+from stampede_rt_supernode.replication.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
+from stampede_rt_supernode.replication.replica import Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
 logger = logging.getLogger(__name__)
@@ -26,6 +29,8 @@ Dial = Callable[[str], grpc.aio.Channel]
 REQUEST_MESSAGES_MAX = 256
 REQUEST_BYTES = 1 << 20
 HELLO_SECONDS = 2.0
+# In the refusal of a member that was removed for good.
+REMOVED = "was removed from this cluster"
 # A snapshot is fed to a link only while less than this waits in it.
 ROOM_BYTES = 4 << 20
 
@@ -55,8 +60,10 @@ class Link:
         settings: ReplicationSettings,
         dial: Dial,
         deliver: Callable[[NetworkEvent], None],
+        on_removed: Callable[[], None],
     ) -> None:
-        self._member = member
+        self.member = self._member = member
+        self._on_removed = on_removed
         self._settings = settings
         self._dial = dial
         self._deliver = deliver
@@ -68,6 +75,8 @@ class Link:
         self._unanswered_since: float | None = None
         # Why the link is down, as last said; empty since it was up.
         self._reported = ""
+        # Whom the peer has named as members last, on this stream.
+        self._told: tuple[Member, ...] = ()
         # True when an empty request shall ask for an answer.
         self._probe_due = False
         self._work = asyncio.Event()
@@ -92,6 +101,8 @@ class Link:
                 await self._hold_stream()
             except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
                 self._report(_brief(error))
+                if REMOVED in str(error):
+                    self._on_removed()
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:
@@ -123,6 +134,11 @@ class Link:
             raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
         if answer.protocol_version != PROTOCOL_VERSION:
             raise LinkBroken(f"speaks protocol {answer.protocol_version}, this member {PROTOCOL_VERSION}")
+        self._told = ()
+        self._take_members(answer)
+        if answer.unknown_caller:
+            await call.read()
+            raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
 
     async def _pump(self, call: Any) -> None:
         self._open = True
@@ -141,9 +157,18 @@ class Link:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
+    def _take_members(self, answer: pb.RaftServiceExchangeResponse) -> None:
+        with contextlib.suppress(MalformedMessage):
+            # What cannot be understood is as good as not said: the log says it anyway.
+            members = tuple(decode_members(answer.members))
+            if members != self._told:
+                self._told = members
+                self._deliver(MembersTold(self._member.member_id, members))
+
     async def _listen(self, call: Any) -> None:
-        while await call.read() is not grpc.aio.EOF:
+        while (answer := await call.read()) is not grpc.aio.EOF:
             self._unanswered_since = None
+            self._take_members(answer)
         raise LinkBroken(f"the peer ended the stream: {await call.details()}")
 
     async def _watch(self) -> None:
@@ -196,7 +221,7 @@ def _brief(error: BaseException) -> str:
 
 
 class Links:
-    """The links to all other members: the production Network of a replica."""
+    """The links to everybody whom a replica knows: its production Network."""
 
     def __init__(
         self,
@@ -210,17 +235,41 @@ class Links:
         self._bridge = bridge
         self._on_fatal = on_fatal
         self._links: dict[str, Link] = {}
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._ending: set[asyncio.Task[None]] = set()
+        self._deliver: Callable[[NetworkEvent], None] | None = None
+        # True since a member has said that this one was removed for good.
+        self.removed = False
 
-    def start(self, deliver: Callable[[NetworkEvent], None]) -> None:
-        """Begin to connect to every other member; on the loop."""
-        for member in self._settings.initial_members:
-            if member != self._settings.self_member:
-                link = Link(member, self._settings, self._dial, deliver)
-                self._links[member.member_id] = link
-                task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member.member_id}")
+    def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member]) -> None:
+        """Begin to connect to every peer; on the loop."""
+        self._deliver = deliver
+        self._follow(peers)
+
+    def follow(self, roster: Roster) -> None:
+        """Connect to these peers and to nobody else; from the tick thread."""
+        self._bridge.post(lambda: self._follow(roster.peers))
+
+    def _follow(self, peers: Mapping[str, Member]) -> None:
+        if self._deliver is None:
+            return  # not started, or closed
+        for member_id, link in list(self._links.items()):
+            if peers.get(member_id) != link.member:
+                del self._links[member_id]
+                task = self._tasks.pop(member_id)
+                self._ending.add(task)
+                task.add_done_callback(self._ending.discard)
+                task.cancel()
+        for member_id, member in peers.items():
+            if member_id not in self._links:
+                link = Link(member, self._settings, self._dial, self._deliver, self._on_removed)
+                self._links[member_id] = link
+                task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member_id}")
                 task.add_done_callback(self._on_end)
-                self._tasks.append(task)
+                self._tasks[member_id] = task
+
+    def _on_removed(self) -> None:
+        self.removed = True
 
     def release(self, messages: Sequence[Outgoing]) -> None:
         """Queue messages on their links; from the tick thread."""
@@ -233,13 +282,17 @@ class Links:
 
     async def close(self) -> None:
         """End every stream."""
-        for task in self._tasks:
+        self._deliver = None
+        tasks = [*self._tasks.values(), *self._ending]
+        for task in tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     def _enqueue(self, messages: Sequence[Outgoing]) -> None:
         for member_id, message in messages:
-            self._links[member_id].enqueue(message)
+            link = self._links.get(member_id)
+            if link is not None:  # else the member is gone, and so is its link
+                link.enqueue(message)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:
         error = None if task.cancelled() else task.exception()

@@ -15,6 +15,7 @@ from typing import Any
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.codec import Message, encode_message
+from stampede_rt_supernode.replication.interface import Member
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,15 @@ class Received:
     message: Message
 
 
-NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received
+@dataclass(frozen=True, slots=True)
+class MembersTold:
+    """A member has said, on greeting us, who the members are."""
+
+    member_id: str
+    members: tuple[Member, ...]
+
+
+NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold
 Outgoing = tuple[str, pb.RaftMessage]
 NodeCallback = Callable[[Any], None]
 
@@ -64,10 +73,11 @@ class Mailroom:
     ready = True
 
     def __init__(self, nodes: Iterable[Any]) -> None:
-        # The configuration: whoever is not in here is neither heard nor sent to.
+        # Whom we know: whoever is not in here is neither heard nor sent to.
         self._nodes: dict[str, Any] = {node.id: node for node in nodes}
+        # To whom our links are up, known or not: links come and go a little later than members.
         self._connected: set[str] = set()
-        # Members whose answers reach us at present.
+        # Whose answers reach us at present, likewise.
         self._heard: set[str] = set()
         self._outbox: list[Outgoing] = []
         self._on_message: Callable[[Any, Message], None] | None = None
@@ -75,11 +85,14 @@ class Mailroom:
         self._on_disconnected: NodeCallback | None = None
         # Called when a member has opened a new stream.
         self.on_stream_opened: NodeCallback = lambda node: None
+        # Called when a member has said who the members are.
+        self.on_members_told: Callable[[tuple[Member, ...]], None] = lambda members: None
         # Stamped on every append message; the replies echo it (see reads.py).
         self.round = 0
 
     def deliver(self, event: NetworkEvent) -> None:
         """Hand one network event to the library; events about strangers are dropped."""
+        self._note_links(event)
         node = self._nodes.get(event.member_id)
         if node is None or not (self._on_message and self._on_connected and self._on_disconnected):
             return
@@ -87,20 +100,28 @@ class Mailroom:
             case Received():
                 self._on_message(node, event.message)
             case Connected():
-                self._connected.add(node.id)
                 self._on_connected(node)
             case Disconnected():
-                self._connected.discard(node.id)
                 self._on_disconnected(node)
             case StreamOpened():
-                self._heard.add(node.id)
                 self.on_stream_opened(node)
+            case MembersTold():
+                self.on_members_told(event.members)
+
+    def _note_links(self, event: NetworkEvent) -> None:
+        match event:
+            case Connected():
+                self._connected.add(event.member_id)
+            case Disconnected():
+                self._connected.discard(event.member_id)
+            case StreamOpened():
+                self._heard.add(event.member_id)
             case StreamEnded():
-                self._heard.discard(node.id)
+                self._heard.discard(event.member_id)
 
     def send(self, node: Any, message: Message) -> bool:
         """Queue a message for the next release; False when the member is not connected. Never blocks."""
-        if node.id not in self._connected:
+        if node.id not in self._connected or node.id not in self._nodes:
             return False
         if message["type"] == "append_entries":
             message["round"] = self.round
@@ -109,7 +130,7 @@ class Mailroom:
 
     def is_reachable(self, member_id: str) -> bool:
         """Whether this member can be asked something: our messages leave, and its answers arrive."""
-        return member_id in self._connected and member_id in self._heard
+        return member_id in self._nodes and member_id in self._connected and member_id in self._heard
 
     def take_outbox(self) -> list[Outgoing]:
         """Everything queued since the last call, in order."""
@@ -137,15 +158,20 @@ class Mailroom:
     def setOnUtilityMessageCallback(self, message: str, callback: Callable[..., None]) -> None:
         """The library's remote administration is never reached."""
 
+    def node(self, member_id: str) -> Any:
+        """The node with this id, None for a stranger."""
+        return self._nodes.get(member_id)
+
     def addNode(self, node: Any) -> None:
         """Hear and send to one more member."""
         self._nodes[node.id] = node
+        if node.id in self._connected and self._on_connected is not None:
+            self._on_connected(node)
 
     def dropNode(self, node: Any) -> None:
         """Neither hear nor send to this member any more."""
-        self._nodes.pop(node.id, None)
-        self._connected.discard(node.id)
-        self._heard.discard(node.id)
+        if self._nodes.pop(node.id, None) is not None and self._on_disconnected is not None:
+            self._on_disconnected(node)
 
     def destroy(self) -> None:
         """Forget what was not released."""

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable
 from typing import Any
 
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.journal import Journal
@@ -38,7 +39,9 @@ def build_node(
     # The library walks over sets of nodes: a hash of our own keeps that order the same in every process, and a
     # simulated run replayable.
     node_type: Any = type("MemberNode", (library.Node,), {"__hash__": lambda node: zlib.crc32(node.id.encode())})
-    others = [node_type(m.member_id) for m in settings.initial_members if m.member_id != self_id]
+    peers = {member.member_id: member for member in settings.initial_members if member.member_id != self_id}
+    others = [node_type(member_id) for member_id in peers]
+    journal.track_members(Configuration.of(settings.initial_members))
     # Request ids of an earlier life must not be answered in this one.
     first_request_id = int(dice.random() * 2**52)
     node_class: Any = type("RaftNode", (rules, library.SyncObj), {})
@@ -48,6 +51,8 @@ def build_node(
     node.state_machine = state_machine
     node.mailroom = Mailroom(others)
     node.mailroom.on_stream_opened = node.on_stream_opened
+    node.mailroom.on_members_told = node.on_members_told
+    node.self_member, node.make_node, node.peers, node._told = settings.self_member, node_type, peers, {}
     node.keeper = SnapshotKeeper(journal, state_machine, has_room, chunk_bytes=settings.snapshot_piece_bytes)
     node.has_room = has_room
     node.unknown_outcome = UNKNOWN_OUTCOME
@@ -62,9 +67,6 @@ def build_node(
     conf = library_conf(library, settings, journal, node.keeper)
     node.__init__(node_type(self_id), others, conf=conf, transport=node.mailroom)
     node._SyncObj__commandsLocalCounter = first_request_id
-    if not others:
-        # Nobody could object: lead at once.
-        node._SyncObj__raftElectionDeadline = float("-inf")
     return node
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from stampede_rt_supernode.replication.interface import StateMachine
+from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.library import COMMAND, FOLLOWER, LEADER
 from stampede_rt_supernode.replication.mailroom import Mailroom
@@ -31,6 +31,9 @@ class BytesNode:
 
     def on_stream_opened(self, node: Any) -> None:
         """A member has opened a new stream; the library itself would not care."""
+
+    def on_members_told(self, members: tuple[Member, ...]) -> None:
+        """A member has said who the members are; the library itself would not care."""
 
     def _SyncObj__doApplyCommand(self, command: bytes) -> bytes | None:  # noqa: N802
         # The library unpickles here and picks a method by number.

@@ -48,7 +48,7 @@ class _Asked:
 class ConfirmedReads:
     """All reads of one replica. Tick thread only.
 
-    `node` offers can_confirm_reads(), commit_index(), applied_index(), leader_node(), is_majority(count).
+    `node` offers can_confirm_reads(), commit_index(), applied_index(), leader_node(), voter_ids(), is_majority(count).
     Invariant: a read is in exactly one of `_new`, `_rounds`, `_asked`, `_confirmed` until it is done.
     """
 
@@ -139,7 +139,8 @@ class ConfirmedReads:
         self._new, self._confirmed = [], []
 
     def _is_confirmed(self, each: _Round) -> bool:
-        echoed = sum(1 for number in self._echoes.values() if number >= each.number)
+        voters = self._node.voter_ids()
+        echoed = sum(1 for name, number in self._echoes.items() if number >= each.number and name in voters)
         return bool(self._node.is_majority(1 + echoed))
 
     def _ask_leader(self) -> None:

@@ -5,19 +5,23 @@ come from outside, so that the simulator runs the very code that runs in product
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from stampede_rt_supernode.replication.elections import TrialElections
-from stampede_rt_supernode.replication.interface import ReplicationStatus, StateMachine, Unavailable
+from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine, Unavailable
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.library import COMMAND, Dice
 from stampede_rt_supernode.replication.mailroom import NetworkEvent, Outgoing, Received
+from stampede_rt_supernode.replication.member_changes import HandOver, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.node_builder import build_node
 from stampede_rt_supernode.replication.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
 from stampede_rt_supernode.replication.storage import Store
+
+CHANGES_MAX = 100
 
 
 class Network(Protocol):
@@ -28,6 +32,21 @@ class Network(Protocol):
 
     def has_room(self, member_id: str) -> bool:
         """Whether the queue to this member takes another piece of a snapshot."""
+
+    def follow(self, roster: Roster) -> None:
+        """Keep a link to every peer from now on, and to nobody else; never blocks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Roster:
+    """Whom a replica wants to talk to, and to whom it says what.
+
+    `members` are those of the newest configuration in the log; `removed` those of the newest one applied, for good.
+    """
+
+    members: tuple[Member, ...]
+    peers: Mapping[str, Member]
+    removed: frozenset[str]
 
 
 class InboxFull(RuntimeError):
@@ -64,6 +83,7 @@ class Replica:
         self._inbox: deque[NetworkEvent] = deque()
         self._new_proposals: deque[Proposal] = deque()
         self._new_reads: deque[Read] = deque()
+        self._new_changes: deque[MemberChange | HandOver] = deque()
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._journal = Journal(store)
@@ -78,6 +98,16 @@ class Replica:
         )
         self._node.open_snapshot()
         self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
+        self._changes = MemberChanges(
+            self._node,
+            clock,
+            self._completions.append,
+            round_seconds=settings.timing.election_timeout_min_seconds,
+            alive_seconds=settings.timing.leader_fallback_seconds,
+        )
+        self._roster_version: tuple[object, ...] = ()
+        self.roster = Roster((), {}, frozenset())
+        self._publish_roster()
         self._status = self._observe()
 
     # -- any thread ----------------------------------------------------------------------------------------------
@@ -105,6 +135,17 @@ class Replica:
         self._new_reads.append(read)
         self._wake()
 
+    def change_members(self, change: MemberChange | HandOver) -> None:
+        """Queue a change of the members, or a hand-over. Raises Unavailable when too many wait."""
+        if len(self._new_changes) >= CHANGES_MAX:
+            raise Unavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
+        self._new_changes.append(change)
+        self._wake()
+
+    def changes_are_settled(self) -> bool:
+        """Whether this replica leads and no change of the members is on its way; after the last step."""
+        return bool(self._node.may_change_members()) and self._changes.is_idle and not self._new_changes
+
     def status(self) -> ReplicationStatus:
         """The view after the last step."""
         return self._status
@@ -127,6 +168,7 @@ class Replica:
         if confirm:
             self._node.send_now()
         self._node.reads.finish()
+        self._changes.advance()
         self._journal.sync()
         self._release()
         return bool(self._inbox) or self._commits_alone()
@@ -136,6 +178,7 @@ class Replica:
         for proposal in self._new_proposals:
             self._proposals.add(proposal)
         self._proposals.close()
+        self._changes.close()
         for read in self._new_reads:
             self._node.reads.add(self._later(read))
         self._node.reads.close()
@@ -147,13 +190,21 @@ class Replica:
             self._proposals.add(self._new_proposals.popleft())
         for _ in range(len(self._new_reads)):
             self._node.reads.add(self._later(self._new_reads.popleft()))
-        self._proposals.advance(leader_reachable=self._leader_reachable(), now=self._clock())
+        for _ in range(len(self._new_changes)):
+            change = self._new_changes.popleft()
+            if isinstance(change, HandOver):
+                self._changes.hand_over(change)
+            else:
+                self._changes.add(change)
+        takes = self._leader_reachable() and not self._changes.hands_over
+        self._proposals.advance(leader_reachable=takes, now=self._clock())
 
     def _later(self, read: Read) -> Read:
         done = read.done
         return Read(read.deadline, lambda index: self._completions.append(lambda: done(index)))
 
     def _release(self) -> None:
+        self._publish_roster()
         messages = self._node.mailroom.take_outbox()
         if messages:
             self._network.release(messages)
@@ -184,7 +235,7 @@ class Replica:
         self._node._applyCommand(command, callback, COMMAND)
 
     def _observe(self) -> ReplicationStatus:
-        node, members = self._node, self._settings.initial_members
+        node, members = self._node, self.roster.members
         leader, leads = node.leader_node(), node._isLeader()
         term = node.raftCurrentTerm
         return ReplicationStatus(
@@ -194,5 +245,16 @@ class Replica:
             tenure=term if leads else 0,
             term=term,
             applied_index=node.raftLastApplied,
-            members=tuple(members),
+            members=members,
         )
+
+    def _publish_roster(self) -> None:
+        """Say whom this node knows, if that is new."""
+        node, configurations = self._node, self._journal.configurations
+        settled = configurations.at(node.applied_index())
+        current = configurations.current
+        if self._roster_version == (current, settled, node.peers):
+            return
+        self._roster_version = (current, settled, node.peers)
+        self.roster = Roster(current.members, node.peers, frozenset(settled.retired))
+        self._network.follow(self.roster)

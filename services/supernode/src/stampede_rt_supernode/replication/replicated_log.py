@@ -6,13 +6,21 @@ import asyncio
 import random
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import grpc.aio
 
-from stampede_rt_supernode.replication.interface import Ambiguous, ReplicationStatus, StateMachine, Unavailable
+from stampede_rt_supernode.replication.interface import (
+    Ambiguous,
+    Member,
+    ReplicationStatus,
+    StateMachine,
+    Unavailable,
+)
 from stampede_rt_supernode.replication.links import Dial, Links
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
+from stampede_rt_supernode.replication.member_changes import ChangeOutcome, HandOver, MemberChange
 from stampede_rt_supernode.replication.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica
@@ -38,9 +46,9 @@ class PySyncObjLog:
 
     def start(self, settings: ReplicationSettings, server: grpc.aio.Server) -> None:
         """Join the network and begin to tick; once."""
-        self._servicer = RaftServicer(settings, self._replica.deliver)
+        self._servicer = RaftServicer(settings, self._replica.deliver, lambda: self._replica.roster)
         self._servicer.add_to_server(server)
-        self._links.start(self._replica.deliver)
+        self._links.start(self._replica.deliver, self._replica.roster.peers)
         self._thread.start(self._replica)
 
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
@@ -80,7 +88,40 @@ class PySyncObjLog:
 
     def status(self) -> ReplicationStatus:
         """See ReplicatedLog."""
-        return self._replica.status()
+        status = self._replica.status()
+        return replace(status, removed=True) if self._links.removed else status
+
+    async def add_member(self, member: Member, *, timeout: float) -> int:
+        """See ReplicatedLog."""
+        return await self._change(member, is_removal=False, timeout=timeout)
+
+    async def remove_member(self, member_id: str, *, timeout: float) -> int:
+        """See ReplicatedLog."""
+        return await self._change(Member(member_id=member_id, address=""), is_removal=True, timeout=timeout)
+
+    async def _change(self, member: Member, *, is_removal: bool, timeout: float) -> int:
+        self._refuse_when_closed()
+        answer: asyncio.Future[ChangeOutcome] = asyncio.get_running_loop().create_future()
+        self._replica.change_members(MemberChange(member, is_removal, self._into(answer)))
+        try:
+            async with asyncio.timeout(timeout):
+                outcome = await answer
+        except TimeoutError:
+            raise Ambiguous(f"the change was not done within {timeout} s; it goes on") from None
+        if isinstance(outcome, int):
+            return outcome
+        raise outcome
+
+    async def hand_over(self, *, timeout: float) -> bool:
+        """See ReplicatedLog."""
+        self._refuse_when_closed()
+        answer: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
+        self._replica.change_members(HandOver(self._into(answer)))
+        try:
+            async with asyncio.timeout(timeout):
+                return await answer
+        except TimeoutError:
+            return not self.status().is_leader
 
     async def close(self) -> None:
         """See ReplicatedLog. Whatever still waits ends Unavailable or Ambiguous. Safe to call twice."""

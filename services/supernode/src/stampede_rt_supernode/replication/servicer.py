@@ -15,10 +15,10 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
-from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message
-from stampede_rt_supernode.replication.links import REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message, encode_members
+from stampede_rt_supernode.replication.links import REMOVED, REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received, StreamEnded, StreamOpened
-from stampede_rt_supernode.replication.replica import InboxFull
+from stampede_rt_supernode.replication.replica import InboxFull, Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
 HELLO_SECONDS = 5.0
@@ -32,10 +32,13 @@ _register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
 class RaftServicer:
     """Takes in the streams of the other members. Runs on the loop."""
 
-    def __init__(self, settings: ReplicationSettings, deliver: Callable[[NetworkEvent], None]) -> None:
+    def __init__(
+        self, settings: ReplicationSettings, deliver: Callable[[NetworkEvent], None], roster: Callable[[], Roster]
+    ) -> None:
         self._settings = settings
         self._deliver = deliver
-        self._members = {member.member_id for member in settings.initial_members} - {settings.self_member.member_id}
+        # Whom the replica knows at this moment.
+        self._roster = roster
         # Member id -> what reads its present stream. At most one each.
         self._readers: dict[str, asyncio.Task[None]] = {}
         self._closed = False
@@ -77,8 +80,15 @@ class RaftServicer:
         if request is grpc.aio.EOF or not request.HasField("hello") or request.messages:
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
         await self._check(request.hello, context)
-        await context.write(pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION))
+        await context.write(self._greeting(knows_caller=True))
         return str(request.hello.member_id)
+
+    def _greeting(self, *, knows_caller: bool) -> pb.RaftServiceExchangeResponse:
+        return pb.RaftServiceExchangeResponse(
+            protocol_version=PROTOCOL_VERSION,
+            members=encode_members(self._roster().members),
+            unknown_caller=not knows_caller,
+        )
 
     async def _check(self, hello: pb.RaftHello, context: Any) -> None:
         settings, failed = self._settings, grpc.StatusCode.FAILED_PRECONDITION
@@ -97,7 +107,11 @@ class RaftServicer:
             await context.abort(
                 failed, f"this is member {settings.self_member.member_id!r}, not {hello.peer_member_id!r}"
             )
-        if hello.member_id not in self._members:
+        if hello.member_id in self._roster().removed:
+            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {REMOVED}")
+        if hello.member_id not in self._roster().peers:
+            # Perhaps it does not know those who know it.
+            await context.write(self._greeting(knows_caller=False))
             await context.abort(
                 grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} is no other member of this cluster"
             )
@@ -106,13 +120,15 @@ class RaftServicer:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
+            if member_id not in self._roster().peers:
+                raise MalformedMessage(f"{member_id!r} is no member any more")
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
                 raise MalformedMessage("a second hello, or too many messages at once")
             for message in request.messages:
                 self._deliver(Received(member_id, decode_message(message)))
             if loop.time() - answered_at >= ANSWER_SECONDS:
                 answered_at = loop.time()
-                await context.write(pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION))
+                await context.write(self._greeting(knows_caller=True))
 
     async def _explain(self, reader: asyncio.Task[None], context: Any) -> None:
         if reader.cancelled():

@@ -49,15 +49,17 @@ class RaftTiming:
 class ReplicationSettings:
     """One replica of the log.
 
-    `initial_members` holds every member, this one included. `data_dir` is the folder of this replica's store;
-    None keeps everything in memory, for development. `create` allows a new store in a folder without one:
-    a member that lost its disk must come back under a new id, so say False where a store must be there.
+    `initial_members` holds every member, this one included, or, with `joining`, every member but this one, which is
+    to be added by them; once the log knows better, it is what the log says. `data_dir` is the folder of this
+    replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder without
+    one: a member that lost its disk must come back under a new id, so say False where a store must be there.
     """
 
     self_member: Member
     initial_members: Sequence[Member]
     data_dir: Path | None = None
     create: bool = True
+    joining: bool = False
     cluster_id: str = ""
     timing: RaftTiming = field(default_factory=RaftTiming)
     proposals_max: int = 1000
@@ -74,7 +76,11 @@ class ReplicationSettings:
             raise ValueError("a member id is empty: give every member an id of its own")
         if len(set(ids)) != len(ids):
             raise ValueError(f"two members have the same id: {sorted(ids)}")
-        if self.self_member not in self.initial_members:
+        if self.joining and (self.self_member.member_id in ids or not ids):
+            raise ValueError(
+                f"{self.self_member.member_id!r} is to join {sorted(ids)}: name the members that are there, without it"
+            )
+        if not self.joining and self.self_member not in self.initial_members:
             raise ValueError(
                 f"this member, {self.self_member.member_id!r} at {self.self_member.address!r}, is not among the "
                 f"members {sorted(ids)}: list every member, this one included, with the same address"

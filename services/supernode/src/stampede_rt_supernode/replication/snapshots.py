@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication import codec
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.storage import Entry, StoredSnapshot
@@ -76,15 +77,16 @@ class SnapshotKeeper:
 
     def serialize(self, data: tuple[Any, Any, Any, Any], id: int) -> None:
         """Take a snapshot as of the last applied entry. It and the log's new beginning reach the disk together."""
-        _, last, previous, cluster = data
+        _, last, previous, _ = data
         last, previous = Entry(*last), Entry(*previous)
+        configuration = self._journal.configurations.at(last.log_index)
         record = codec.encode_snapshot(
             previous=previous,
             last=last,
-            member_ids=[node.id for node in cluster],
+            configuration=configuration,
             state=self._state_machine.snapshot(),
         )
-        self._adopt(StoredSnapshot(last_log_index=last.log_index, record=record), previous, last)
+        self._adopt(StoredSnapshot(last_log_index=last.log_index, record=record), previous, last, configuration)
         self._taken_id = id
 
     def deserialize(self) -> tuple[None, Entry, Entry, list[str]]:
@@ -94,9 +96,9 @@ class SnapshotKeeper:
         else:
             assert self._journal.snapshot is not None
             record = self._journal.snapshot.record
-        previous, last, member_ids, state = codec.decode_snapshot(record)
-        self._state_machine.restore(state)
-        return None, last, previous, member_ids
+        snapshot = codec.decode_snapshot(record)
+        self._state_machine.restore(snapshot.state)
+        return None, snapshot.last, snapshot.previous, []
 
     def restore(self) -> Entry | None:
         """Open the stored snapshot into the state machine and return the last entry it covers; None without one.
@@ -105,11 +107,13 @@ class SnapshotKeeper:
         """
         if self._journal.snapshot is None:
             return None
-        previous, last, _, state = codec.decode_snapshot(self._journal.snapshot.record)
-        if self._journal[0] != previous or self._journal[1] != last:
+        snapshot = codec.decode_snapshot(self._journal.snapshot.record)
+        if self._journal[0] != snapshot.previous or self._journal[1] != snapshot.last:
             raise AssertionError("the stored log does not begin where the stored snapshot ends")
-        self._state_machine.restore(state)
-        return last
+        if snapshot.configuration is not None:
+            self._journal.configurations.rebase(snapshot.last.log_index, snapshot.configuration)
+        self._state_machine.restore(snapshot.state)
+        return snapshot.last
 
     def install_received(self, *, newer_than: int) -> Entry:
         """Open the snapshot that has just come in and let the log begin with it; return its last entry.
@@ -119,10 +123,14 @@ class SnapshotKeeper:
         """
         assert self._received is not None
         record, self._received = self._received, None
-        previous, last, _, state = codec.decode_snapshot(record)
+        snapshot = codec.decode_snapshot(record)
+        last = snapshot.last
         if last.log_index > newer_than:
-            self._state_machine.restore(state)
-            self._adopt(StoredSnapshot(last_log_index=last.log_index, record=record), previous, last)
+            self._state_machine.restore(snapshot.state)
+            stored = StoredSnapshot(last_log_index=last.log_index, record=record)
+            # Without one the sender has never seen a change, and neither has this log.
+            configuration = snapshot.configuration or self._journal.configurations.current
+            self._adopt(stored, snapshot.previous, last, configuration)
         return last
 
     def getTransmissionData(self, transmissionID: Any) -> Piece | None:
@@ -175,8 +183,8 @@ class SnapshotKeeper:
         """Start from the beginning with this node next time."""
         self._sent.pop(id.id, None)
 
-    def _adopt(self, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
-        self._journal.adopt_snapshot(snapshot, previous, last)
+    def _adopt(self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration) -> None:
+        self._journal.adopt_snapshot(snapshot, previous, last, configuration)
         self._sent.clear()
         self._sha256 = b""
 

@@ -1,0 +1,296 @@
+"""Members come and go one at a time, and leaders hand over: what a leader does for it, step by step.
+
+An addition: the newcomer is sent the log until a round of catching up took less than an election timeout; then the
+configuration with it is put into the log, and holds; once that is committed, it is done (dissertation, section 4.2).
+A removal needs no first step. A leader does not remove itself: it hands over, and its successor does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from stampede_rt_supernode.replication.configuration import MEMBERS_MAX
+from stampede_rt_supernode.replication.interface import (
+    Ambiguous,
+    ChangeRefused,
+    ChangeUnderWay,
+    Member,
+    NotLeading,
+    Unavailable,
+)
+
+ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | Unavailable
+
+# A newcomer that makes no progress for so long is given up, so that others can come.
+STALLED_SECONDS = 30.0
+HAND_OVER_SECONDS = 1.0
+
+
+@dataclass(slots=True)
+class MemberChange:
+    """What a caller wants: `member` to come, or, without an address, to go. `done` is called once."""
+
+    member: Member
+    is_removal: bool
+    done: Callable[[ChangeOutcome], None]
+
+
+@dataclass(slots=True)
+class HandOver:
+    """A caller wants another leader. `done` is called once: whether this node does not lead (any more)."""
+
+    done: Callable[[bool], None]
+
+
+@dataclass(slots=True)
+class _Addition:
+    """A newcomer, and everybody who waits for it."""
+
+    member: Member
+    callers: list[MemberChange]
+    round_end: int
+    round_began: float
+    progress_at: float
+    held: int = 0
+
+
+@dataclass(slots=True)
+class _Committing:
+    """A configuration in the log that is not committed yet."""
+
+    member_id: str
+    log_index: int
+    term: int
+    callers: list[MemberChange]
+
+
+@dataclass(slots=True)
+class _Leaving:
+    """Proposals are held back until a successor holds everything; then it is asked to lead."""
+
+    until: float
+    asked: bool = False
+    callers: list[HandOver] = field(default_factory=list)
+
+
+class MemberChanges:
+    """All changes of one replica. Tick thread only; `node` is a Membership.
+
+    Invariant: at most one of `_addition` and `_committing` is set, and only while this node leads.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        clock: Callable[[], float],
+        finish: Callable[[Callable[[], None]], None],
+        *,
+        round_seconds: float,
+        alive_seconds: float,
+    ) -> None:
+        self._node = node
+        self._clock = clock
+        self._finish_later = finish
+        self._round_seconds = round_seconds
+        self._alive_seconds = alive_seconds
+        self._addition: _Addition | None = None
+        self._committing: _Committing | None = None
+        self._leaving: _Leaving | None = None
+
+    @property
+    def hands_over(self) -> bool:
+        """Whether new commands should wait: the next leader takes them."""
+        return self._leaving is not None
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nobody comes, goes or hands over at present."""
+        return self._addition is None and self._committing is None and self._leaving is None
+
+    def add(self, change: MemberChange) -> None:
+        """Begin a change, join one under way, or refuse it."""
+        if not self._node._isLeader():
+            self._finish([change], NotLeading("this replica does not lead"))
+        elif self._joins(change):
+            return
+        elif self._addition is not None or self._committing is not None or not self._node.may_change_members():
+            self._finish([change], ChangeUnderWay("another member is just coming or going, or the leader is new"))
+        elif change.is_removal:
+            self._remove(change)
+        else:
+            self._introduce(change)
+
+    def hand_over(self, wish: HandOver) -> None:
+        """Begin to look for a successor."""
+        if not self._node._isLeader() or not self._node.voter_ids():
+            self._answer([wish], not self._node._isLeader())
+            return
+        if self._leaving is None:
+            self._leaving = _Leaving(self._clock() + HAND_OVER_SECONDS)
+        self._leaving.callers.append(wish)
+
+    def advance(self) -> None:
+        """Take the next step of whatever is under way."""
+        if not self._leads_on():
+            self._end(NotLeading("this replica does not lead any more"))
+            return
+        if self._addition is not None:
+            self._catch_up(self._addition)
+        if self._committing is not None and self._node.applied_index() >= self._committing.log_index:
+            done, self._committing = self._committing, None
+            self._finish(done.callers, done.log_index)
+        if self._leaving is not None:
+            self._find_successor(self._leaving)
+
+    def _leads_on(self) -> bool:
+        """Whether this node leads, and has not ceased to since the change under way began."""
+        node, addition, committing = self._node, self._addition, self._committing
+        return bool(
+            node._isLeader()
+            and (addition is None or node.learner == addition.member)
+            and (committing is None or node.raftCurrentTerm == committing.term)
+        )
+
+    def close(self) -> None:
+        """End everything that waits."""
+        self._end(Unavailable("this replica is closing"))
+
+    # -- one at a time -------------------------------------------------------------------------------------------
+
+    def _joins(self, change: MemberChange) -> bool:
+        addition, committing = self._addition, self._committing
+        if addition is not None and not change.is_removal and addition.member == change.member:
+            addition.callers.append(change)
+            return True
+        if committing is not None and committing.member_id == change.member.member_id:
+            is_member = self._node.configuration().find(committing.member_id) is not None
+            if is_member != change.is_removal:
+                committing.callers.append(change)
+                return True
+        return False
+
+    def _introduce(self, change: MemberChange) -> None:
+        configuration, member = self._node.configuration(), change.member
+        if configuration.find(member.member_id) == member:
+            self._finish([change], self._node.applied_index())
+            return
+        refusal = _refusal(configuration, member)
+        if refusal is not None:
+            self._finish([change], refusal)
+            return
+        self._node.set_learner(member)
+        now = self._clock()
+        self._addition = _Addition(member, [change], self._node.log_end(), now, now)
+
+    def _catch_up(self, addition: _Addition) -> None:
+        now, held = self._clock(), self._node.held_by(addition.member.member_id)
+        if held > addition.held:
+            addition.held, addition.progress_at = held, now
+        elif now - addition.progress_at > STALLED_SECONDS:
+            self._give_up(addition)
+            return
+        if held < addition.round_end:
+            return
+        if now - addition.round_began > self._round_seconds:
+            addition.round_end, addition.round_began = self._node.log_end(), now
+            return
+        if self._node.may_change_members():
+            self._addition = None
+            # The learner first becomes a voter, and then ceases to be a learner: what it acknowledged stays known.
+            self._commit(addition.member.member_id, self._node.configuration().with_member(addition.member), addition)
+            self._node.set_learner(None)
+
+    def _give_up(self, addition: _Addition) -> None:
+        self._addition = None
+        self._node.set_learner(None)
+        text = (
+            f"{addition.member.member_id} at {addition.member.address} took nothing of the log for "
+            f"{STALLED_SECONDS:.0f} s; see that it runs, that this address leads to it, and try again"
+        )
+        self._finish(addition.callers, ChangeRefused(text))
+
+    def _remove(self, change: MemberChange) -> None:
+        configuration, member_id = self._node.configuration(), change.member.member_id
+        if configuration.find(member_id) is None:
+            self._finish([change], self._node.applied_index())
+        elif len(configuration.members) == 1:
+            self._finish([change], ChangeRefused(f"{member_id} is the last member; stop it instead of removing it"))
+        elif member_id == self._node.self_member.member_id:
+            self.hand_over(HandOver(lambda left: change.done(_after_hand_over(left))))
+        elif not self._majority_without(member_id):
+            text = (
+                f"without {member_id} no majority of the members would be alive; "
+                "start or replace the others that are down first"
+            )
+            self._finish([change], ChangeRefused(text))
+        else:
+            self._commit(member_id, configuration.without(member_id), change)
+
+    def _majority_without(self, member_id: str) -> bool:
+        alive = self._node.alive_voters(within_seconds=self._alive_seconds) - {member_id}
+        return bool(2 * (1 + len(alive)) > len(self._node.configuration().members) - 1)
+
+    def _commit(self, member_id: str, configuration: Any, source: _Addition | MemberChange) -> None:
+        callers = source.callers if isinstance(source, _Addition) else [source]
+        log_index = self._node.append_configuration(configuration)
+        self._committing = _Committing(member_id, log_index, self._node.raftCurrentTerm, callers)
+
+    # -- leaving -------------------------------------------------------------------------------------------------
+
+    def _find_successor(self, leaving: _Leaving) -> None:
+        if self._clock() > leaving.until:
+            self._leaving = None
+            self._answer(leaving.callers, False)
+            return
+        alive = self._node.alive_voters(within_seconds=self._alive_seconds)
+        complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log_end())
+        if complete and not leaving.asked:
+            leaving.asked = self._node.send_timeout_now(complete[0])
+
+    # -- outcomes ------------------------------------------------------------------------------------------------
+
+    def _end(self, outcome: NotLeading | Unavailable) -> None:
+        addition, self._addition = self._addition, None
+        committing, self._committing = self._committing, None
+        leaving, self._leaving = self._leaving, None
+        if addition is not None:
+            self._finish(addition.callers, outcome)
+        if committing is not None:
+            self._finish(committing.callers, self._fate_of(committing))
+        if leaving is not None:
+            self._answer(leaving.callers, not self._node._isLeader())
+
+    def _fate_of(self, committing: _Committing) -> ChangeOutcome:
+        applied = self._node.applied_index() >= committing.log_index
+        if applied and self._node.term_at(committing.log_index) == committing.term:
+            return committing.log_index
+        return Ambiguous("the leader changed while the change was on its way; ask who the members are")
+
+    def _finish(self, callers: list[MemberChange], outcome: ChangeOutcome) -> None:
+        for caller in callers:
+            self._finish_later(lambda caller=caller: caller.done(outcome))  # type: ignore[misc]
+
+    def _answer(self, callers: list[HandOver], left: bool) -> None:
+        for caller in callers:
+            self._finish_later(lambda caller=caller: caller.done(left))  # type: ignore[misc]
+
+
+def _refusal(configuration: Any, member: Member) -> ChangeRefused | None:
+    if member.member_id in configuration.retired:
+        return ChangeRefused(f"{member.member_id} was a member before; an id never comes back: join under a new one")
+    known = configuration.find(member.member_id)
+    if known is not None:
+        return ChangeRefused(f"{member.member_id} is a member already, at {known.address}; use an id of your own")
+    if any(each.address == member.address for each in configuration.members):
+        return ChangeRefused(f"{member.address} is the address of another member; remove that one first")
+    if len(configuration.members) >= MEMBERS_MAX:
+        return ChangeRefused(f"there are {MEMBERS_MAX} members, the most there can be; remove one first")
+    return None
+
+
+def _after_hand_over(left: bool) -> ChangeOutcome:
+    if left:
+        return NotLeading("this replica was the leader, and has handed over: ask the new one")
+    return Unavailable("this replica leads, and no other member could take over; try again")

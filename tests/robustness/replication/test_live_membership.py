@@ -1,0 +1,167 @@
+"""Members that come and go over real gRPC with real stores, under load, without losing an acknowledged write."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication import Ambiguous, ChangeRefused, ChangeUnderWay, NotLeading, Unavailable
+from tests.robustness.replication.live_cluster import LiveCluster, LiveMember, running, until
+
+
+@dataclass
+class Load:
+    """Writes one command after the other for as long as the block lasts, wherever a member runs."""
+
+    acknowledged: list[bytes] = field(default_factory=list)
+
+    async def run(self, cluster: LiveCluster) -> None:
+        number = 0
+        while True:
+            member = cluster.all[number % len(cluster.all)]
+            number += 1
+            command = b"load %d" % number
+            try:
+                await running(member).propose(command, timeout=2.0)
+            except (Ambiguous, Unavailable, AssertionError):
+                continue
+            self.acknowledged.append(command)
+
+    async def goes_on(self) -> None:
+        """Wait until some more writes were acknowledged."""
+        target = len(self.acknowledged) + 5
+        await until(lambda: len(self.acknowledged) >= target)
+
+
+@asynccontextmanager
+async def under_load(cluster: LiveCluster) -> AsyncIterator[Load]:
+    load = Load()
+    task = asyncio.create_task(load.run(cluster))
+    try:
+        yield load
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+def commands_of(member: LiveMember) -> list[bytes]:
+    return [command for _, command in member.machine.entries]
+
+
+async def test_a_cluster_of_one_grows_to_three_and_shrinks_back_under_load(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path, snapshot_every=40) as cluster, under_load(cluster) as load:
+        await load.goes_on()
+        for _ in range(2):
+            await cluster.add(await cluster.volunteer())
+            await load.goes_on()
+        ids = {member.member_id for member in running(await cluster.leader()).status().members}
+        assert ids == {"m0", "m1", "m2"}
+        first = cluster.all[0]
+        await cluster.remove(first)
+        await load.goes_on()
+        await cluster.remove(await cluster.leader())
+        await load.goes_on()
+        [last] = cluster.all
+        await running(last).confirm_read(timeout=5.0)
+        held = set(commands_of(last))
+        assert [command for command in load.acknowledged if command not in held] == []
+        assert [member.member_id for member in running(last).status().members] == [last.member.member_id]
+
+
+async def test_a_newcomer_catches_up_by_snapshot_before_it_counts(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path, snapshot_every=10) as cluster:
+        for number in range(50):
+            await running(cluster.all[0]).propose(b"%d" % number, timeout=5.0)
+        newcomer = await cluster.volunteer()
+        index = await cluster.add(newcomer)
+        await until(lambda: running(newcomer).status().applied_index >= index)
+        assert len(commands_of(newcomer)) == 50
+
+
+async def test_members_survive_a_restart_of_all_of_them(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path) as cluster:
+        newcomer = await cluster.volunteer()
+        await cluster.add(newcomer)
+        await running(newcomer).propose(b"before", timeout=5.0)
+        for member in cluster.all:
+            await member.stop()
+        for member in cluster.all:  # with what each was told when it was new
+            await cluster.start(member)
+        await running(newcomer).propose(b"after", timeout=10.0)
+        ids = [[each.member_id for each in running(member).status().members] for member in cluster.all]
+        assert ids == [["m0", "m1"], ["m0", "m1"]]
+
+
+async def test_a_removed_member_is_told_so_and_never_comes_back(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        [removed, _] = await cluster.followers()
+        await cluster.on_leader(lambda log: log.remove_member(removed.member.member_id, timeout=5.0))
+        await until(lambda: running(removed).status().removed)
+        with pytest.raises(ChangeRefused, match="never comes back"):
+            await cluster.on_leader(lambda log: log.add_member(removed.member, timeout=5.0))
+        with pytest.raises((Unavailable, Ambiguous)):
+            await running(removed).propose(b"from the grave", timeout=0.5)
+
+
+async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path) as cluster:
+        first, second = await cluster.volunteer(), await cluster.volunteer()
+        leader = running(cluster.all[0])
+        with pytest.raises(NotLeading):
+            await running(first).add_member(second.member, timeout=1.0)
+        await second.stop()  # so that its addition has to wait
+        under_way = asyncio.create_task(leader.add_member(second.member, timeout=30.0))
+        await until(lambda: second.member.member_id in cluster.all[0].log._replica.roster.peers)  # type: ignore[union-attr]
+        with pytest.raises(ChangeUnderWay):
+            await leader.add_member(first.member, timeout=1.0)
+        with pytest.raises(Ambiguous, match="goes on"):
+            await leader.add_member(second.member, timeout=0.1)
+        under_way.cancel()
+
+
+async def test_changes_without_effect_are_no_error_and_senseless_ones_are(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path) as cluster:
+        [only] = cluster.all
+        log = running(only)
+        await log.confirm_read(timeout=5.0)
+        await log.add_member(only.member, timeout=5.0)
+        await log.remove_member("nobody", timeout=5.0)
+        with pytest.raises(ChangeRefused, match="last member"):
+            await log.remove_member("m0", timeout=5.0)
+
+
+async def test_nobody_is_removed_who_is_needed_for_a_majority(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        leader = await cluster.leader()
+        down, alive = await cluster.followers()
+        await down.stop()
+        await until(lambda: not _is_alive(leader, down))
+        with pytest.raises(ChangeRefused, match="no majority"):
+            await running(leader).remove_member(alive.member.member_id, timeout=5.0)
+        await running(leader).remove_member(down.member.member_id, timeout=5.0)
+        await running(leader).propose(b"two are enough", timeout=5.0)
+
+
+def _is_alive(leader: LiveMember, other: LiveMember) -> bool:
+    node = running(leader)._replica._node  # type: ignore[attr-defined]
+    return other.member.member_id in node.alive_voters(within_seconds=0.6)
+
+
+async def test_a_leader_hands_over_at_once(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        leader = await cluster.leader()
+        assert await running(leader).hand_over(timeout=2.0)
+        assert not running(leader).status().is_leader
+        assert await cluster.leader() is not leader
+
+
+async def test_nobody_hands_over_when_nobody_is_there(tmp_path: Path) -> None:
+    async with LiveCluster(1, tmp_path) as cluster:
+        await cluster.leader()
+        assert not await running(cluster.all[0]).hand_over(timeout=2.0)
+        assert running(cluster.all[0]).status().is_leader
