@@ -165,6 +165,25 @@ async def test_new_connections_get_the_new_certificate_and_open_ones_go_on(
         await channel.close()
 
 
+async def test_a_channel_that_has_lost_its_connection_comes_back_with_the_new_certificate(
+    made: ClusterCertificates, own: ServiceTls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt.tls.LOOK_EVERY_S", 0.0)
+    ask = health_pb2.HealthCheckRequest()
+    caller = TlsReader(made.issue(Role.HOST, "h1"))
+    async with serving(lambda _: None, tls=own) as server:
+        channel = dial(server.address, secret=None, tls=caller)
+        stub = health_pb2_grpc.HealthStub(channel)
+        assert (await stub.Check(ask, timeout=5)).status == health_pb2.HealthCheckResponse.SERVING
+    made.take_over()
+    made.renew()
+    made.forget_former()
+    async with serving(lambda _: None, listen=server.address, tls=own):
+        answer = await stub.Check(ask, timeout=5, wait_for_ready=True)
+    assert answer.status == health_pb2.HealthCheckResponse.SERVING
+    await channel.close()
+
+
 async def test_the_health_check_uses_the_certificate_of_the_service_beside_it(
     made: ClusterCertificates, own: ServiceTls, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -112,7 +112,7 @@ def cluster_of(authority: bytes) -> str:
         raise CertificateError(f"it holds no certificate in PEM form ({error})") from error
     found = certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
     if not found:
-        raise CertificateError(f"{_common_name(certificate.subject)!r} is no authority that `stampede certs init` made")
+        raise CertificateError(f"{_readable(certificate.subject)!r} is no authority that `stampede certs init` made")
     return str(found[0].value)
 
 
@@ -122,8 +122,8 @@ def _described(certificate: x509.Certificate) -> Described:
         is_authority = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     addresses = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
     return Described(
-        subject=_common_name(certificate.subject),
-        issuer=_common_name(certificate.issuer),
+        subject=_readable(certificate.subject),
+        issuer=_readable(certificate.issuer),
         identity=identity_among(names.get_values_for_type(x509.UniformResourceIdentifier)),
         addresses=tuple(addresses),
         not_before=certificate.not_valid_before_utc,
@@ -141,9 +141,11 @@ def _alternative_names(certificate: x509.Certificate) -> x509.SubjectAlternative
         return x509.SubjectAlternativeName([])
 
 
-def _common_name(name: x509.Name) -> str:
+def _readable(name: x509.Name) -> str:
     found = name.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(found[0].value) if found else name.rfc4514_string()
+    cluster = name.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
+    common = str(found[0].value) if found else name.rfc4514_string()
+    return f"{common} of {cluster[0].value!s}" if found and cluster else common
 
 
 def _load_authority(authority: Issued) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
