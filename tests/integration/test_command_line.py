@@ -72,6 +72,11 @@ def test_put_then_get_as_people_read_it(stampede: Run) -> None:
     assert "enc=text" in got.stdout
 
 
+def test_options_may_stand_between_the_words(stampede: Run) -> None:
+    stampede("put", "cli/order", "--duration", "40ms", "between")
+    assert "between" in stampede("get", "cli/order", "--bounds", "[]", "oldest", "now", "--limit", "1").stdout
+
+
 def test_get_as_programs_read_it(stampede: Run) -> None:
     stampede("put", "cli/json", stdin=b"\xff\x00")
     stampede("put", "cli/json", "text")
@@ -142,7 +147,7 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["get", "no/such/channel"], 1, "no/such/channel"),
+        (["get", "no/such/channel"], 1, "`stampede ls` lists"),
         (["put", "Wrong Name", "x"], 1, "not allowed; use"),
         (["put", "cli/wrong", "x", "--max-age", "3s"], 1, "cli/wrong"),
         (["get", "cli/wrong", "5", "3"], 1, "starts at"),
@@ -150,7 +155,9 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
         (["get", "cli/wrong", "yesterday", "now"], 2, "is no time"),
         (["get", "cli/wrong", "--last", "10"], 1, "ns, us, ms"),
         (["put", "cli/wrong", "x", "--time", str(2**62)], 1, "ahead"),
-        (["ls", "--colour"], 2, "--colour"),
+        (["get", "cli/wrong", "--limit", "0"], 2, "1 or more"),
+        (["ls", "--colour"], 2, "stampede ls --help"),
+        (["put", "cli/wrong", "x", "y"], 2, "there is no y here"),
         (["fly"], 2, "fly"),
         ([], 2, "VERB"),
         (["ls", "--url", "localhost:1"], 1, "cannot connect to localhost:1"),

@@ -78,8 +78,8 @@ class Supernodes:
             return failure
         addresses = ", ".join(self._frontends)
         return Unavailable(
-            f"cannot connect to {addresses}: {failure}. Start one with `stampede dev`, or name another in connect() or "
-            "$STAMPEDE_URL",
+            f"cannot connect to {addresses}: {failure} (start one with `stampede dev`, or name another in connect() or "
+            "$STAMPEDE_URL)",
             reason=failure.reason if failure else "NO_QUORUM",
         )
 

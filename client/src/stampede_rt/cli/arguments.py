@@ -5,16 +5,37 @@ from __future__ import annotations
 import argparse
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import Any
 
 from stampede_rt import Channel, Connection, connect
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
 
 _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
 _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
+
+
+class VerbParser(argparse.ArgumentParser):
+    """The parser of one verb: options may stand between its words, and it answers for words that it does not know."""
+
+    _intermixed = False
+
+    def parse_known_args(  # type: ignore[override]  # typeshed has an overload for each kind of namespace
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> Any:
+        """What argparse asks of a verb's parser; the second pass of an intermixed parse comes here, too."""
+        if self._intermixed:
+            return super().parse_known_args(args, namespace)
+        self._intermixed = True
+        try:
+            parsed, unknown = self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._intermixed = False
+        if unknown:
+            self.error(f"there is no {' '.join(unknown)} here; see {self.prog} --help")
+        return parsed, unknown
 
 
 def add_verb(
@@ -37,8 +58,20 @@ def connected(arguments: argparse.Namespace) -> Connection:
 
 
 def existing(rt: Connection, name: str) -> Channel:
-    """A channel that must be there."""
-    return rt.channel(name, create=False)
+    """A channel that must be there. Raises ChannelNotFound in the words of the command line."""
+    try:
+        return rt.channel(name, create=False)
+    except ChannelNotFound as error:
+        raise ChannelNotFound(
+            f"there is no channel {name}; `stampede ls` lists those there are, `stampede put {name}` makes it"
+        ) from error
+
+
+def parse_count(text: str) -> int:
+    """A number of items or lines: 1 or more."""
+    if not re.fullmatch(r"\d{1,18}", text) or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no such number; write 1 or more")
+    return int(text)
 
 
 def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:

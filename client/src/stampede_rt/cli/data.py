@@ -17,6 +17,7 @@ from stampede_rt.cli.arguments import (
     existing,
     parse_attribute,
     parse_bound_text,
+    parse_count,
     parse_time,
     policy_of,
 )
@@ -37,7 +38,7 @@ def add_verbs(subparsers: Any) -> None:
     echo.add_argument("channel")
     echo.add_argument("--from", dest="start", type=checked(parse_bound_text), metavar="TIME", help="held items, too")
     echo.add_argument("--mode", choices=("all", "newest"), default="all", help="every item, or always the newest")
-    echo.add_argument("--count", type=int, metavar="N", help="stop after N items")
+    echo.add_argument("--count", type=parse_count, metavar="N", help="stop after N items")
     echo.add_argument("--no-payloads", action="store_true", help="times and lengths only")
 
 
@@ -68,9 +69,15 @@ def _add_get(subparsers: Any) -> None:
     which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="what holds at that time")
     which.add_argument("--before", type=checked(parse_bound_text), metavar="TIME", help="the newest before that time")
     which.add_argument("--all", action="store_true", help="everything that is held")
-    get.add_argument("--bounds", choices=("[]", "[)", "(]", "()"), default="[]", help="which ends belong to it")
+    get.add_argument(
+        "--bounds",
+        choices=("[]", "[)", "(]", "()"),
+        default="[]",
+        metavar="BOUNDS",  # argparse drops brackets from a list of choices
+        help='which ends belong to it: "[]" (default), "[)", "(]", "()"',
+    )
     get.add_argument("--match", choices=("span", "whole", "start"), default="span", help="how items match")
-    get.add_argument("--limit", type=int, metavar="N", help="at most N items")
+    get.add_argument("--limit", type=parse_count, metavar="N", help="at most N items")
     get.add_argument("--newest-first", action="store_true", help="the latest first")
     get.add_argument("--timeout", type=float, default=0.0, metavar="SECONDS", help="wait so long for an item")
     get.add_argument("--complete", action="store_true", help="wait until nothing more can come into the interval")

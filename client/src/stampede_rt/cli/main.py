@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
 
 from stampede_rt.cli import data, discovery, doctor, rates
+from stampede_rt.cli.arguments import VerbParser
 from stampede_rt.errors import StampedeError
 from stampede_rt.version import VERSION
 
@@ -73,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"stampede {VERSION}")
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
     for module in (discovery, data, rates, doctor):
         module.add_verbs(subparsers)
     return parser

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from stampede_rt import Channel
-from stampede_rt.cli.arguments import add_verb, connected, existing
+from stampede_rt.cli.arguments import add_verb, connected, existing, parse_count
 from stampede_rt.cli.output import bytes_text
 from stampede_rt.model import ChannelStats
 
@@ -23,7 +23,7 @@ def add_verbs(subparsers: Any) -> None:
         verb = add_verb(subparsers, name, f"{text}, until Ctrl-C", run)
         verb.add_argument("channel")
         verb.add_argument("--every", type=_seconds, default=1.0, metavar="SECONDS", help="how often; default 1")
-        verb.add_argument("--count", type=int, metavar="N", help="stop after N lines")
+        verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N lines")
 
 
 def _seconds(text: str) -> float:

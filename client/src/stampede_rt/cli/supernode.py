@@ -1,0 +1,203 @@
+"""`stampede supernode status|add|remove`: look at the supernodes of a running cluster, and let them come and go."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import secrets
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from stampede_rt._sync.ports import Ports
+from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.connecting import parse_target
+from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
+from stampede_rt.timeline import format_duration
+from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.v1 import membership_service_pb2 as pb
+from stampede_rt.v1 import membership_service_pb2_grpc
+from stampede_rt.version import PROTOCOL_VERSION, VERSION
+
+ADMINISTERING = ("status", "add", "remove")
+FAILED = 1
+CALL_SECONDS = 3.0
+CHANGE_SECONDS = 30.0
+BACKOFF_SECONDS = 0.5
+
+
+def add_place(parser: argparse.ArgumentParser) -> None:
+    """The options that say where the cluster is."""
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument("--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
+    place.add_argument("--member", metavar="HOST:PORT,...", help="supernodes, if no front-end runs")
+
+
+def administer(argv: Sequence[str]) -> int:
+    """Run one of ADMINISTERING; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    status = _verb(verbs, "status", "who is a member, who leads, and how they do", _run_status)
+    add = _verb(verbs, "add", "make a token that lets one supernode in, and say how to use it", _run_add)
+    add.add_argument("--valid-hours", type=float, default=1.0, metavar="HOURS", help="how long it can be used; 1")
+    remove = _verb(verbs, "remove", "remove a supernode for ever", _run_remove)
+    remove.add_argument("id", help="its id, see `stampede supernode status`")
+    for each in (status, add, remove):
+        add_place(each)
+    parsed = parser.parse_args(argv)
+    try:
+        return int(parsed.run(parsed))
+    except StampedeError as error:
+        print(f"stampede supernode: {error.message}", file=sys.stderr)
+        return FAILED
+
+
+def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text)
+    parser.set_defaults(run=run)
+    parser.add_argument("-o", "--output", choices=("table", "json"), default="table", help="the form")
+    return parser
+
+
+class Cluster:
+    """The supernodes of a running cluster, reached by any of the addresses given."""
+
+    def __init__(self, ports: Ports, addresses: list[str]) -> None:
+        self._ports = ports
+        self._addresses = addresses
+
+    def members(self) -> directory_pb.ListSupernodesResponse:
+        """The members, as the first supernode that answers knows them. Raises Unavailable."""
+        listed: directory_pb.ListSupernodesResponse = self._first(
+            lambda port: port.call(port.directory.ListSupernodes, _LIST, CALL_SECONDS)
+        )
+        return listed
+
+    def ping(self, address: str) -> Any:
+        """What a supernode says of itself; None if it says nothing."""
+        port = self._ports.to(address)
+        try:
+            return port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
+        except StampedeError:
+            return None
+
+    def make_token(self, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
+        """A token that lets one supernode in."""
+        request = pb.CreateJoinTokenRequest(request_id=secrets.token_bytes(16), valid_nanos=valid_nanos)
+        made: pb.CreateJoinTokenResponse = self._first(
+            lambda port: port.call(_membership(port).CreateJoinToken, request, CALL_SECONDS)
+        )
+        return made
+
+    def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
+        """Remove a member by whoever leads. Raises what the leader refuses it with."""
+        request, until = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic() + CHANGE_SECONDS
+        addresses = [*self._addresses]
+        while True:
+            port = self._ports.to(addresses[0])
+            try:
+                removed: pb.RemoveSupernodeResponse = port.call(
+                    _membership(port).RemoveSupernode, request, CALL_SECONDS
+                )
+            except (NotLeader, Overloaded, Unavailable) as error:
+                if time.monotonic() > until:
+                    raise
+                leader = error.metadata.get("leader_endpoint")
+                addresses = [leader, *addresses] if leader else [*addresses[1:], addresses[0]]
+                time.sleep(BACKOFF_SECONDS)
+            else:
+                return removed
+
+    def _first(self, ask: Callable[[Port], Any]) -> Any:
+        failure: StampedeError = Unavailable("no supernode is known")
+        for address in self._addresses:
+            try:
+                return ask(self._ports.to(address))
+            except StampedeError as error:
+                failure = error
+        raise failure
+
+
+_LIST = directory_pb.ListSupernodesRequest()
+
+
+@contextmanager
+def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
+    """The cluster behind front-ends or supernodes. Raises StampedeError."""
+    target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
+    ports = Ports(target.credentials)
+    try:
+        addresses = list(target.frontends) if member else _bound(ports, target.frontends)
+        yield Cluster(ports, addresses)
+    finally:
+        ports.close()
+
+
+def _bound(ports: Ports, frontends: Sequence[str]) -> list[str]:
+    request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
+    failure: StampedeError = Unavailable("no front-end is named")
+    for address in frontends:
+        port = ports.to(address)
+        try:
+            return [one.endpoint.target for one in port.call(port.frontend.Bind, request, CALL_SECONDS).supernodes]
+        except StampedeError as error:
+            failure = error
+    raise failure
+
+
+def _membership(port: Port) -> Any:
+    return membership_service_pb2_grpc.MembershipServiceStub(port._channel)  # sessions have no use for this service
+
+
+def _run_status(arguments: argparse.Namespace) -> int:
+    with reached(arguments.frontend, arguments.member) as cluster:
+        listed = cluster.members()
+        rows = [_row(cluster, record, arguments.output) for record in listed.supernodes]
+    print_rows(rows, arguments.output, none="no supernode")
+    serving = sum(row["state"] != "down" for row in rows)
+    enough = 2 * serving > len(rows)
+    if arguments.output == "table":
+        verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
+        print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}.")
+    return 0 if enough else FAILED
+
+
+def _row(cluster: Cluster, record: Any, form: str) -> dict[str, Any]:
+    began = time.monotonic_ns()
+    pong = cluster.ping(record.endpoint.target)
+    nanos = time.monotonic_ns() - began if pong is not None else None
+    state = "down" if pong is None or not pong.ready else "leader" if record.is_leader else "follower"
+    return {
+        "supernode": record.supernode_id,
+        "address": record.endpoint.target,
+        "state": state,
+        "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
+        "version": pong.version if pong is not None else None,
+    }
+
+
+def _run_add(arguments: argparse.Namespace) -> int:
+    with reached(arguments.frontend, arguments.member) as cluster:
+        made = cluster.make_token(valid_nanos=round(arguments.valid_hours * 3600 * 1e9))
+        first = cluster.members().supernodes[0].endpoint.target
+    command = f"stampede supernode join --member {first} --token {made.token} --data-dir DIR --listen HOST:PORT"
+    if arguments.output == "json":
+        print_facts({"token": made.token, "cluster_id": made.cluster_id, "join": command}, "json")
+    else:
+        print(f"The token lets one supernode in. On its machine, run:\n\n  {command}")
+    return 0
+
+
+def _run_remove(arguments: argparse.Namespace) -> int:
+    with reached(arguments.frontend, arguments.member) as cluster:
+        removed = cluster.remove(arguments.id)
+    remaining = [record.supernode_id for record in removed.supernodes]
+    if arguments.output == "json":
+        print_facts({"removed": arguments.id, "supernodes": remaining, "index": removed.index}, "json")
+    else:
+        print(f"{arguments.id} is no member any more; there remain {', '.join(remaining)}.")
+    return 0
