@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import count
+from typing import Any
 
 from stampede_rt.model import Policy
 from stampede_rt_supernode.commands import (
@@ -18,7 +19,9 @@ from stampede_rt_supernode.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.directory import Directory
-from stampede_rt_supernode.records import Endpoint
+from stampede_rt_supernode.group_commands import DeleteGroup, OpenGroup, UpdateGroup
+from stampede_rt_supernode.records import Endpoint, GroupSpec, ReplicaKind
+from stampede_rt_supernode.replica_commands import AddReplica, RemoveReplica, SetReplicaInSync
 
 TTL_NANOS = 5 * 10**9
 
@@ -88,3 +91,52 @@ def update(channel_id: bytes, epoch: int, **policy: int | str) -> UpdateChannel:
 
 def delete(channel_id: bytes) -> DeleteChannel:
     return DeleteChannel(channel_id=channel_id)
+
+
+def open_group(
+    name: str, members: tuple[bytes, ...] | None, *, create: bool = True, incarnation: int = 88, **spec: Any
+) -> OpenGroup:
+    """`members` None: without a set-up."""
+    return OpenGroup(
+        name=name,
+        spec=None if members is None else GroupSpec(channel_ids=members, **spec),
+        create=create,
+        new_group_id=id_of(next(_channel_numbers)),
+        new_incarnation=incarnation,
+    )
+
+
+def update_group(
+    group_id: bytes, *, add: tuple[bytes, ...] = (), remove: tuple[bytes, ...] = (), version: int | None = None
+) -> UpdateGroup:
+    return UpdateGroup(group_id=group_id, add_channel_ids=add, remove_channel_ids=remove, spec_version=version)
+
+
+def delete_group(group_id: bytes) -> DeleteGroup:
+    return DeleteGroup(group_id=group_id)
+
+
+def add_replica(
+    channel_id: bytes, host: int = 0, *, epoch: int = 1, warm: bool = False, source: int = 0, acknowledged: bool = False
+) -> AddReplica:
+    """`host` and `source` 0: left out."""
+    return AddReplica(
+        channel_id=channel_id,
+        epoch=epoch,
+        host_id=id_of(host) if host else b"",
+        kind=ReplicaKind.WARM if warm else ReplicaKind.PROXY,
+        source_host_id=id_of(source) if source else b"",
+        acknowledged=acknowledged,
+    )
+
+
+def remove_replica(channel_id: bytes, host: int) -> RemoveReplica:
+    return RemoveReplica(channel_id=channel_id, host_id=id_of(host))
+
+
+def set_in_sync(
+    channel_id: bytes, host: int, in_sync: bool = True, *, epoch: int = 1, boot: int = 1
+) -> SetReplicaInSync:
+    return SetReplicaInSync(
+        channel_id=channel_id, epoch=epoch, host_id=id_of(host), boot_incarnation=boot, in_sync=in_sync
+    )

@@ -19,11 +19,28 @@ from stampede_rt_supernode.commands import (
     Result,
     TenureBegun,
 )
-from stampede_rt_supernode.records import Channel, Endpoint, Host
+from stampede_rt_supernode.group_commands import GroupDeleted, GroupOpened, GroupUpdated
+from stampede_rt_supernode.records import Channel, Endpoint, Group, GroupSpec, Host, Replica, ReplicaKind
 from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replica_commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.replication import COMMAND_BYTES_MAX
 from stampede_rt_supernode.snapshot_codec import decode_snapshot
-from tests.unit.supernode.deeds import begin_tenure, delete, deregister, expire, id_of, open_channel, register, update
+from tests.unit.supernode.deeds import (
+    add_replica,
+    begin_tenure,
+    delete,
+    delete_group,
+    deregister,
+    expire,
+    id_of,
+    open_channel,
+    open_group,
+    register,
+    remove_replica,
+    set_in_sync,
+    update,
+    update_group,
+)
 
 EVERYTHING: dict[str, Any] = {
     "max_age_nanos": 1,
@@ -44,6 +61,16 @@ DEEDS: list[Deed] = [
     deregister(1),
     expire(1, registered_index=9, tenure=3),
     begin_tenure(4),
+    open_group("pair", (id_of(1), id_of(2)), reference_channel_id=id_of(2), bound="end", max_lead_nanos=0),
+    open_group("pair", (id_of(1),), idle_after_nanos=5),
+    open_group("pair", None, create=False),
+    update_group(id_of(1), add=(id_of(2), id_of(3)), remove=(id_of(4),), version=0),
+    update_group(id_of(1)),
+    delete_group(id_of(1)),
+    add_replica(id_of(2), 3, epoch=4, warm=True, source=5, acknowledged=True),
+    add_replica(id_of(2)),
+    remove_replica(id_of(2), 3),
+    set_in_sync(id_of(2), 3, epoch=4, boot=5),
 ]
 HOST = Host(
     host_id=id_of(1),
@@ -65,6 +92,23 @@ CHANNEL = Channel(
     policy_version=2,
     proxy_host_ids=(id_of(8),),
 )
+GROUP = Group(
+    group_id=id_of(4),
+    name="pair",
+    spec=GroupSpec(channel_ids=(id_of(2), id_of(1)), reference_channel_id=id_of(1), bound="end", idle_after_nanos=1),
+    spec_version=2,
+    incarnation=2**64 - 1,
+)
+REPLICA = Replica(
+    channel_id=id_of(2),
+    host_id=id_of(3),
+    boot_incarnation=4,
+    kind=ReplicaKind.WARM,
+    source_host_id=id_of(1),
+    in_sync=True,
+    acknowledged=True,
+    epoch=3,
+)
 RESULTS: list[Result] = [
     Refused(reason="NO_HOST", message="none", metadata={"channel": "cam"}),
     ChannelOpened(channel=CHANNEL, host=HOST, created=True),
@@ -74,6 +118,12 @@ RESULTS: list[Result] = [
     HostDeregistered(),
     HostExpired(expired=True),
     TenureBegun(tenure=4, cluster_id="c"),
+    GroupOpened(group=GROUP, created=True),
+    GroupUpdated(group=GROUP),
+    GroupDeleted(),
+    ReplicaAdded(replica=REPLICA, host=HOST),
+    ReplicaRemoved(),
+    ReplicaInSyncSet(replica=REPLICA),
 ]
 
 
@@ -99,8 +149,14 @@ def test_the_greatest_command_fits_the_log() -> None:
     widest = "x" * 256
     from dataclasses import replace
 
-    deed = replace(register(1), gatekeepers=(Endpoint(target=widest, zone="z" * 64),) * 16, version="v" * 64)
-    assert len(encode_command(Command(op_id=id_of(1), time_unix_nano=0, deed=deed))) < COMMAND_BYTES_MAX
+    members = tuple(id_of(number) for number in range(64))
+    deeds: list[Deed] = [
+        replace(register(1), gatekeepers=(Endpoint(target=widest, zone="z" * 64),) * 16, version="v" * 64),
+        open_group("x" * 128, members, reference_channel_id=members[0], idle_after_nanos=1, max_lead_nanos=1),
+        update_group(id_of(1), add=members, remove=members, version=2**64 - 1),
+    ]
+    for deed in deeds:
+        assert len(encode_command(Command(op_id=id_of(1), time_unix_nano=0, deed=deed))) < COMMAND_BYTES_MAX
 
 
 @pytest.mark.parametrize(
@@ -129,6 +185,19 @@ def test_an_unknown_way_to_be_full_is_refused() -> None:
     assert "on_full" in result.message
 
 
+@pytest.mark.parametrize(
+    ("field", "value"), [("bound", 9), ("reference", 9), ("reference_channel_id", id_of(1))], ids=str
+)
+def test_a_group_that_this_version_cannot_read_is_refused(field: str, value: Any) -> None:
+    message = directory_command_pb2.DirectoryCommand(op_id=id_of(1))
+    message.open_group.name = "pair"
+    message.open_group.spec.channel_ids.append(id_of(1))
+    setattr(message.open_group.spec, field, value)
+    result = decode_result(DirectoryReplica().apply(1, message.SerializeToString()))
+    assert isinstance(result, Refused)
+    assert field in result.message
+
+
 def test_a_snapshot_of_another_form_is_not_taken_for_ours() -> None:
-    with pytest.raises(VersionMismatch, match="format 2"):
-        decode_snapshot(directory_command_pb2.DirectorySnapshot(format_version=2).SerializeToString())
+    with pytest.raises(VersionMismatch, match="format 3"):
+        decode_snapshot(directory_command_pb2.DirectorySnapshot(format_version=3).SerializeToString())

@@ -24,9 +24,12 @@ _sym_db = _symbol_database.Default()
 
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
+from stampede_rt.v1 import group_pb2 as stampede__rt_dot_v1_dot_group__pb2
+from stampede_rt.v1 import replica_pb2 as stampede__rt_dot_v1_dot_replica__pb2
+from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/directory_command.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\"\xf3\x03\n\x10\x44irectoryCommand\x12\r\n\x05op_id\x18\x01 \x01(\x0c\x12\x16\n\x0etime_unix_nano\x18\x02 \x01(\x10\x12:\n\x0copen_channel\x18\x03 \x01(\x0b\x32\".stampede_rt.v1.OpenChannelCommandH\x00\x12>\n\x0eupdate_channel\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.UpdateChannelCommandH\x00\x12>\n\x0e\x64\x65lete_channel\x18\x05 \x01(\x0b\x32$.stampede_rt.v1.DeleteChannelCommandH\x00\x12<\n\rregister_host\x18\x06 \x01(\x0b\x32#.stampede_rt.v1.RegisterHostCommandH\x00\x12@\n\x0f\x64\x65register_host\x18\x07 \x01(\x0b\x32%.stampede_rt.v1.DeregisterHostCommandH\x00\x12\x38\n\x0b\x65xpire_host\x18\x08 \x01(\x0b\x32!.stampede_rt.v1.ExpireHostCommandH\x00\x12:\n\x0c\x62\x65gin_tenure\x18\t \x01(\x0b\x32\".stampede_rt.v1.BeginTenureCommandH\x00\x42\x06\n\x04kind\"\xa1\x01\n\x12OpenChannelCommand\x12\x0c\n\x04name\x18\x01 \x01(\t\x12)\n\x04spec\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\x12\x0e\n\x06\x63reate\x18\x03 \x01(\x08\x12\x11\n\thost_name\x18\x04 \x01(\t\x12\x16\n\x0enew_channel_id\x18\x05 \x01(\x0c\x12\x17\n\x0fnew_incarnation\x18\x06 \x01(\x06\"d\n\x14UpdateChannelCommand\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12)\n\x04spec\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\"*\n\x14\x44\x65leteChannelCommand\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\"\xa7\x01\n\x13RegisterHostCommand\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12-\n\x0bgatekeepers\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\x0f\n\x07version\x18\x05 \x01(\t\x12\x17\n\x0fnew_incarnation\x18\x06 \x01(\x06\"B\n\x15\x44\x65registerHostCommand\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\"h\n\x11\x45xpireHostCommand\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\x12\x18\n\x10registered_index\x18\x03 \x01(\x04\x12\x0e\n\x06tenure\x18\x04 \x01(\x04\"o\n\x12\x42\x65ginTenureCommand\x12\x0e\n\x06tenure\x18\x01 \x01(\x04\x12\x14\n\x0csupernode_id\x18\x02 \x01(\t\x12\x16\n\x0enew_cluster_id\x18\x03 \x01(\t\x12\x1b\n\x13new_lease_ttl_nanos\x18\x04 \x01(\x03\"\x8b\x04\n\x0f\x44irectoryResult\x12\x30\n\x07refused\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.RefusedResultH\x00\x12=\n\x0e\x63hannel_opened\x18\x02 \x01(\x0b\x32#.stampede_rt.v1.ChannelOpenedResultH\x00\x12?\n\x0f\x63hannel_updated\x18\x03 \x01(\x0b\x32$.stampede_rt.v1.ChannelUpdatedResultH\x00\x12?\n\x0f\x63hannel_deleted\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.ChannelDeletedResultH\x00\x12?\n\x0fhost_registered\x18\x05 \x01(\x0b\x32$.stampede_rt.v1.HostRegisteredResultH\x00\x12\x43\n\x11host_deregistered\x18\x06 \x01(\x0b\x32&.stampede_rt.v1.HostDeregisteredResultH\x00\x12\x39\n\x0chost_expired\x18\x07 \x01(\x0b\x32!.stampede_rt.v1.HostExpiredResultH\x00\x12\x39\n\x0ctenure_begun\x18\x08 \x01(\x0b\x32!.stampede_rt.v1.TenureBegunResultH\x00\x42\t\n\x07outcome\"\xa0\x01\n\rRefusedResult\x12\x0e\n\x06reason\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\x12=\n\x08metadata\x18\x03 \x03(\x0b\x32+.stampede_rt.v1.RefusedResult.MetadataEntry\x1a/\n\rMetadataEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\x7f\n\x13\x43hannelOpenedResult\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\'\n\x04host\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.HostEntry\x12\x0f\n\x07\x63reated\x18\x03 \x01(\x08\"F\n\x14\x43hannelUpdatedResult\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"F\n\x14\x43hannelDeletedResult\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"S\n\x14HostRegisteredResult\x12\'\n\x04host\x18\x01 \x01(\x0b\x32\x19.stampede_rt.v1.HostEntry\x12\x12\n\ncluster_id\x18\x02 \x01(\t\"\x18\n\x16HostDeregisteredResult\"$\n\x11HostExpiredResult\x12\x0f\n\x07\x65xpired\x18\x01 \x01(\x08\"7\n\x11TenureBegunResult\x12\x0e\n\x06tenure\x18\x01 \x01(\x04\x12\x12\n\ncluster_id\x18\x02 \x01(\t\"Q\n\tHostEntry\x12*\n\x06record\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x18\n\x10registered_index\x18\x02 \x01(\x04\"y\n\x13RememberedOperation\x12\r\n\x05op_id\x18\x01 \x01(\x0c\x12\x11\n\tlog_index\x18\x02 \x01(\x04\x12\x0f\n\x07subject\x18\x03 \x01(\t\x12/\n\x06result\x18\x04 \x01(\x0b\x32\x1f.stampede_rt.v1.DirectoryResult\"\x9e\x02\n\x11\x44irectorySnapshot\x12\x16\n\x0e\x66ormat_version\x18\x01 \x01(\r\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\x12\x0e\n\x06tenure\x18\x03 \x01(\x04\x12\x12\n\ncluster_id\x18\x04 \x01(\t\x12(\n\x05hosts\x18\x05 \x03(\x0b\x32\x19.stampede_rt.v1.HostEntry\x12/\n\x08\x63hannels\x18\x06 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x42\n\x15remembered_operations\x18\x07 \x03(\x0b\x32#.stampede_rt.v1.RememberedOperation\x12\x17\n\x0flease_ttl_nanos\x18\x08 \x01(\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/directory_command.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x1cstampede_rt/v1/replica.proto\x1a\x1cstampede_rt/v1/subject.proto\"\xe5\x06\n\x10\x44irectoryCommand\x12\r\n\x05op_id\x18\x01 \x01(\x0c\x12\x16\n\x0etime_unix_nano\x18\x02 \x01(\x10\x12:\n\x0copen_channel\x18\x03 \x01(\x0b\x32\".stampede_rt.v1.OpenChannelCommandH\x00\x12>\n\x0eupdate_channel\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.UpdateChannelCommandH\x00\x12>\n\x0e\x64\x65lete_channel\x18\x05 \x01(\x0b\x32$.stampede_rt.v1.DeleteChannelCommandH\x00\x12<\n\rregister_host\x18\x06 \x01(\x0b\x32#.stampede_rt.v1.RegisterHostCommandH\x00\x12@\n\x0f\x64\x65register_host\x18\x07 \x01(\x0b\x32%.stampede_rt.v1.DeregisterHostCommandH\x00\x12\x38\n\x0b\x65xpire_host\x18\x08 \x01(\x0b\x32!.stampede_rt.v1.ExpireHostCommandH\x00\x12:\n\x0c\x62\x65gin_tenure\x18\t \x01(\x0b\x32\".stampede_rt.v1.BeginTenureCommandH\x00\x12\x36\n\nopen_group\x18\n \x01(\x0b\x32 .stampede_rt.v1.OpenGroupCommandH\x00\x12:\n\x0cupdate_group\x18\x0b \x01(\x0b\x32\".stampede_rt.v1.UpdateGroupCommandH\x00\x12:\n\x0c\x64\x65lete_group\x18\x0c \x01(\x0b\x32\".stampede_rt.v1.DeleteGroupCommandH\x00\x12\x38\n\x0b\x61\x64\x64_replica\x18\r \x01(\x0b\x32!.stampede_rt.v1.AddReplicaCommandH\x00\x12>\n\x0eremove_replica\x18\x0e \x01(\x0b\x32$.stampede_rt.v1.RemoveReplicaCommandH\x00\x12\x46\n\x13set_replica_in_sync\x18\x0f \x01(\x0b\x32\'.stampede_rt.v1.SetReplicaInSyncCommandH\x00\x42\x06\n\x04kind\"\xa1\x01\n\x12OpenChannelCommand\x12\x0c\n\x04name\x18\x01 \x01(\t\x12)\n\x04spec\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\x12\x0e\n\x06\x63reate\x18\x03 \x01(\x08\x12\x11\n\thost_name\x18\x04 \x01(\t\x12\x16\n\x0enew_channel_id\x18\x05 \x01(\x0c\x12\x17\n\x0fnew_incarnation\x18\x06 \x01(\x06\"d\n\x14UpdateChannelCommand\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12)\n\x04spec\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\"*\n\x14\x44\x65leteChannelCommand\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\"\xa7\x01\n\x13RegisterHostCommand\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12-\n\x0bgatekeepers\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\x0f\n\x07version\x18\x05 \x01(\t\x12\x17\n\x0fnew_incarnation\x18\x06 \x01(\x06\"B\n\x15\x44\x65registerHostCommand\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\"h\n\x11\x45xpireHostCommand\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\x12\x18\n\x10registered_index\x18\x03 \x01(\x04\x12\x0e\n\x06tenure\x18\x04 \x01(\x04\"o\n\x12\x42\x65ginTenureCommand\x12\x0e\n\x06tenure\x18\x01 \x01(\x04\x12\x14\n\x0csupernode_id\x18\x02 \x01(\t\x12\x16\n\x0enew_cluster_id\x18\x03 \x01(\t\x12\x1b\n\x13new_lease_ttl_nanos\x18\x04 \x01(\x03\"\x88\x01\n\x10OpenGroupCommand\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\'\n\x04spec\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.GroupSpec\x12\x0e\n\x06\x63reate\x18\x03 \x01(\x08\x12\x14\n\x0cnew_group_id\x18\x04 \x01(\x0c\x12\x17\n\x0fnew_incarnation\x18\x05 \x01(\x06\"\x87\x01\n\x12UpdateGroupCommand\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x17\n\x0f\x61\x64\x64_channel_ids\x18\x02 \x03(\x0c\x12\x1a\n\x12remove_channel_ids\x18\x03 \x03(\x0c\x12\x19\n\x0cspec_version\x18\x04 \x01(\x04H\x00\x88\x01\x01\x42\x0f\n\r_spec_version\"&\n\x12\x44\x65leteGroupCommand\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\"\xb6\x01\n\x11\x41\x64\x64ReplicaCommand\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12)\n\x04kind\x18\x04 \x01(\x0e\x32\x1b.stampede_rt.v1.ReplicaKind\x12\x16\n\x0esource_host_id\x18\x05 \x01(\x0c\x12\x14\n\x0c\x61\x63knowledged\x18\x06 \x01(\x08\"Q\n\x14RemoveReplicaCommand\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\"\x8e\x01\n\x17SetReplicaInSyncCommand\x12(\n\x07subject\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x0f\n\x07host_id\x18\x03 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\x0f\n\x07in_sync\x18\x05 \x01(\x08\"\x85\x07\n\x0f\x44irectoryResult\x12\x30\n\x07refused\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.RefusedResultH\x00\x12=\n\x0e\x63hannel_opened\x18\x02 \x01(\x0b\x32#.stampede_rt.v1.ChannelOpenedResultH\x00\x12?\n\x0f\x63hannel_updated\x18\x03 \x01(\x0b\x32$.stampede_rt.v1.ChannelUpdatedResultH\x00\x12?\n\x0f\x63hannel_deleted\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.ChannelDeletedResultH\x00\x12?\n\x0fhost_registered\x18\x05 \x01(\x0b\x32$.stampede_rt.v1.HostRegisteredResultH\x00\x12\x43\n\x11host_deregistered\x18\x06 \x01(\x0b\x32&.stampede_rt.v1.HostDeregisteredResultH\x00\x12\x39\n\x0chost_expired\x18\x07 \x01(\x0b\x32!.stampede_rt.v1.HostExpiredResultH\x00\x12\x39\n\x0ctenure_begun\x18\x08 \x01(\x0b\x32!.stampede_rt.v1.TenureBegunResultH\x00\x12\x39\n\x0cgroup_opened\x18\t \x01(\x0b\x32!.stampede_rt.v1.GroupOpenedResultH\x00\x12;\n\rgroup_updated\x18\n \x01(\x0b\x32\".stampede_rt.v1.GroupUpdatedResultH\x00\x12;\n\rgroup_deleted\x18\x0b \x01(\x0b\x32\".stampede_rt.v1.GroupDeletedResultH\x00\x12;\n\rreplica_added\x18\x0c \x01(\x0b\x32\".stampede_rt.v1.ReplicaAddedResultH\x00\x12?\n\x0freplica_removed\x18\r \x01(\x0b\x32$.stampede_rt.v1.ReplicaRemovedResultH\x00\x12\x45\n\x13replica_in_sync_set\x18\x0e \x01(\x0b\x32&.stampede_rt.v1.ReplicaInSyncSetResultH\x00\x42\t\n\x07outcome\"\xa0\x01\n\rRefusedResult\x12\x0e\n\x06reason\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\x12=\n\x08metadata\x18\x03 \x03(\x0b\x32+.stampede_rt.v1.RefusedResult.MetadataEntry\x1a/\n\rMetadataEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\x7f\n\x13\x43hannelOpenedResult\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\'\n\x04host\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.HostEntry\x12\x0f\n\x07\x63reated\x18\x03 \x01(\x08\"F\n\x14\x43hannelUpdatedResult\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"F\n\x14\x43hannelDeletedResult\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\"S\n\x14HostRegisteredResult\x12\'\n\x04host\x18\x01 \x01(\x0b\x32\x19.stampede_rt.v1.HostEntry\x12\x12\n\ncluster_id\x18\x02 \x01(\t\"\x18\n\x16HostDeregisteredResult\"$\n\x11HostExpiredResult\x12\x0f\n\x07\x65xpired\x18\x01 \x01(\x08\"7\n\x11TenureBegunResult\x12\x0e\n\x06tenure\x18\x01 \x01(\x04\x12\x12\n\ncluster_id\x18\x02 \x01(\t\"P\n\x11GroupOpenedResult\x12*\n\x05group\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecord\x12\x0f\n\x07\x63reated\x18\x02 \x01(\x08\"@\n\x12GroupUpdatedResult\x12*\n\x05group\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecord\"\x14\n\x12GroupDeletedResult\"m\n\x12ReplicaAddedResult\x12.\n\x07replica\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\x12\'\n\x04host\x18\x02 \x01(\x0b\x32\x19.stampede_rt.v1.HostEntry\"\x16\n\x14ReplicaRemovedResult\"H\n\x16ReplicaInSyncSetResult\x12.\n\x07replica\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecord\"S\n\nGroupEntry\x12+\n\x06record\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecord\x12\x18\n\x10witness_host_ids\x18\x02 \x03(\x0c\"Q\n\tHostEntry\x12*\n\x06record\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x18\n\x10registered_index\x18\x02 \x01(\x04\"y\n\x13RememberedOperation\x12\r\n\x05op_id\x18\x01 \x01(\x0c\x12\x11\n\tlog_index\x18\x02 \x01(\x04\x12\x0f\n\x07subject\x18\x03 \x01(\t\x12/\n\x06result\x18\x04 \x01(\x0b\x32\x1f.stampede_rt.v1.DirectoryResult\"\xfb\x02\n\x11\x44irectorySnapshot\x12\x16\n\x0e\x66ormat_version\x18\x01 \x01(\r\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\x12\x0e\n\x06tenure\x18\x03 \x01(\x04\x12\x12\n\ncluster_id\x18\x04 \x01(\t\x12(\n\x05hosts\x18\x05 \x03(\x0b\x32\x19.stampede_rt.v1.HostEntry\x12/\n\x08\x63hannels\x18\x06 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x42\n\x15remembered_operations\x18\x07 \x03(\x0b\x32#.stampede_rt.v1.RememberedOperation\x12\x17\n\x0flease_ttl_nanos\x18\x08 \x01(\x03\x12*\n\x06groups\x18\t \x03(\x0b\x32\x1a.stampede_rt.v1.GroupEntry\x12/\n\x08replicas\x18\n \x03(\x0b\x32\x1d.stampede_rt.v1.ReplicaRecordb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,46 +38,72 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_REFUSEDRESULT_METADATAENTRY']._loaded_options = None
   _globals['_REFUSEDRESULT_METADATAENTRY']._serialized_options = b'8\001'
-  _globals['_DIRECTORYCOMMAND']._serialized_start=121
-  _globals['_DIRECTORYCOMMAND']._serialized_end=620
-  _globals['_OPENCHANNELCOMMAND']._serialized_start=623
-  _globals['_OPENCHANNELCOMMAND']._serialized_end=784
-  _globals['_UPDATECHANNELCOMMAND']._serialized_start=786
-  _globals['_UPDATECHANNELCOMMAND']._serialized_end=886
-  _globals['_DELETECHANNELCOMMAND']._serialized_start=888
-  _globals['_DELETECHANNELCOMMAND']._serialized_end=930
-  _globals['_REGISTERHOSTCOMMAND']._serialized_start=933
-  _globals['_REGISTERHOSTCOMMAND']._serialized_end=1100
-  _globals['_DEREGISTERHOSTCOMMAND']._serialized_start=1102
-  _globals['_DEREGISTERHOSTCOMMAND']._serialized_end=1168
-  _globals['_EXPIREHOSTCOMMAND']._serialized_start=1170
-  _globals['_EXPIREHOSTCOMMAND']._serialized_end=1274
-  _globals['_BEGINTENURECOMMAND']._serialized_start=1276
-  _globals['_BEGINTENURECOMMAND']._serialized_end=1387
-  _globals['_DIRECTORYRESULT']._serialized_start=1390
-  _globals['_DIRECTORYRESULT']._serialized_end=1913
-  _globals['_REFUSEDRESULT']._serialized_start=1916
-  _globals['_REFUSEDRESULT']._serialized_end=2076
-  _globals['_REFUSEDRESULT_METADATAENTRY']._serialized_start=2029
-  _globals['_REFUSEDRESULT_METADATAENTRY']._serialized_end=2076
-  _globals['_CHANNELOPENEDRESULT']._serialized_start=2078
-  _globals['_CHANNELOPENEDRESULT']._serialized_end=2205
-  _globals['_CHANNELUPDATEDRESULT']._serialized_start=2207
-  _globals['_CHANNELUPDATEDRESULT']._serialized_end=2277
-  _globals['_CHANNELDELETEDRESULT']._serialized_start=2279
-  _globals['_CHANNELDELETEDRESULT']._serialized_end=2349
-  _globals['_HOSTREGISTEREDRESULT']._serialized_start=2351
-  _globals['_HOSTREGISTEREDRESULT']._serialized_end=2434
-  _globals['_HOSTDEREGISTEREDRESULT']._serialized_start=2436
-  _globals['_HOSTDEREGISTEREDRESULT']._serialized_end=2460
-  _globals['_HOSTEXPIREDRESULT']._serialized_start=2462
-  _globals['_HOSTEXPIREDRESULT']._serialized_end=2498
-  _globals['_TENUREBEGUNRESULT']._serialized_start=2500
-  _globals['_TENUREBEGUNRESULT']._serialized_end=2555
-  _globals['_HOSTENTRY']._serialized_start=2557
-  _globals['_HOSTENTRY']._serialized_end=2638
-  _globals['_REMEMBEREDOPERATION']._serialized_start=2640
-  _globals['_REMEMBEREDOPERATION']._serialized_end=2761
-  _globals['_DIRECTORYSNAPSHOT']._serialized_start=2764
-  _globals['_DIRECTORYSNAPSHOT']._serialized_end=3050
+  _globals['_DIRECTORYCOMMAND']._serialized_start=209
+  _globals['_DIRECTORYCOMMAND']._serialized_end=1078
+  _globals['_OPENCHANNELCOMMAND']._serialized_start=1081
+  _globals['_OPENCHANNELCOMMAND']._serialized_end=1242
+  _globals['_UPDATECHANNELCOMMAND']._serialized_start=1244
+  _globals['_UPDATECHANNELCOMMAND']._serialized_end=1344
+  _globals['_DELETECHANNELCOMMAND']._serialized_start=1346
+  _globals['_DELETECHANNELCOMMAND']._serialized_end=1388
+  _globals['_REGISTERHOSTCOMMAND']._serialized_start=1391
+  _globals['_REGISTERHOSTCOMMAND']._serialized_end=1558
+  _globals['_DEREGISTERHOSTCOMMAND']._serialized_start=1560
+  _globals['_DEREGISTERHOSTCOMMAND']._serialized_end=1626
+  _globals['_EXPIREHOSTCOMMAND']._serialized_start=1628
+  _globals['_EXPIREHOSTCOMMAND']._serialized_end=1732
+  _globals['_BEGINTENURECOMMAND']._serialized_start=1734
+  _globals['_BEGINTENURECOMMAND']._serialized_end=1845
+  _globals['_OPENGROUPCOMMAND']._serialized_start=1848
+  _globals['_OPENGROUPCOMMAND']._serialized_end=1984
+  _globals['_UPDATEGROUPCOMMAND']._serialized_start=1987
+  _globals['_UPDATEGROUPCOMMAND']._serialized_end=2122
+  _globals['_DELETEGROUPCOMMAND']._serialized_start=2124
+  _globals['_DELETEGROUPCOMMAND']._serialized_end=2162
+  _globals['_ADDREPLICACOMMAND']._serialized_start=2165
+  _globals['_ADDREPLICACOMMAND']._serialized_end=2347
+  _globals['_REMOVEREPLICACOMMAND']._serialized_start=2349
+  _globals['_REMOVEREPLICACOMMAND']._serialized_end=2430
+  _globals['_SETREPLICAINSYNCCOMMAND']._serialized_start=2433
+  _globals['_SETREPLICAINSYNCCOMMAND']._serialized_end=2575
+  _globals['_DIRECTORYRESULT']._serialized_start=2578
+  _globals['_DIRECTORYRESULT']._serialized_end=3479
+  _globals['_REFUSEDRESULT']._serialized_start=3482
+  _globals['_REFUSEDRESULT']._serialized_end=3642
+  _globals['_REFUSEDRESULT_METADATAENTRY']._serialized_start=3595
+  _globals['_REFUSEDRESULT_METADATAENTRY']._serialized_end=3642
+  _globals['_CHANNELOPENEDRESULT']._serialized_start=3644
+  _globals['_CHANNELOPENEDRESULT']._serialized_end=3771
+  _globals['_CHANNELUPDATEDRESULT']._serialized_start=3773
+  _globals['_CHANNELUPDATEDRESULT']._serialized_end=3843
+  _globals['_CHANNELDELETEDRESULT']._serialized_start=3845
+  _globals['_CHANNELDELETEDRESULT']._serialized_end=3915
+  _globals['_HOSTREGISTEREDRESULT']._serialized_start=3917
+  _globals['_HOSTREGISTEREDRESULT']._serialized_end=4000
+  _globals['_HOSTDEREGISTEREDRESULT']._serialized_start=4002
+  _globals['_HOSTDEREGISTEREDRESULT']._serialized_end=4026
+  _globals['_HOSTEXPIREDRESULT']._serialized_start=4028
+  _globals['_HOSTEXPIREDRESULT']._serialized_end=4064
+  _globals['_TENUREBEGUNRESULT']._serialized_start=4066
+  _globals['_TENUREBEGUNRESULT']._serialized_end=4121
+  _globals['_GROUPOPENEDRESULT']._serialized_start=4123
+  _globals['_GROUPOPENEDRESULT']._serialized_end=4203
+  _globals['_GROUPUPDATEDRESULT']._serialized_start=4205
+  _globals['_GROUPUPDATEDRESULT']._serialized_end=4269
+  _globals['_GROUPDELETEDRESULT']._serialized_start=4271
+  _globals['_GROUPDELETEDRESULT']._serialized_end=4291
+  _globals['_REPLICAADDEDRESULT']._serialized_start=4293
+  _globals['_REPLICAADDEDRESULT']._serialized_end=4402
+  _globals['_REPLICAREMOVEDRESULT']._serialized_start=4404
+  _globals['_REPLICAREMOVEDRESULT']._serialized_end=4426
+  _globals['_REPLICAINSYNCSETRESULT']._serialized_start=4428
+  _globals['_REPLICAINSYNCSETRESULT']._serialized_end=4500
+  _globals['_GROUPENTRY']._serialized_start=4502
+  _globals['_GROUPENTRY']._serialized_end=4585
+  _globals['_HOSTENTRY']._serialized_start=4587
+  _globals['_HOSTENTRY']._serialized_end=4668
+  _globals['_REMEMBEREDOPERATION']._serialized_start=4670
+  _globals['_REMEMBEREDOPERATION']._serialized_end=4791
+  _globals['_DIRECTORYSNAPSHOT']._serialized_start=4794
+  _globals['_DIRECTORYSNAPSHOT']._serialized_end=5173
 # @@protoc_insertion_point(module_scope)

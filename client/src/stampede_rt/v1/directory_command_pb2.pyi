@@ -1,5 +1,8 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import directory_pb2 as _directory_pb2
+from stampede_rt.v1 import group_pb2 as _group_pb2
+from stampede_rt.v1 import replica_pb2 as _replica_pb2
+from stampede_rt.v1 import subject_pb2 as _subject_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -9,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class DirectoryCommand(_message.Message):
-    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure")
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
@@ -19,6 +22,12 @@ class DirectoryCommand(_message.Message):
     DEREGISTER_HOST_FIELD_NUMBER: _ClassVar[int]
     EXPIRE_HOST_FIELD_NUMBER: _ClassVar[int]
     BEGIN_TENURE_FIELD_NUMBER: _ClassVar[int]
+    OPEN_GROUP_FIELD_NUMBER: _ClassVar[int]
+    UPDATE_GROUP_FIELD_NUMBER: _ClassVar[int]
+    DELETE_GROUP_FIELD_NUMBER: _ClassVar[int]
+    ADD_REPLICA_FIELD_NUMBER: _ClassVar[int]
+    REMOVE_REPLICA_FIELD_NUMBER: _ClassVar[int]
+    SET_REPLICA_IN_SYNC_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
     time_unix_nano: int
     open_channel: OpenChannelCommand
@@ -28,7 +37,13 @@ class DirectoryCommand(_message.Message):
     deregister_host: DeregisterHostCommand
     expire_host: ExpireHostCommand
     begin_tenure: BeginTenureCommand
-    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ...) -> None: ...
+    open_group: OpenGroupCommand
+    update_group: UpdateGroupCommand
+    delete_group: DeleteGroupCommand
+    add_replica: AddReplicaCommand
+    remove_replica: RemoveReplicaCommand
+    set_replica_in_sync: SetReplicaInSyncCommand
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ...) -> None: ...
 
 class OpenChannelCommand(_message.Message):
     __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation")
@@ -110,8 +125,78 @@ class BeginTenureCommand(_message.Message):
     new_lease_ttl_nanos: int
     def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ...) -> None: ...
 
+class OpenGroupCommand(_message.Message):
+    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    CREATE_FIELD_NUMBER: _ClassVar[int]
+    NEW_GROUP_ID_FIELD_NUMBER: _ClassVar[int]
+    NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    spec: _group_pb2.GroupSpec
+    create: bool
+    new_group_id: bytes
+    new_incarnation: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+
+class UpdateGroupCommand(_message.Message):
+    __slots__ = ("group_id", "add_channel_ids", "remove_channel_ids", "spec_version")
+    GROUP_ID_FIELD_NUMBER: _ClassVar[int]
+    ADD_CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    REMOVE_CHANNEL_IDS_FIELD_NUMBER: _ClassVar[int]
+    SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
+    group_id: bytes
+    add_channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    remove_channel_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    spec_version: int
+    def __init__(self, group_id: _Optional[bytes] = ..., add_channel_ids: _Optional[_Iterable[bytes]] = ..., remove_channel_ids: _Optional[_Iterable[bytes]] = ..., spec_version: _Optional[int] = ...) -> None: ...
+
+class DeleteGroupCommand(_message.Message):
+    __slots__ = ("group_id",)
+    GROUP_ID_FIELD_NUMBER: _ClassVar[int]
+    group_id: bytes
+    def __init__(self, group_id: _Optional[bytes] = ...) -> None: ...
+
+class AddReplicaCommand(_message.Message):
+    __slots__ = ("subject", "epoch", "host_id", "kind", "source_host_id", "acknowledged")
+    SUBJECT_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    ACKNOWLEDGED_FIELD_NUMBER: _ClassVar[int]
+    subject: _subject_pb2.Subject
+    epoch: int
+    host_id: bytes
+    kind: _replica_pb2.ReplicaKind
+    source_host_id: bytes
+    acknowledged: bool
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., kind: _Optional[_Union[_replica_pb2.ReplicaKind, str]] = ..., source_host_id: _Optional[bytes] = ..., acknowledged: bool = ...) -> None: ...
+
+class RemoveReplicaCommand(_message.Message):
+    __slots__ = ("subject", "host_id")
+    SUBJECT_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    subject: _subject_pb2.Subject
+    host_id: bytes
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., host_id: _Optional[bytes] = ...) -> None: ...
+
+class SetReplicaInSyncCommand(_message.Message):
+    __slots__ = ("subject", "epoch", "host_id", "boot_incarnation", "in_sync")
+    SUBJECT_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    IN_SYNC_FIELD_NUMBER: _ClassVar[int]
+    subject: _subject_pb2.Subject
+    epoch: int
+    host_id: bytes
+    boot_incarnation: int
+    in_sync: bool
+    def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ...) -> None: ...
+
 class DirectoryResult(_message.Message):
-    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun")
+    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set")
     REFUSED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_OPENED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_UPDATED_FIELD_NUMBER: _ClassVar[int]
@@ -120,6 +205,12 @@ class DirectoryResult(_message.Message):
     HOST_DEREGISTERED_FIELD_NUMBER: _ClassVar[int]
     HOST_EXPIRED_FIELD_NUMBER: _ClassVar[int]
     TENURE_BEGUN_FIELD_NUMBER: _ClassVar[int]
+    GROUP_OPENED_FIELD_NUMBER: _ClassVar[int]
+    GROUP_UPDATED_FIELD_NUMBER: _ClassVar[int]
+    GROUP_DELETED_FIELD_NUMBER: _ClassVar[int]
+    REPLICA_ADDED_FIELD_NUMBER: _ClassVar[int]
+    REPLICA_REMOVED_FIELD_NUMBER: _ClassVar[int]
+    REPLICA_IN_SYNC_SET_FIELD_NUMBER: _ClassVar[int]
     refused: RefusedResult
     channel_opened: ChannelOpenedResult
     channel_updated: ChannelUpdatedResult
@@ -128,7 +219,13 @@ class DirectoryResult(_message.Message):
     host_deregistered: HostDeregisteredResult
     host_expired: HostExpiredResult
     tenure_begun: TenureBegunResult
-    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ...) -> None: ...
+    group_opened: GroupOpenedResult
+    group_updated: GroupUpdatedResult
+    group_deleted: GroupDeletedResult
+    replica_added: ReplicaAddedResult
+    replica_removed: ReplicaRemovedResult
+    replica_in_sync_set: ReplicaInSyncSetResult
+    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ...) -> None: ...
 
 class RefusedResult(_message.Message):
     __slots__ = ("reason", "message", "metadata")
@@ -195,6 +292,50 @@ class TenureBegunResult(_message.Message):
     cluster_id: str
     def __init__(self, tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
 
+class GroupOpenedResult(_message.Message):
+    __slots__ = ("group", "created")
+    GROUP_FIELD_NUMBER: _ClassVar[int]
+    CREATED_FIELD_NUMBER: _ClassVar[int]
+    group: _group_pb2.GroupRecord
+    created: bool
+    def __init__(self, group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., created: bool = ...) -> None: ...
+
+class GroupUpdatedResult(_message.Message):
+    __slots__ = ("group",)
+    GROUP_FIELD_NUMBER: _ClassVar[int]
+    group: _group_pb2.GroupRecord
+    def __init__(self, group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ...) -> None: ...
+
+class GroupDeletedResult(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ReplicaAddedResult(_message.Message):
+    __slots__ = ("replica", "host")
+    REPLICA_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    replica: _replica_pb2.ReplicaRecord
+    host: HostEntry
+    def __init__(self, replica: _Optional[_Union[_replica_pb2.ReplicaRecord, _Mapping]] = ..., host: _Optional[_Union[HostEntry, _Mapping]] = ...) -> None: ...
+
+class ReplicaRemovedResult(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ReplicaInSyncSetResult(_message.Message):
+    __slots__ = ("replica",)
+    REPLICA_FIELD_NUMBER: _ClassVar[int]
+    replica: _replica_pb2.ReplicaRecord
+    def __init__(self, replica: _Optional[_Union[_replica_pb2.ReplicaRecord, _Mapping]] = ...) -> None: ...
+
+class GroupEntry(_message.Message):
+    __slots__ = ("record", "witness_host_ids")
+    RECORD_FIELD_NUMBER: _ClassVar[int]
+    WITNESS_HOST_IDS_FIELD_NUMBER: _ClassVar[int]
+    record: _group_pb2.GroupRecord
+    witness_host_ids: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, record: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., witness_host_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
 class HostEntry(_message.Message):
     __slots__ = ("record", "registered_index")
     RECORD_FIELD_NUMBER: _ClassVar[int]
@@ -216,7 +357,7 @@ class RememberedOperation(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
-    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos")
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas")
     FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
@@ -225,6 +366,8 @@ class DirectorySnapshot(_message.Message):
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
     REMEMBERED_OPERATIONS_FIELD_NUMBER: _ClassVar[int]
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
+    GROUPS_FIELD_NUMBER: _ClassVar[int]
+    REPLICAS_FIELD_NUMBER: _ClassVar[int]
     format_version: int
     applied_index: int
     tenure: int
@@ -233,4 +376,6 @@ class DirectorySnapshot(_message.Message):
     channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
     remembered_operations: _containers.RepeatedCompositeFieldContainer[RememberedOperation]
     lease_ttl_nanos: int
-    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ...) -> None: ...
+    groups: _containers.RepeatedCompositeFieldContainer[GroupEntry]
+    replicas: _containers.RepeatedCompositeFieldContainer[_replica_pb2.ReplicaRecord]
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ...) -> None: ...

@@ -241,14 +241,16 @@ class ListSupernodesResponse(_message.Message):
     def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., term: _Optional[int] = ..., applied_index: _Optional[int] = ...) -> None: ...
 
 class WatchRequest(_message.Message):
-    __slots__ = ("name_glob", "after_index", "include_hosts")
+    __slots__ = ("name_glob", "after_index", "include_hosts", "include_groups")
     NAME_GLOB_FIELD_NUMBER: _ClassVar[int]
     AFTER_INDEX_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_HOSTS_FIELD_NUMBER: _ClassVar[int]
+    INCLUDE_GROUPS_FIELD_NUMBER: _ClassVar[int]
     name_glob: str
     after_index: int
     include_hosts: bool
-    def __init__(self, name_glob: _Optional[str] = ..., after_index: _Optional[int] = ..., include_hosts: bool = ...) -> None: ...
+    include_groups: bool
+    def __init__(self, name_glob: _Optional[str] = ..., after_index: _Optional[int] = ..., include_hosts: bool = ..., include_groups: bool = ...) -> None: ...
 
 class WatchResponse(_message.Message):
     __slots__ = ("changes", "applied_index")

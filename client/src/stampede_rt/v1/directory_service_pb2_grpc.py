@@ -149,6 +149,7 @@ class DirectoryServiceServicer(object):
 
     def DeleteChannel(self, request, context):
         """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
+        Its copies go with it, and it leaves its groups; see GroupDirectoryService.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -50,7 +50,9 @@ class DirectoryServiceStub:
     UpdateChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]
     """Change the set-up of a channel while it runs; fields left out stay."""
     DeleteChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]
-    """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer."""
+    """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
+    Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+    """
     RegisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]
     """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
     and the incarnation of all its channels. Errors: HOST_EXISTS.
@@ -90,7 +92,9 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     UpdateChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]  # type: ignore[assignment]
     """Change the set-up of a channel while it runs; fields left out stay."""
     DeleteChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]  # type: ignore[assignment]
-    """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer."""
+    """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
+    Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+    """
     RegisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]  # type: ignore[assignment]
     """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
     and the incarnation of all its channels. Errors: HOST_EXISTS.
@@ -163,7 +167,9 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeleteChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeleteChannelResponse, _abc.Awaitable[_directory_service_pb2.DeleteChannelResponse]]:
-        """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer."""
+        """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
+        Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+        """
 
     @_abc_1.abstractmethod
     def RegisterHost(

@@ -29,8 +29,9 @@ GRPC_VERSION: str
 class GroupDirectoryServiceStub:
     """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve groups yet answers UNIMPLEMENTED.
+    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
+    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
+    10000 groups, or a channel is in 1000 of them.
     """
 
     @_typing.overload
@@ -60,8 +61,9 @@ class GroupDirectoryServiceStub:
 class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve groups yet answers UNIMPLEMENTED.
+    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
+    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
+    10000 groups, or a channel is in 1000 of them.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -87,8 +89,9 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
 class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve groups yet answers UNIMPLEMENTED.
+    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
+    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
+    10000 groups, or a channel is in 1000 of them.
     """
 
     @_abc_1.abstractmethod

@@ -30,8 +30,10 @@ class ReplicaDirectoryServiceStub:
     """Proxies and warm replicas in the replicated directory, served by every supernode on the port of DirectoryService and
     with its promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which
     repeats the answer; reads see every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the hosts
-    of proxies and warm replicas; their particulars are here. A server that does not serve replicas yet answers
-    UNIMPLEMENTED.
+    of proxies and warm replicas; their particulars are here. Copies go with the channel, and with the registration of
+    their host: when its lease ends, it leaves, or it registers another boot. When the owner's registration ends in one of
+    these ways, a live warm replica that is in sync becomes the owner at once, with the next epoch and a new incarnation;
+    the other copies are then fed by it and not in sync.
     """
 
     @_typing.overload
@@ -68,8 +70,10 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     """Proxies and warm replicas in the replicated directory, served by every supernode on the port of DirectoryService and
     with its promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which
     repeats the answer; reads see every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the hosts
-    of proxies and warm replicas; their particulars are here. A server that does not serve replicas yet answers
-    UNIMPLEMENTED.
+    of proxies and warm replicas; their particulars are here. Copies go with the channel, and with the registration of
+    their host: when its lease ends, it leaves, or it registers another boot. When the owner's registration ends in one of
+    these ways, a live warm replica that is in sync becomes the owner at once, with the next epoch and a new incarnation;
+    the other copies are then fed by it and not in sync.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -102,8 +106,10 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """Proxies and warm replicas in the replicated directory, served by every supernode on the port of DirectoryService and
     with its promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which
     repeats the answer; reads see every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the hosts
-    of proxies and warm replicas; their particulars are here. A server that does not serve replicas yet answers
-    UNIMPLEMENTED.
+    of proxies and warm replicas; their particulars are here. Copies go with the channel, and with the registration of
+    their host: when its lease ends, it leaves, or it registers another boot. When the owner's registration ends in one of
+    these ways, a live warm replica that is in sync becomes the owner at once, with the next epoch and a new incarnation;
+    the other copies are then fed by it and not in sync.
     """
 
     @_abc_1.abstractmethod

@@ -17,9 +17,12 @@ from stampede_rt_runtime.listen import check_listen
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.values import Address
+from stampede_rt_supernode.calls import DirectoryCalls
 from stampede_rt_supernode.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.load_keeper import LoadKeeper
 from stampede_rt_supernode.members import Members
 from stampede_rt_supernode.probe import Probe
+from stampede_rt_supernode.record_services import register_record_services
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
@@ -51,6 +54,9 @@ async def serve(settings: SupernodeSettings) -> None:
         members = Members(log, replica, probe, advertise=settings.advertise or _own_address(log), zone=settings.zone)
         servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
+        register_record_services(
+            server.grpc, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock)
+        )
         address = await server.start(listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
 
         async def end_streams() -> None:

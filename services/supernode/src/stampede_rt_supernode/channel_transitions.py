@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.errors import Overloaded, StaleBinding, Unavailable
+from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt_supernode.commands import (
     ChannelDeleted,
     ChannelOpened,
@@ -20,7 +20,9 @@ from stampede_rt_supernode.commands import (
 from stampede_rt_supernode.lookups import channel_by_id, host_by_name, no_such_channel
 from stampede_rt_supernode.policies import agree, check_policy, check_ranges, merge
 from stampede_rt_supernode.records import Channel, Host
+from stampede_rt_supernode.replica_transitions import check_epoch
 from stampede_rt_supernode.tables import Tables
+from stampede_rt_supernode.takeover import forget_channel, give_owner
 from stampede_rt_supernode.validation import check_id, check_incarnation, check_name
 
 CHANNELS_MAX = 200_000
@@ -51,9 +53,10 @@ def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
     policy = agree(channel.name, channel.policy, deed.policy)
     opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
     if not tables.hosts[channel.host_id].alive:
-        opened = _place_anew(tables, opened, deed)
-    if opened != channel:
+        give_owner(tables, channel, _place_anew(tables, opened, deed))
+    elif opened != channel:
         tables.replace_channel(opened)
+    opened = tables.channels[channel.channel_id]
     return ChannelOpened(channel=opened, host=tables.hosts[opened.host_id], created=False)
 
 
@@ -75,13 +78,7 @@ def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
     """Change the stated fields; others stay."""
     check_update(deed)
     channel = channel_by_id(tables, deed.channel_id)
-    if deed.epoch != channel.epoch:
-        raise StaleBinding(
-            f"channel {channel.name} is at epoch {channel.epoch}, not {deed.epoch}: it moved or was placed anew; "
-            "resolve it again",
-            reason="WRONG_EPOCH",
-            metadata={"channel": channel.name, "epoch": str(channel.epoch)},
-        )
+    check_epoch(channel, deed.epoch)
     policy = merge(channel.policy, deed.policy)
     check_policy(channel.name, policy)
     if policy != channel.policy:
@@ -93,7 +90,7 @@ def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
 def delete_channel(tables: Tables, deed: DeleteChannel) -> ChannelDeleted:
     """Forget it; its name is free again."""
     channel = channel_by_id(tables, deed.channel_id)
-    tables.remove_channel(channel)
+    forget_channel(tables, channel)
     return ChannelDeleted(channel=channel)
 
 
@@ -128,7 +125,6 @@ def _place_anew(tables: Tables, channel: Channel, deed: OpenChannel) -> Channel:
         host_id=host.host_id,
         epoch=channel.epoch + 1,
         incarnation=fresh_incarnation(channel, deed.new_incarnation),
-        proxy_host_ids=tuple(one for one in channel.proxy_host_ids if one != host.host_id),
     )
 
 

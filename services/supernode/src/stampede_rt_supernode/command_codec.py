@@ -26,6 +26,22 @@ from stampede_rt_supernode.commands import (
     TenureBegun,
     UpdateChannel,
 )
+from stampede_rt_supernode.group_codec import (
+    GROUP_DEEDS,
+    GROUP_OUTCOMES,
+    group_result_message,
+    read_group_deed,
+    read_group_result,
+    write_group_deed,
+)
+from stampede_rt_supernode.group_commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
 from stampede_rt_supernode.record_codec import (
     channel_from,
     channel_record,
@@ -35,6 +51,22 @@ from stampede_rt_supernode.record_codec import (
     host_from,
     policy_from,
     spec_of,
+)
+from stampede_rt_supernode.replica_codec import (
+    REPLICA_DEEDS,
+    REPLICA_OUTCOMES,
+    read_replica_deed,
+    read_replica_result,
+    replica_result_message,
+    write_replica_deed,
+)
+from stampede_rt_supernode.replica_commands import (
+    AddReplica,
+    RemoveReplica,
+    ReplicaAdded,
+    ReplicaInSyncSet,
+    ReplicaRemoved,
+    SetReplicaInSync,
 )
 
 
@@ -63,6 +95,10 @@ def _write_deed(message: pb.DirectoryCommand, deed: Deed) -> None:
             message.expire_host.CopyFrom(_expire_message(deed))
         case BeginTenure():
             message.begin_tenure.CopyFrom(_tenure_message(deed))
+        case OpenGroup() | UpdateGroup() | DeleteGroup():
+            write_group_deed(message, deed)
+        case AddReplica() | RemoveReplica() | SetReplicaInSync():
+            write_replica_deed(message, deed)
 
 
 def _open_message(deed: OpenChannel) -> pb.OpenChannelCommand:
@@ -134,6 +170,10 @@ def _read_deed(message: pb.DirectoryCommand) -> Deed:
             return _read_expire(message.expire_host)
         case "begin_tenure":
             return _read_tenure(message.begin_tenure)
+        case kind if kind in GROUP_DEEDS:
+            return read_group_deed(message)
+        case kind if kind in REPLICA_DEEDS:
+            return read_replica_deed(message)
         case _:
             raise VersionMismatch(
                 "this supernode does not know that kind of directory command; bring all supernodes to one version"
@@ -202,6 +242,10 @@ def result_message(result: Result) -> pb.DirectoryResult:
             return pb.DirectoryResult(host_expired=pb.HostExpiredResult(expired=expired))
         case TenureBegun(tenure=tenure, cluster_id=cluster_id):
             return pb.DirectoryResult(tenure_begun=pb.TenureBegunResult(tenure=tenure, cluster_id=cluster_id))
+        case GroupOpened() | GroupUpdated() | GroupDeleted():
+            return group_result_message(result)
+        case ReplicaAdded() | ReplicaRemoved() | ReplicaInSyncSet():
+            return replica_result_message(result)
 
 
 def encode_result(result: Result) -> bytes:
@@ -233,6 +277,10 @@ def read_result(message: pb.DirectoryResult) -> Result:
             return HostExpired(expired=message.host_expired.expired)
         case "tenure_begun":
             return TenureBegun(tenure=message.tenure_begun.tenure, cluster_id=message.tenure_begun.cluster_id)
+        case outcome if outcome in GROUP_OUTCOMES:
+            return read_group_result(message)
+        case outcome if outcome in REPLICA_OUTCOMES:
+            return read_replica_result(message)
         case _:
             raise StampedeError("the replicated log gave a result that this supernode does not know; report this")
 

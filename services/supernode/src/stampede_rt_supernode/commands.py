@@ -13,7 +13,23 @@ from typing import TypeAlias
 
 from stampede_rt.errors import StampedeError, error_for
 from stampede_rt.model import Policy
+from stampede_rt_supernode.group_commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
 from stampede_rt_supernode.records import Channel, Endpoint, Host
+from stampede_rt_supernode.replica_commands import (
+    AddReplica,
+    RemoveReplica,
+    ReplicaAdded,
+    ReplicaInSyncSet,
+    ReplicaRemoved,
+    SetReplicaInSync,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,7 +100,11 @@ class BeginTenure:
     new_lease_ttl_nanos: int
 
 
-Deed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel | RegisterHost | DeregisterHost | ExpireHost | BeginTenure
+ChannelDeed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
+HostDeed: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure
+GroupDeed: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
+ReplicaDeed: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
+Deed: TypeAlias = ChannelDeed | HostDeed | GroupDeed | ReplicaDeed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -100,7 +120,7 @@ def subject_of(deed: Deed) -> str:
     """What a deed is about, kind and thing: an operation id that comes back with another subject is a mistake."""
     kind = type(deed).__name__
     match deed:
-        case OpenChannel(name=name):
+        case OpenChannel(name=name) | OpenGroup(name=name):
             return f"{kind} {name}"
         case UpdateChannel(channel_id=thing) | DeleteChannel(channel_id=thing):
             return f"{kind} {thing.hex()}"
@@ -108,6 +128,10 @@ def subject_of(deed: Deed) -> str:
             return f"{kind} {thing.hex()}"
         case BeginTenure(tenure=tenure):
             return f"{kind} {tenure}"
+        case UpdateGroup(group_id=thing) | DeleteGroup(group_id=thing):
+            return f"{kind} {thing.hex()}"
+        case AddReplica() | RemoveReplica() | SetReplicaInSync():
+            return f"{kind} {deed.channel_id.hex()} {deed.host_id.hex()}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -179,7 +203,17 @@ class TenureBegun:
     cluster_id: str
 
 
+GroupSuccess: TypeAlias = GroupOpened | GroupUpdated | GroupDeleted
+ReplicaSuccess: TypeAlias = ReplicaAdded | ReplicaRemoved | ReplicaInSyncSet
 Success: TypeAlias = (
-    ChannelOpened | ChannelUpdated | ChannelDeleted | HostRegistered | HostDeregistered | HostExpired | TenureBegun
+    ChannelOpened
+    | ChannelUpdated
+    | ChannelDeleted
+    | HostRegistered
+    | HostDeregistered
+    | HostExpired
+    | TenureBegun
+    | GroupSuccess
+    | ReplicaSuccess
 )
 Result: TypeAlias = Refused | Success

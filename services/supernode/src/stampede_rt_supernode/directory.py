@@ -24,20 +24,41 @@ from stampede_rt_supernode.commands import (
     DeleteChannel,
     DeregisterHost,
     ExpireHost,
+    GroupDeed,
+    GroupSuccess,
     HostDeregistered,
     HostExpired,
     HostRegistered,
     OpenChannel,
     Refused,
     RegisterHost,
+    ReplicaDeed,
+    ReplicaSuccess,
     Result,
     Success,
     TenureBegun,
     UpdateChannel,
     subject_of,
 )
+from stampede_rt_supernode.group_commands import DeleteGroup, OpenGroup, UpdateGroup
+from stampede_rt_supernode.group_transitions import (
+    check_open_group,
+    check_update_group,
+    delete_group,
+    open_group,
+    update_group,
+)
 from stampede_rt_supernode.host_transitions import check_register, deregister_host, expire_host, register_host
-from stampede_rt_supernode.records import Channel, Host
+from stampede_rt_supernode.records import Channel, Group, Host, Replica
+from stampede_rt_supernode.replica_commands import AddReplica, RemoveReplica, SetReplicaInSync
+from stampede_rt_supernode.replica_transitions import (
+    add_replica,
+    check_add_replica,
+    check_remove_replica,
+    check_set_in_sync,
+    remove_replica,
+    set_in_sync,
+)
 from stampede_rt_supernode.tables import Tables
 from stampede_rt_supernode.validation import check_id
 
@@ -60,6 +81,18 @@ def check_deed(deed: Deed) -> None:
             check_id(host_id, "host_id")
         case ExpireHost() | BeginTenure():
             pass  # made by supernodes themselves
+        case OpenGroup():
+            check_open_group(deed)
+        case UpdateGroup():
+            check_update_group(deed)
+        case DeleteGroup(group_id=group_id):
+            check_id(group_id, "group_id")
+        case AddReplica():
+            check_add_replica(deed)
+        case RemoveReplica():
+            check_remove_replica(deed)
+        case SetReplicaInSync():
+            check_set_in_sync(deed)
 
 
 class Directory:
@@ -75,12 +108,14 @@ class Directory:
         lease_ttl_nanos: int = 0,
         hosts: Iterable[Host] = (),
         channels: Iterable[Channel] = (),
+        groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
+        replicas: Iterable[Replica] = (),
         answers: Iterable[Answer] = (),
     ) -> None:
         self.tenure = tenure
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
-        self.tables = Tables(hosts, channels, index=index)
+        self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, index=index)
         self.answered = Answered()
         for answer in answers:
             self.answered.remember(answer)
@@ -118,6 +153,10 @@ class Directory:
 
     def _do(self, deed: Deed) -> Success:
         match deed:
+            case OpenGroup() | UpdateGroup() | DeleteGroup():
+                return _do_to_group(self.tables, deed)
+            case AddReplica() | RemoveReplica() | SetReplicaInSync():
+                return _do_to_replica(self.tables, deed)
             case OpenChannel():
                 return open_channel(self.tables, deed)
             case UpdateChannel():
@@ -146,3 +185,23 @@ class Directory:
         self.cluster_id = self.cluster_id or deed.new_cluster_id
         self.lease_ttl_nanos = self.lease_ttl_nanos or deed.new_lease_ttl_nanos
         return TenureBegun(tenure=self.tenure, cluster_id=self.cluster_id)
+
+
+def _do_to_group(tables: Tables, deed: GroupDeed) -> GroupSuccess:
+    match deed:
+        case OpenGroup():
+            return open_group(tables, deed)
+        case UpdateGroup():
+            return update_group(tables, deed)
+        case DeleteGroup():
+            return delete_group(tables, deed)
+
+
+def _do_to_replica(tables: Tables, deed: ReplicaDeed) -> ReplicaSuccess:
+    match deed:
+        case AddReplica():
+            return add_replica(tables, deed)
+        case RemoveReplica():
+            return remove_replica(tables, deed)
+        case SetReplicaInSync():
+            return set_in_sync(tables, deed)

@@ -11,16 +11,18 @@ from dataclasses import replace
 from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
 from stampede_rt_supernode.channel_transitions import fresh_incarnation
 from stampede_rt_supernode.commands import DeregisterHost, ExpireHost, RegisterHost
+from stampede_rt_supernode.group_transitions import note_lost_cuts
 from stampede_rt_supernode.records import Host
 from stampede_rt_supernode.tables import Tables
+from stampede_rt_supernode.takeover import end_registration, give_owner
 from stampede_rt_supernode.validation import check_gatekeepers, check_id, check_incarnation, check_name, check_version
 
 HOSTS_MAX = 10_000
 
 
 def register_host(tables: Tables, deed: RegisterHost) -> Host:
-    """A host enters, or enters again. A new boot incarnation means that it lost its items: all its channels get a new
-    epoch and incarnation in this one step."""
+    """A host enters, or enters again. A new boot incarnation means that it lost its items: in this one step all its
+    channels get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where they are."""
     check_register(deed)
     _check_name_is_free(tables, deed)
     before = tables.hosts.get(deed.host_id)
@@ -40,6 +42,7 @@ def register_host(tables: Tables, deed: RegisterHost) -> Host:
         )
     )
     if before is not None and before.boot_incarnation != deed.boot_incarnation:
+        end_registration(tables, deed.host_id)
         _renew_channels(tables, deed)
     return tables.hosts[deed.host_id]
 
@@ -65,19 +68,24 @@ def _check_name_is_free(tables: Tables, deed: RegisterHost) -> None:
 
 
 def _renew_channels(tables: Tables, deed: RegisterHost) -> None:
-    for channel in tables.channels_at(deed.host_id):
+    left = tables.channels_at(deed.host_id)
+    for channel in left:
         incarnation = fresh_incarnation(channel, deed.new_incarnation)
-        tables.replace_channel(replace(channel, epoch=channel.epoch + 1, incarnation=incarnation))
+        give_owner(tables, channel, replace(channel, epoch=channel.epoch + 1, incarnation=incarnation))
+    note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=deed.host_id)
 
 
 def deregister_host(tables: Tables, deed: DeregisterHost) -> None:
-    """A host leaves; its channels are without a live owner at once. Who is not there has left already."""
+    """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes.
+
+    Who is not there has left already. Raises LeaseExpired for another boot.
+    """
     check_id(deed.host_id, "host_id")
     host = tables.hosts.get(deed.host_id)
     if host is None or not host.alive:
         return
     check_boot(host, deed.boot_incarnation)
-    tables.put_host(replace(host, alive=False))
+    _end(tables, host)
 
 
 def check_boot(host: Host, boot_incarnation: int) -> None:
@@ -97,5 +105,10 @@ def expire_host(tables: Tables, deed: ExpireHost, tenure: int) -> bool:
         return False
     if (host.boot_incarnation, host.registered_index) != (deed.boot_incarnation, deed.registered_index):
         return False
-    tables.put_host(replace(host, alive=False))
+    _end(tables, host)
     return True
+
+
+def _end(tables: Tables, host: Host) -> None:
+    tables.put_host(replace(host, alive=False))
+    end_registration(tables, host.host_id)

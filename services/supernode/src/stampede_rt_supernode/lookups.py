@@ -1,9 +1,9 @@
-"""Finding channels and hosts by what callers know of them. Pure; each function says clearly what is not there."""
+"""Finding channels, hosts and groups by what callers know of them. Pure; each function says what is not there."""
 
 from __future__ import annotations
 
-from stampede_rt.errors import ChannelNotFound, HostNotFound
-from stampede_rt_supernode.records import Channel, Host
+from stampede_rt.errors import ChannelNotFound, HostNotFound, StampedeError
+from stampede_rt_supernode.records import Channel, Group, Host
 from stampede_rt_supernode.tables import Tables
 from stampede_rt_supernode.validation import check_id, check_name
 
@@ -53,3 +53,29 @@ def no_such_channel(name: str) -> ChannelNotFound:
     """The error for a name that no channel has."""
     text = f"there is no channel {name}; open it with create=True to make it, or list the channels for its right name"
     return ChannelNotFound(text, metadata={"channel": name})
+
+
+def group_by_id(tables: Tables, group_id: bytes) -> Group:
+    """Raises InvalidArgument, or the error of `no_such_group`."""
+    check_id(group_id, "group_id")
+    group = tables.groups.by_id.get(group_id)
+    if group is None:
+        shown = group_id.hex()
+        text = f"there is no group with the id {shown}; it may have been deleted: resolve it by name"
+        raise StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group_id": shown})
+    return group
+
+
+def group_by_name(tables: Tables, name: str) -> Group:
+    """Raises InvalidName, or the error of `no_such_group`."""
+    check_name(name, "group")
+    group = tables.groups.named(name)
+    if group is None:
+        raise no_such_group(name)
+    return group
+
+
+def no_such_group(name: str) -> StampedeError:
+    """The error for a name that no group has."""
+    text = f"there is no group {name}; open it with create=True to make it, or list the groups for its right name"
+    return StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group": name})

@@ -35,6 +35,19 @@ def read_host(token: str) -> tuple[str, bytes]:
         raise _bad(token) from None
 
 
+def write_listing(listing: str, name: str | None) -> str:
+    """The token of a page behind `name` of one listing, which `listing` tells from others; None: there is none."""
+    return "" if name is None else base64.urlsafe_b64encode(f"{listing}\0{name}".encode()).decode()
+
+
+def read_listing(token: str, listing: str) -> str:
+    """The name, empty for an empty token. Raises InvalidArgument, also for a token of another listing."""
+    told, _, name = read_name(token).rpartition("\0")
+    if token and told != listing:
+        raise InvalidArgument("the page token is that of another listing; ask each page with the same filters")
+    return name
+
+
 def _unpack(token: str) -> bytes:
     try:
         return base64.b64decode(token.encode(), altchars=b"-_", validate=True)

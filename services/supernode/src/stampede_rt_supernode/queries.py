@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 
+from sortedcontainers import SortedDict
+
 from stampede_rt_supernode.glob import fixed_prefix, matcher
 from stampede_rt_supernode.records import Channel, Host
 from stampede_rt_supernode.tables import Tables
@@ -40,7 +42,7 @@ def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) 
     matches, limit = matcher(glob), min(channels_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
     found: list[Channel] = []
     last_name = None
-    names = _names_from(tables, fixed_prefix(glob), after_name)
+    names = names_from(tables.channel_ids, fixed_prefix(glob), after_name)
     for examined, name in enumerate(names, start=1):
         if len(found) == limit or examined > NAMES_EXAMINED_MAX:
             return ChannelPage(tuple(found), _owners(tables, found), last_name)
@@ -50,9 +52,10 @@ def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) 
     return ChannelPage(tuple(found), _owners(tables, found), None)
 
 
-def _names_from(tables: Tables, prefix: str, after_name: str) -> Iterator[str]:
+def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Iterator[str]:
+    """The names of a map that begin with `prefix` and lie behind `after_name`, in order."""
     first = max(prefix, after_name)
-    for name in tables.channel_ids.irange(minimum=first, inclusive=(first != after_name, True)):
+    for name in ids.irange(minimum=first, inclusive=(first != after_name, True)):
         if not name.startswith(prefix):
             return
         yield name

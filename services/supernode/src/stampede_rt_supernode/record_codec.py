@@ -1,4 +1,4 @@
-"""Hosts and channels, to and from the messages that carry them. Thin: no decision is made here."""
+"""Hosts, channels and their changes, to and from the messages that carry them. Thin: no decision is made here."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Policy
 from stampede_rt.v1 import channel_pb2, directory_command_pb2, directory_pb2
+from stampede_rt_supernode.group_codec import group_record
 from stampede_rt_supernode.records import Change, ChangeKind, Channel, Endpoint, Host
 
 _ON_FULL_TO_WIRE = {
@@ -124,6 +125,8 @@ def change_message(change: Change) -> directory_pb2.DirectoryChange:
     message = directory_pb2.DirectoryChange(index=change.index, kind=_CHANGE_KINDS[change.kind])
     if isinstance(change.subject, Channel):
         message.channel.CopyFrom(channel_record(change.subject))
-    else:
+    elif isinstance(change.subject, Host):
         message.host.CopyFrom(host_record(change.subject))
+    else:
+        message.group.CopyFrom(group_record(change.subject))
     return message

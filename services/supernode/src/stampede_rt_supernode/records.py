@@ -1,6 +1,7 @@
-"""What the directory holds: hosts and channels, and what changed. Pure, immutable values.
+"""What the directory holds: hosts, channels, groups and copies, and what changed. Pure, immutable values.
 
-They are the rows of the four maps of the paper's section 4.3. Ids are 16 opaque bytes.
+They are the rows of the four maps of the paper's section 4.3, its groups (3.3) and its proxies (4.1). Ids are 16 opaque
+bytes.
 """
 
 from __future__ import annotations
@@ -53,6 +54,57 @@ class Channel:
     proxy_host_ids: tuple[bytes, ...] = ()
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupSpec:
+    """The set-up of a group (paper, section 3.3). None: left out.
+
+    `channel_ids`: the members, each once; their order means nothing. `reference_channel_id`: the member that is the
+    reference; None: the group follows the oldest of all. `bound`: "start" or "end".
+    """
+
+    channel_ids: tuple[bytes, ...]
+    reference_channel_id: bytes | None = None
+    bound: str = "start"
+    idle_after_nanos: int | None = None
+    max_lead_nanos: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Group:
+    """A group. `spec_version` grows by 1 with every change; `incarnation` changes only when the cut may begin anew."""
+
+    group_id: bytes
+    name: str
+    spec: GroupSpec
+    spec_version: int
+    incarnation: int
+
+
+class ReplicaKind(Enum):
+    """What a copy is for: readers only, or to take over besides."""
+
+    PROXY = "proxy"
+    WARM = "warm"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Replica:
+    """A copy of a channel at `host_id`, for as long as that host's boot incarnation is this one (paper, section 4.1).
+
+    `in_sync`: it holds everything that was acknowledged, and may take over; only a warm one ever is. `acknowledged`:
+    puts wait for it while it is. `epoch`: the channel's, when this was made or last changed.
+    """
+
+    channel_id: bytes
+    host_id: bytes
+    boot_incarnation: int
+    kind: ReplicaKind
+    source_host_id: bytes
+    in_sync: bool = False
+    acknowledged: bool = False
+    epoch: int
+
+
 class ChangeKind(Enum):
     """What a change did to its subject."""
 
@@ -67,4 +119,4 @@ class Change:
 
     index: int
     kind: ChangeKind
-    subject: Channel | Host
+    subject: Channel | Host | Group

@@ -3,22 +3,21 @@
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
 
-import functools
 import secrets
-from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any, TypeVar
+from collections.abc import AsyncIterator
+from typing import Any
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 from stampede_rt_supernode import commands, page_tokens
-from stampede_rt_supernode.callers import check_host_caller, check_protocol
+from stampede_rt_supernode.callers import check_protocol
+from stampede_rt_supernode.calls import DirectoryCalls, refusing, seconds_left
 from stampede_rt_supernode.channel_transitions import open_unchanged
-from stampede_rt_supernode.directory import Directory, check_deed
+from stampede_rt_supernode.directory import Directory
 from stampede_rt_supernode.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
 from stampede_rt_supernode.members import Members
@@ -36,34 +35,6 @@ from stampede_rt_supernode.submission import Submission
 from stampede_rt_supernode.validation import check_id
 from stampede_rt_supernode.watch import Watches
 
-WAIT_SECONDS_MAX = 10.0
-ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears the reason and not just the deadline
-
-T = TypeVar("T")
-S = TypeVar("S", bound=commands.Success)
-Method = TypeVar("Method", bound=Callable[..., Awaitable[Any]])
-
-
-def _refusing(method: Method) -> Method:
-    """Turns a StampedeError into the RPC's status; every other exception is a defect and stays one."""
-
-    @functools.wraps(method)
-    async def call(self: DirectoryServicer, request: Any, context: Any) -> Any:
-        try:
-            return await method(self, request, context)
-        except StampedeError as error:
-            await abort(context, error)
-
-    return call  # type: ignore[return-value]
-
-
-def _seconds(context: Any) -> float:
-    """How long this call may wait for the other supernodes."""
-    left = context.time_remaining()
-    if left is None:
-        return WAIT_SECONDS_MAX
-    return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))
-
 
 class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     """One supernode's answers. Reads are linearizable unless `stale_ok`; updates are done once for each request id."""
@@ -78,6 +49,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         clock: HostClock,
     ) -> None:
         self._replica = replica
+        self._calls = DirectoryCalls(replica, submission)
         self._submission = submission
         self._leases = leases
         self._watches = watches
@@ -94,7 +66,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             version=software_version(),
         )
 
-    @_refusing
+    @refusing
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:
         """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
         deed = commands.OpenChannel(
@@ -106,14 +78,14 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_incarnation=_random_incarnation(),
         )
         check_id(request.request_id, "request_id")
-        opened = await self._read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
         if opened is None:
-            opened = await self._submit(context, deed, commands.ChannelOpened, request.request_id)
+            opened = await self._calls.submit(context, deed, commands.ChannelOpened, request.request_id)
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
         )
 
-    @_refusing
+    @refusing
     async def ResolveChannel(self, request: pb.ResolveChannelRequest, context: Any) -> pb.ResolveChannelResponse:
         """See the contract."""
 
@@ -123,10 +95,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             channel = channel_by_id(tables, request.channel_id) if by_id else channel_by_name(tables, request.name)
             return channel, tables.hosts[channel.host_id], directory.applied_index
 
-        channel, host, index = await self._read(context, find, stale_ok=request.stale_ok)
+        channel, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ResolveChannelResponse(channel=channel_record(channel), host=host_record(host), applied_index=index)
 
-    @_refusing
+    @refusing
     async def ListChannels(self, request: pb.ListChannelsRequest, context: Any) -> pb.ListChannelsResponse:
         """See the contract."""
         after = page_tokens.read_name(request.page_token)
@@ -135,7 +107,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             page = channel_page(directory.tables, request.name_glob, after, request.page_size)
             return page, directory.applied_index
 
-        page, index = await self._read(context, find, stale_ok=request.stale_ok)
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ListChannelsResponse(
             channels=[channel_record(channel) for channel in page.channels],
             hosts=[host_record(host) for host in page.hosts],
@@ -143,27 +115,27 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             applied_index=index,
         )
 
-    @_refusing
+    @refusing
     async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Any) -> pb.UpdateChannelResponse:
         """See the contract."""
         deed = commands.UpdateChannel(
             channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec)
         )
-        updated = await self._submit(context, deed, commands.ChannelUpdated, request.request_id)
+        updated = await self._calls.submit(context, deed, commands.ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 
-    @_refusing
+    @refusing
     async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Any) -> pb.DeleteChannelResponse:
         """See the contract."""
         deed = commands.DeleteChannel(channel_id=request.channel_id)
-        await self._submit(context, deed, commands.ChannelDeleted, request.request_id)
+        await self._calls.submit(context, deed, commands.ChannelDeleted, request.request_id)
         return pb.DeleteChannelResponse()
 
-    @_refusing
+    @refusing
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:
         """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
         check_protocol(request.protocol_version, request.version)
-        self._check_host(context, request.host_id, request.name)
+        self._calls.check_host(context, request.host_id, request.name)
         deed = commands.RegisterHost(
             host_id=request.host_id,
             name=request.name,
@@ -172,7 +144,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             version=request.version,
             new_incarnation=_random_incarnation(),
         )
-        entered = await self._submit(context, deed, commands.HostRegistered, request.request_id)
+        entered = await self._calls.submit(context, deed, commands.HostRegistered, request.request_id)
         ttl_nanos, channels = self._replica.read(
             lambda directory: (directory.lease_ttl_nanos, channels_of(directory.tables, request.host_id))
         )
@@ -184,24 +156,24 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             protocol_version=PROTOCOL_VERSION,
         )
 
-    @_refusing
+    @refusing
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Any) -> pb.RenewHostLeaseResponse:
         """See the contract. Leaves no entry in the log."""
-        self._check_host(context, request.host_id)
+        self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
-            request.host_id, request.boot_incarnation, seconds=_seconds(context)
+            request.host_id, request.boot_incarnation, seconds=seconds_left(context)
         )
         return pb.RenewHostLeaseResponse(lease_ttl_nanos=ttl_nanos, tenure=tenure)
 
-    @_refusing
+    @refusing
     async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Any) -> pb.DeregisterHostResponse:
         """See the contract."""
-        self._check_host(context, request.host_id)
+        self._calls.check_host(context, request.host_id)
         deed = commands.DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
-        await self._submit(context, deed, commands.HostDeregistered, request.request_id)
+        await self._calls.submit(context, deed, commands.HostDeregistered, request.request_id)
         return pb.DeregisterHostResponse()
 
-    @_refusing
+    @refusing
     async def ResolveHost(self, request: pb.ResolveHostRequest, context: Any) -> pb.ResolveHostResponse:
         """See the contract."""
 
@@ -211,10 +183,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             host = host_by_id(tables, request.host_id) if by_id else host_by_name(tables, request.name)
             return host, directory.applied_index
 
-        host, index = await self._read(context, find, stale_ok=request.stale_ok)
+        host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ResolveHostResponse(host=host_record(host), applied_index=index)
 
-    @_refusing
+    @refusing
     async def ListHosts(self, request: pb.ListHostsRequest, context: Any) -> pb.ListHostsResponse:
         """See the contract."""
         after = page_tokens.read_host(request.page_token)
@@ -223,7 +195,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             page = host_page(directory.tables, after, request.page_size, include_dead=request.include_dead)
             return page, directory.applied_index
 
-        page, index = await self._read(context, find, stale_ok=request.stale_ok)
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ListHostsResponse(
             hosts=[host_record(host) for host in page.hosts],
             next_page_token=page_tokens.write_host(page.last_key),
@@ -239,30 +211,19 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def Watch(self, request: pb.WatchRequest, context: Any) -> AsyncIterator[pb.WatchResponse]:
         """See the contract."""
         try:
-            await self._submission.confirm(seconds=_seconds(context))
-            batches = self._watches.follow(request.name_glob, request.after_index, include_hosts=request.include_hosts)
+            await self._submission.confirm(seconds=seconds_left(context))
+            batches = self._watches.follow(
+                request.name_glob,
+                request.after_index,
+                include_hosts=request.include_hosts,
+                include_groups=request.include_groups,
+            )
             async for batch in batches:
                 yield pb.WatchResponse(
                     changes=[change_message(change) for change in batch.changes], applied_index=batch.applied_index
                 )
         except StampedeError as error:
             await abort(context, error)
-
-    def _check_host(self, context: Any, host_id: bytes, name: str | None = None) -> None:
-        """Raises PermissionDenied if the caller's certificate is that of another host."""
-        caller = caller_identity(context)
-        known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))
-        check_host_caller(caller, known_as=known.name if known else None, name=name)
-
-    async def _read(self, context: Any, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
-        if not stale_ok:
-            await self._submission.confirm(seconds=_seconds(context))
-        return self._replica.read(question)
-
-    async def _submit(self, context: Any, deed: commands.Deed, kind: type[S], op_id: bytes) -> S:
-        check_id(op_id, "request_id")
-        check_deed(deed)
-        return await self._submission.submit(deed, kind, op_id=op_id, seconds=_seconds(context))
 
 
 def _open_again(directory: Directory, op_id: bytes, deed: commands.OpenChannel) -> commands.ChannelOpened | None:

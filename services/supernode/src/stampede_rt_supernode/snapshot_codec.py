@@ -7,52 +7,78 @@ message of its own, since to parse joined messages is to merge them (protobuf.de
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from typing import Generic, TypeVar
+
 from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.answered import Answer
 from stampede_rt_supernode.command_codec import read_result, result_message
 from stampede_rt_supernode.commands import Refused
 from stampede_rt_supernode.directory import Directory
+from stampede_rt_supernode.group_codec import group_entry, group_entry_from
+from stampede_rt_supernode.group_table import GroupWithWitnesses
 from stampede_rt_supernode.record_codec import channel_from, channel_record, host_entry, host_from
-from stampede_rt_supernode.records import Channel
+from stampede_rt_supernode.records import Channel, Replica
+from stampede_rt_supernode.replica_codec import replica_from, replica_record
 
 FORMAT_VERSION = 1
+FORMAT_VERSION_WITH_GROUPS = 2  # or copies of channels, which a reader of form 1 would lose without a word
+
+T = TypeVar("T")
 
 
 class SnapshotWriter:
-    """Writes one snapshot after the other of one directory. Holds the encoded form of every channel and answer."""
+    """Writes one snapshot after the other of one directory. Holds the encoded form of everything but the hosts."""
 
     def __init__(self) -> None:
-        self._channels: dict[bytes, tuple[Channel, bytes]] = {}
-        self._answers: dict[bytes, tuple[Answer, bytes]] = {}
+        self._channels: _Parts[Channel] = _Parts(lambda one: pb.DirectorySnapshot(channels=[channel_record(one)]))
+        self._groups: _Parts[GroupWithWitnesses] = _Parts(lambda one: pb.DirectorySnapshot(groups=[group_entry(*one)]))
+        self._replicas: _Parts[tuple[Replica, ...]] = _Parts(
+            lambda copies: pb.DirectorySnapshot(replicas=[replica_record(one) for one in copies])
+        )
+        self._answers: _Parts[Answer] = _Parts(
+            lambda answer: pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
+        )
 
     def write(self, directory: Directory) -> bytes:
         """The state as of its applied index. The same state gives the same bytes on every replica."""
         tables = directory.tables
-        channels = (tables.channels[channel_id] for channel_id in tables.channel_ids.values())
-        self._channels = {channel.channel_id: self._channel_part(channel) for channel in channels}
-        self._answers = {answer.op_id: self._answer_part(answer) for answer in directory.answered}
-        parts = [part for _, part in (*self._channels.values(), *self._answers.values())]
-        return b"".join([_head(directory), *parts])
+        ids = tables.channel_ids.values()
+        return b"".join(
+            [
+                _head(directory),
+                *self._channels.encode((one, tables.channels[one]) for one in ids),
+                *self._groups.encode(tables.groups.entries()),
+                *self._replicas.encode((one, copies) for one in ids if (copies := tables.replicas.of(one))),
+                *self._answers.encode((answer.op_id, answer) for answer in directory.answered),
+            ]
+        )
 
-    def _channel_part(self, channel: Channel) -> tuple[Channel, bytes]:
-        held = self._channels.get(channel.channel_id)
-        if held is not None and held[0] is channel:
-            return held
-        return channel, pb.DirectorySnapshot(channels=[channel_record(channel)]).SerializeToString()
 
-    def _answer_part(self, answer: Answer) -> tuple[Answer, bytes]:
-        held = self._answers.get(answer.op_id)
-        if held is not None and held[0] is answer:
+class _Parts(Generic[T]):
+    """The encoded forms of values by id; a value that is still the same one is not encoded again."""
+
+    def __init__(self, message: Callable[[T], pb.DirectorySnapshot]) -> None:
+        self._message = message
+        self._held: dict[bytes, tuple[T, bytes]] = {}
+
+    def encode(self, values: Iterable[tuple[bytes, T]]) -> list[bytes]:
+        """A part for each (id, value), in their order; what is not among them is forgotten."""
+        self._held = {one: self._part(one, value) for one, value in values}
+        return [part for _, part in self._held.values()]
+
+    def _part(self, one: bytes, value: T) -> tuple[T, bytes]:
+        held = self._held.get(one)
+        if held is not None and held[0] is value:
             return held
-        message = pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
-        return answer, message.SerializeToString(deterministic=True)
+        return value, self._message(value).SerializeToString(deterministic=True)
 
 
 def _head(directory: Directory) -> bytes:
-    hosts = directory.tables.hosts
+    tables, hosts = directory.tables, directory.tables.hosts
     return pb.DirectorySnapshot(
-        format_version=FORMAT_VERSION,
+        format_version=FORMAT_VERSION_WITH_GROUPS if tables.groups or tables.replicas else FORMAT_VERSION,
         applied_index=directory.applied_index,
         tenure=directory.tenure,
         cluster_id=directory.cluster_id,
@@ -75,10 +101,10 @@ def encode_snapshot(directory: Directory) -> bytes:
 def decode_snapshot(encoded: bytes) -> Directory:
     """The directory that was written. Raises DecodeError or VersionMismatch: do not go on without it."""
     message = pb.DirectorySnapshot.FromString(encoded)
-    if message.format_version != FORMAT_VERSION:
+    if message.format_version not in (FORMAT_VERSION, FORMAT_VERSION_WITH_GROUPS):
         raise VersionMismatch(
-            f"the snapshot has format {message.format_version}, this supernode reads {FORMAT_VERSION}; run the version "
-            "that wrote it"
+            f"the snapshot has format {message.format_version}, this supernode reads {FORMAT_VERSION} and "
+            f"{FORMAT_VERSION_WITH_GROUPS}; run the version that wrote it"
         )
     return Directory(
         index=message.applied_index,
@@ -87,6 +113,8 @@ def decode_snapshot(encoded: bytes) -> Directory:
         lease_ttl_nanos=message.lease_ttl_nanos,
         hosts=[host_from(entry) for entry in message.hosts],
         channels=[channel_from(record) for record in message.channels],
+        groups=[group_entry_from(entry) for entry in message.groups],
+        replicas=[replica_from(record) for record in message.replicas],
         answers=[_answer(operation) for operation in message.remembered_operations],
     )
 

@@ -13,13 +13,23 @@ from dataclasses import replace
 from sortedcontainers import SortedDict
 
 from stampede_rt_supernode.change_ring import ChangeRing
-from stampede_rt_supernode.records import Change, ChangeKind, Channel, Host
+from stampede_rt_supernode.group_table import GroupTable
+from stampede_rt_supernode.records import Change, ChangeKind, Channel, Group, Host, Replica
+from stampede_rt_supernode.replica_table import ReplicaTable
 
 
 class Tables:
     """Edits are atomic: they check nothing that could fail half-way. O(log n) each."""
 
-    def __init__(self, hosts: Iterable[Host] = (), channels: Iterable[Channel] = (), *, index: int = 0) -> None:
+    def __init__(
+        self,
+        hosts: Iterable[Host] = (),
+        channels: Iterable[Channel] = (),
+        *,
+        groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
+        replicas: Iterable[Replica] = (),
+        index: int = 0,
+    ) -> None:
         self.index = index  # the log position that is being applied, or was last
         self.changes = ChangeRing(index)
         self.hosts: dict[bytes, Host] = {host.host_id: host for host in hosts}
@@ -32,6 +42,8 @@ class Tables:
                 self.host_ids[host.name] = host.host_id
         for channel in channels:
             self._link(channel)
+        self.groups = GroupTable(groups, self._note)
+        self.replicas = ReplicaTable(replicas)
 
     def channels_at(self, host_id: bytes) -> list[Channel]:
         """The channels that a host owns, in the order of their ids."""
@@ -107,5 +119,5 @@ class Tables:
             del self._channel_ids_at[host.host_id]
             self._note(ChangeKind.REMOVED, host)
 
-    def _note(self, kind: ChangeKind, subject: Channel | Host) -> None:
+    def _note(self, kind: ChangeKind, subject: Channel | Host | Group) -> None:
         self.changes.append(Change(index=self.index, kind=kind, subject=subject))

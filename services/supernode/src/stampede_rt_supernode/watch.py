@@ -14,7 +14,7 @@ from stampede_rt.errors import Unavailable, WatchRestart
 from stampede_rt_supernode.change_ring import ChangePage
 from stampede_rt_supernode.directory import Directory
 from stampede_rt_supernode.glob import matcher
-from stampede_rt_supernode.records import Change, Channel
+from stampede_rt_supernode.records import Change, Group, Host
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog
 
@@ -50,13 +50,15 @@ class Watches:
         self._closed = True
         self._bell.wake()
 
-    async def follow(self, glob: str, after_index: int, *, include_hosts: bool) -> AsyncIterator[WatchBatch]:
+    async def follow(
+        self, glob: str, after_index: int, *, include_hosts: bool, include_groups: bool = False
+    ) -> AsyncIterator[WatchBatch]:
         """Batches without end; the first is empty and says where the watch begins, and so are signs of life.
 
         `after_index` 0: from now on. The caller has just confirmed a read. Raises InvalidArgument for a bad pattern,
         WatchRestart, and Unavailable when this supernode stops or knows no leader any more.
         """
-        wanted = _filter(glob, include_hosts)
+        wanted = _filter(glob, include_hosts, include_groups)
         position, index, life = self._replica.read(lambda directory: self._begin(directory, after_index))
         yield WatchBatch((), index)
         while True:
@@ -100,11 +102,13 @@ def _restart(reason: str) -> WatchRestart:
     return WatchRestart(f"{reason}; list the channels again, then watch from that answer's index")
 
 
-def _filter(glob: str, include_hosts: bool) -> Callable[[Change], bool]:
+def _filter(glob: str, include_hosts: bool, include_groups: bool) -> Callable[[Change], bool]:
     matches = matcher(glob)
 
     def wanted(change: Change) -> bool:
-        return matches(change.subject.name) if isinstance(change.subject, Channel) else include_hosts
+        if isinstance(change.subject, Host):
+            return include_hosts
+        return (include_groups or not isinstance(change.subject, Group)) and matches(change.subject.name)
 
     return wanted
 

@@ -1,0 +1,69 @@
+"""How busy owners and copies are, as their hosts last told the leader (paper, section 4.1). Pure: methods take `now`,
+nanoseconds of a clock that never jumps.
+
+Nothing of it is in the log: a new leader hears it all within two reports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+LOAD_AGE_NANOS_MAX = 10 * 10**9
+REPORT_LOADS_MAX = 1000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplicaLoad:
+    """What the owner or a copy of a channel carries at a host; `lag_nanos` is 0 for the owner."""
+
+    channel_id: bytes
+    host_id: bytes
+    subscriptions: int
+    delivered_bytes_per_second: int
+    next_seq: int
+    lag_nanos: int
+
+
+class ReplicaLoads:
+    """One leader's knowledge. Whoever calls `note` has checked that the host holds what it tells of; so there are never
+    more entries than owners and copies have been within LOAD_AGE_NANOS_MAX."""
+
+    def __init__(self) -> None:
+        self._tenure = 0
+        self._loads: dict[bytes, dict[bytes, tuple[int, ReplicaLoad]]] = {}  # channel id -> host id -> when, what
+        self._swept_nanos = 0
+
+    def lead(self, tenure: int) -> None:
+        """What was told under another tenure, or before this supernode led, is of no worth."""
+        if tenure != self._tenure:
+            self._tenure = tenure
+            self._loads.clear()
+
+    def note(self, loads: Iterable[ReplicaLoad], now: int) -> None:
+        """They were told just now."""
+        self._sweep(now)
+        for load in loads:
+            self._loads.setdefault(load.channel_id, {})[load.host_id] = (now, load)
+
+    def of(self, channel_id: bytes, host_ids: Iterable[bytes], now: int) -> list[ReplicaLoad]:
+        """What these hosts told of a channel within LOAD_AGE_NANOS_MAX, the least loaded first."""
+        told = self._loads.get(channel_id, {})
+        fresh = [told[one] for one in host_ids if one in told and now - told[one][0] <= LOAD_AGE_NANOS_MAX]
+        return sorted((load for _, load in fresh), key=_weight)
+
+    def _sweep(self, now: int) -> None:
+        """Forget what is too old, at most once in LOAD_AGE_NANOS_MAX: O(1) for each load told, in the long run."""
+        if now - self._swept_nanos <= LOAD_AGE_NANOS_MAX:
+            return
+        self._swept_nanos = now
+        for channel_id, told in list(self._loads.items()):
+            left = {one: entry for one, entry in told.items() if now - entry[0] <= LOAD_AGE_NANOS_MAX}
+            if left:
+                self._loads[channel_id] = left
+            else:
+                del self._loads[channel_id]
+
+
+def _weight(load: ReplicaLoad) -> tuple[int, int, bytes]:
+    return load.delivered_bytes_per_second, load.subscriptions, load.host_id
