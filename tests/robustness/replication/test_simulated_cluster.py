@@ -138,9 +138,32 @@ class VotesTwice(TrialElections):
         super()._on_vote_request(node, message)
 
 
+class HearsMembersOnly(TrialElections):
+    """A member that takes nothing from a leader of whom its own log does not know yet."""
+
+    def _SyncObj__onMessageReceived(self, node: object, message: Message) -> None:  # noqa: N802
+        if node in self._SyncObj__otherNodes:
+            super()._SyncObj__onMessageReceived(node, message)
+
+
+class CountsOneTooFew(TrialElections):
+    """A member that takes half of the members for a majority."""
+
+    def is_majority(self, count: int) -> bool:
+        return 2 * count > len(self._SyncObj__otherNodes)
+
+
 # The first seed saves time: the fault shows soon after it.
 @pytest.mark.parametrize(
-    ("fault", "first_seed"), [(CutsOffWhatAgrees, 0), (CommitsByPieces, 0), (ReadsTooEarly, 0), (VotesTwice, 25)]
+    ("fault", "first_seed"),
+    [
+        (CutsOffWhatAgrees, 0),
+        (CommitsByPieces, 0),
+        (ReadsTooEarly, 0),
+        (VotesTwice, 25),
+        (HearsMembersOnly, 0),
+        (CountsOneTooFew, 8),
+    ],
 )
 def test_a_planted_fault_in_the_rules_is_found(fault: type, first_seed: int) -> None:
     assert any(is_caught(seed, rules=fault) for seed in range(first_seed, first_seed + 100))

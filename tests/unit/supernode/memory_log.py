@@ -35,6 +35,9 @@ class MemoryLog:
         self.leader_id: str | None = SELF.member_id
         self.other = OTHER
         self.quorum = True
+        # What every change of the members ends with; None: it succeeds.
+        self.change_fails: Exception | None = None
+        self.added: list[tuple[Member, str]] = []
         self.fates: deque[Fate] = deque()
         self.reads_may_end = asyncio.Event()
         self.reads_may_end.set()
@@ -73,6 +76,22 @@ class MemoryLog:
             applied_index=self.index,
             members=[SELF, self.other],
         )
+
+    async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
+        self.added.append((member, ticket))
+        return self._changed()
+
+    async def remove_member(self, member_id: str, *, timeout: float) -> int:
+        return self._changed()
+
+    def _changed(self) -> int:
+        if self.change_fails is not None:
+            raise self.change_fails
+        self.index += 1
+        return self.index
+
+    async def hand_over(self, *, timeout: float) -> bool:
+        return False
 
     async def close(self) -> None:
         self.quorum = False

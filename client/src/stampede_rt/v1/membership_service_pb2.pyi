@@ -16,14 +16,16 @@ class CreateJoinTokenRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., valid_nanos: _Optional[int] = ...) -> None: ...
 
 class CreateJoinTokenResponse(_message.Message):
-    __slots__ = ("token", "valid_until_unix_nano", "cluster_id")
+    __slots__ = ("token", "valid_until_unix_nano", "cluster_id", "log_cluster_id")
     TOKEN_FIELD_NUMBER: _ClassVar[int]
     VALID_UNTIL_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    LOG_CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     token: str
     valid_until_unix_nano: int
     cluster_id: str
-    def __init__(self, token: _Optional[str] = ..., valid_until_unix_nano: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
+    log_cluster_id: str
+    def __init__(self, token: _Optional[str] = ..., valid_until_unix_nano: _Optional[int] = ..., cluster_id: _Optional[str] = ..., log_cluster_id: _Optional[str] = ...) -> None: ...
 
 class AddSupernodeRequest(_message.Message):
     __slots__ = ("supernode_id", "endpoint", "token", "protocol_version", "version")

@@ -28,7 +28,7 @@ if _version_not_supported:
 class MembershipServiceStub(object):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
     Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes. A server that does not serve membership yet answers UNIMPLEMENTED.
+    DirectoryService.ListSupernodes.
     """
 
     def __init__(self, channel):
@@ -57,12 +57,12 @@ class MembershipServiceStub(object):
 class MembershipServiceServicer(object):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
     Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes. A server that does not serve membership yet answers UNIMPLEMENTED.
+    DirectoryService.ListSupernodes.
     """
 
     def CreateJoinToken(self, request, context):
-        """Make a token that lets one supernode in. Idempotent by request id. Errors: PERMISSION_DENIED, NOT_LEADER,
-        NO_QUORUM.
+        """Make a token that lets one supernode in; any supernode can. Idempotent by request id for as long as the same
+        valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -116,7 +116,7 @@ def add_MembershipServiceServicer_to_server(servicer, server):
 class MembershipService(object):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
     Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes. A server that does not serve membership yet answers UNIMPLEMENTED.
+    DirectoryService.ListSupernodes.
     """
 
     @staticmethod

@@ -29,7 +29,7 @@ GRPC_VERSION: str
 class MembershipServiceStub:
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
     Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes. A server that does not serve membership yet answers UNIMPLEMENTED.
+    DirectoryService.ListSupernodes.
     """
 
     @_typing.overload
@@ -37,8 +37,8 @@ class MembershipServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MembershipServiceAsyncStub: ...
     CreateJoinToken: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.CreateJoinTokenRequest, _membership_service_pb2.CreateJoinTokenResponse]
-    """Make a token that lets one supernode in. Idempotent by request id. Errors: PERMISSION_DENIED, NOT_LEADER,
-    NO_QUORUM.
+    """Make a token that lets one supernode in; any supernode can. Idempotent by request id for as long as the same
+    valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
     """
     AddSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]
     """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
@@ -56,13 +56,13 @@ class MembershipServiceStub:
 class MembershipServiceAsyncStub(MembershipServiceStub):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
     Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes. A server that does not serve membership yet answers UNIMPLEMENTED.
+    DirectoryService.ListSupernodes.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     CreateJoinToken: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.CreateJoinTokenRequest, _membership_service_pb2.CreateJoinTokenResponse]  # type: ignore[assignment]
-    """Make a token that lets one supernode in. Idempotent by request id. Errors: PERMISSION_DENIED, NOT_LEADER,
-    NO_QUORUM.
+    """Make a token that lets one supernode in; any supernode can. Idempotent by request id for as long as the same
+    valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
     """
     AddSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]  # type: ignore[assignment]
     """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
@@ -79,7 +79,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
     Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes. A server that does not serve membership yet answers UNIMPLEMENTED.
+    DirectoryService.ListSupernodes.
     """
 
     @_abc_1.abstractmethod
@@ -88,8 +88,8 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.CreateJoinTokenRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.CreateJoinTokenResponse, _abc.Awaitable[_membership_service_pb2.CreateJoinTokenResponse]]:
-        """Make a token that lets one supernode in. Idempotent by request id. Errors: PERMISSION_DENIED, NOT_LEADER,
-        NO_QUORUM.
+        """Make a token that lets one supernode in; any supernode can. Idempotent by request id for as long as the same
+        valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
         """
 
     @_abc_1.abstractmethod

@@ -47,12 +47,22 @@ class RaftMember(_message.Message):
     def __init__(self, member_id: _Optional[str] = ..., address: _Optional[str] = ...) -> None: ...
 
 class RaftConfiguration(_message.Message):
-    __slots__ = ("members", "retired_ids")
+    __slots__ = ("members", "retired_ids", "spent_tickets")
     MEMBERS_FIELD_NUMBER: _ClassVar[int]
     RETIRED_IDS_FIELD_NUMBER: _ClassVar[int]
+    SPENT_TICKETS_FIELD_NUMBER: _ClassVar[int]
     members: _containers.RepeatedCompositeFieldContainer[RaftMember]
     retired_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, members: _Optional[_Iterable[_Union[RaftMember, _Mapping]]] = ..., retired_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    spent_tickets: _containers.RepeatedCompositeFieldContainer[RaftSpentTicket]
+    def __init__(self, members: _Optional[_Iterable[_Union[RaftMember, _Mapping]]] = ..., retired_ids: _Optional[_Iterable[str]] = ..., spent_tickets: _Optional[_Iterable[_Union[RaftSpentTicket, _Mapping]]] = ...) -> None: ...
+
+class RaftSpentTicket(_message.Message):
+    __slots__ = ("ticket_sha256", "member_id")
+    TICKET_SHA256_FIELD_NUMBER: _ClassVar[int]
+    MEMBER_ID_FIELD_NUMBER: _ClassVar[int]
+    ticket_sha256: str
+    member_id: str
+    def __init__(self, ticket_sha256: _Optional[str] = ..., member_id: _Optional[str] = ...) -> None: ...
 
 class RaftHello(_message.Message):
     __slots__ = ("cluster_id", "member_id", "peer_member_id", "protocol_version")

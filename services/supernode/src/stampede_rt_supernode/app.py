@@ -5,11 +5,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
+import sys
 from collections.abc import AsyncIterator, Coroutine, Sequence
 from typing import Any
 
+from stampede_rt.cli.supernode import ADMINISTERING, administer
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2_grpc, membership_service_pb2_grpc
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
@@ -18,53 +20,70 @@ from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.values import Address
 from stampede_rt_supernode.calls import DirectoryCalls
+from stampede_rt_supernode.founding import Founding, note_started, read_founding
+from stampede_rt_supernode.join_tokens import JoinTokens
 from stampede_rt_supernode.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.load_keeper import LoadKeeper
 from stampede_rt_supernode.members import Members
+from stampede_rt_supernode.membership_servicer import MembershipServicer
+from stampede_rt_supernode.preparing import PREPARING, prepare
 from stampede_rt_supernode.probe import Probe
 from stampede_rt_supernode.record_services import register_record_services
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
     ReplicatedLog,
-    ReplicationSettings,
     StoreDamaged,
     StoreRefused,
+    Unavailable,
     open_replicated_log,
 )
 from stampede_rt_supernode.servicer import DirectoryServicer
 from stampede_rt_supernode.settings import SupernodeSettings
 from stampede_rt_supernode.submission import Submission
+from stampede_rt_supernode.volunteering import volunteer
 from stampede_rt_supernode.watch import Watches
 
 HEALTH_SECONDS = 0.1
+HAND_OVER_SECONDS = 1.2
 
 
 async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
     credentials = settings.load_credentials(Role.SUPERNODE)
-    listen = _concrete(settings)
     server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
-    async with _open_log(settings, listen, server, credentials) as (log, replica):
+    listen = _concrete(settings)
+    founding = settings.founding(listen)
+    async with _open_log(settings, founding, server, credentials) as (log, replica):
         clock = SystemClock()
         submission = Submission(log, time_unix_nano=clock.time_unix_nano)
         leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
+        leases.founding_cluster_id = founding.log_cluster_id
         watches = Watches(replica, log)
         probe = Probe(log, credentials, explain=credentials.explain)
-        members = Members(log, replica, probe, advertise=settings.advertise or _own_address(log), zone=settings.zone)
+        members = Members(log, replica, probe, advertise=settings.advertise or founding.address, zone=settings.zone)
         servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
         register_record_services(
             server.grpc, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock)
         )
+        tokens = JoinTokens(credentials.secret.text if credentials.secret else "")
+        membership = MembershipServicer(log, replica, members, tokens, clock, log_cluster_id=founding.log_cluster_id)
+        membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(membership, server.grpc)
         address = await server.start(listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
 
         async def end_streams() -> None:
             watches.close()
+            # Others need not wait for an election timeout then.
+            with contextlib.suppress(Unavailable):
+                await log.hand_over(timeout=HAND_OVER_SECONDS)
             submission.close()
             await log.close()
 
-        async with _background(server, leases.run(), probe.run(), _follow_leader(server, members)):
+        work = [leases.run(), probe.run(), _follow_leader(server, members), _watch_removal(server, log)]
+        if founding.token and settings.data_dir is not None:
+            work.append(_enter(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
+        async with _background(server, *work):
             # Said once `run` has set up the stop signals: whoever waits for this line may send one at once.
             ready = f"stampede supernode {members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
@@ -84,28 +103,41 @@ def _concrete(settings: SupernodeSettings) -> str:
 
 @contextlib.asynccontextmanager
 async def _open_log(
-    settings: SupernodeSettings, listen: str, server: ServiceServer, credentials: Dialer
+    settings: SupernodeSettings, founding: Founding, server: ServiceServer, credentials: Dialer
 ) -> AsyncIterator[tuple[ReplicatedLog, DirectoryReplica]]:
     """The log and the directory that it drives. Raises StampedeError if the store cannot be used."""
-    members = settings.member_list(listen)
-    self_member = members[0] if not settings.members else next(m for m in members if m.member_id == settings.id)
     if credentials.tls is not None:
-        credentials.tls.require_name(self_member.member_id, "--id")
+        credentials.tls.require_name(founding.supernode_id, "--id")
     replica = DirectoryReplica()
-    replication = ReplicationSettings(self_member=self_member, initial_members=members, data_dir=settings.data_dir)
+    replication = founding.replication_settings(settings.data_dir)
     try:
         log = await open_replicated_log(replication, replica, credentials, server.grpc)
     except (StoreDamaged, StoreRefused, LibraryMismatch) as error:
         raise StampedeError(str(error)) from error
+    if settings.data_dir is not None and read_founding(settings.data_dir) is not None:
+        note_started(settings.data_dir, founding)
     try:
         yield log, replica
     finally:
         await log.close()
 
 
-def _own_address(log: ReplicatedLog) -> str:
-    status = log.status()
-    return next(member.address for member in status.members if member.member_id == status.self_id)
+async def _enter(volunteering: Coroutine[Any, Any, None]) -> None:
+    """Volunteer, and go on waiting once it is done: work that ends would end the service."""
+    await volunteering
+    await asyncio.Event().wait()
+
+
+async def _watch_removal(server: ServiceServer, log: ReplicatedLog) -> None:
+    """End the service when this supernode is told that it was removed."""
+    while not server.stopping.is_set():
+        status = log.status()
+        if status.removed:
+            raise StampedeError(
+                f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
+                "and let it join under a new id"
+            )
+        await asyncio.sleep(HEALTH_SECONDS)
 
 
 async def _follow_leader(server: ServiceServer, members: Members) -> None:
@@ -131,10 +163,17 @@ async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -
             task.cancel()
         outcomes = await asyncio.gather(*tasks, return_exceptions=True)
         failures = [one for one in outcomes if isinstance(one, Exception)]
+    if len(failures) == 1 and isinstance(failures[0], StampedeError):
+        raise failures[0]
     if failures:
         raise ExceptionGroup("the supernode cannot go on", failures)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `stampede supernode`; returns the exit code."""
+    """Run `stampede supernode`, or one of its own verbs; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words and words[0] in PREPARING:
+        return prepare(words)
+    if words and words[0] in ADMINISTERING:
+        return administer(words)
     return run_service(SupernodeSettings, "supernode", argv, serve)

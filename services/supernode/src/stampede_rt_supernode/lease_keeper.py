@@ -43,6 +43,8 @@ class LeaseKeeper:
         self._clock = clock
         self._founding_ttl_nanos = founding_ttl_nanos
         self._table = LeaseTable()
+        # The id that the founder gave the cluster; left empty, the first leader makes one.
+        self.founding_cluster_id = ""
 
     async def run(self) -> None:
         """Tick until cancelled."""
@@ -68,7 +70,7 @@ class LeaseKeeper:
         deed = BeginTenure(
             tenure=status.tenure,
             supernode_id=status.self_id,
-            new_cluster_id=secrets.token_hex(16),
+            new_cluster_id=self.founding_cluster_id or secrets.token_hex(16),
             new_lease_ttl_nanos=self._founding_ttl_nanos,
         )
         begun = await self._submission.submit(deed, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stampede_rt.errors import StampedeError
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
+from stampede_rt_supernode.founding import Founding, read_founding
 from stampede_rt_supernode.lease import LEASE_TTL_NANOS
-from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication import holds_store
 
 DEFAULT_ID = "supernode-1"
 MEMBERS_MAX = 9  # a majority of more costs more than it protects
@@ -79,9 +82,27 @@ class SupernodeSettings(ServiceSettings):
         if self.members and parse_address(self.listen).port == 0:
             raise ValueError(f"--listen is {self.listen}; with --members it must be a port that the others know, not 0")
 
-    def member_list(self, listening_at: str) -> list[Member]:
-        """Every member; alone, it is this one at `listening_at`."""
-        if not self.members:
-            return [Member(member_id=self.id or DEFAULT_ID, address=self.advertise or listening_at)]
-        pairs = (member.partition("=") for member in self.members)
-        return [Member(member_id=member_id, address=address) for member_id, _, address in pairs]
+    def founding(self, listening_at: str) -> Founding:
+        """How this supernode begins: by the list of members, by what its folder was prepared for, or alone.
+
+        Raises StampedeError for a folder that nobody has prepared: a member that lost its disk would come back
+        without what it has promised.
+        """
+        prepared = None if self.data_dir is None else read_founding(self.data_dir)
+        if prepared is not None:
+            return prepared
+        if self.members:
+            members = dict(self._pairs())
+            return Founding(supernode_id=self.id, address=members[self.id], members=members)
+        name, address = self.id or DEFAULT_ID, self.advertise or listening_at
+        if self.data_dir is not None and not holds_store(self.data_dir):
+            raise StampedeError(
+                f"{self.data_dir} holds no supernode yet: found a cluster there with `stampede supernode init`, enter "
+                "one with `stampede supernode join`, or start the founders of one with --members"
+            )
+        return Founding(supernode_id=name, address=address, members={name: address})
+
+    def _pairs(self) -> Iterator[tuple[str, str]]:
+        for member in self.members:
+            member_id, _, address = member.partition("=")
+            yield member_id, address

@@ -19,6 +19,7 @@ from stampede_rt_supernode.replication.interface import (
     ReplicatedLog,
     ReplicationStatus,
     StateMachine,
+    TicketSpent,
     Unavailable,
 )
 from stampede_rt_supernode.replication.library import LibraryMismatch
@@ -44,6 +45,7 @@ __all__ = [
     "StateMachine",
     "StoreDamaged",
     "StoreRefused",
+    "TicketSpent",
     "Unavailable",
     "holds_store",
     "open_replicated_log",

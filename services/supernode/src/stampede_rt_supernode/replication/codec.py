@@ -75,7 +75,13 @@ def decode_configuration(command: bytes) -> Configuration:
 
 
 def _configuration_message(configuration: Configuration) -> pb.RaftConfiguration:
-    return pb.RaftConfiguration(members=encode_members(configuration.members), retired_ids=configuration.retired)
+    return pb.RaftConfiguration(
+        members=encode_members(configuration.members),
+        retired_ids=configuration.retired,
+        spent_tickets=[
+            pb.RaftSpentTicket(ticket_sha256=ticket, member_id=member_id) for ticket, member_id in configuration.spent
+        ],
+    )
 
 
 def _configuration(message: pb.RaftConfiguration) -> Configuration:
@@ -84,7 +90,8 @@ def _configuration(message: pb.RaftConfiguration) -> Configuration:
     members = decode_members(message.members)
     if not {member.member_id for member in members}.isdisjoint(message.retired_ids):
         raise MalformedMessage("a configuration names a member that was removed")
-    return Configuration.of(members, message.retired_ids)
+    spent = [(one.ticket_sha256, one.member_id) for one in message.spent_tickets]
+    return Configuration.of(members, message.retired_ids, spent)
 
 
 def encode_entry(entry: Entry) -> pb.RaftLogEntry:

@@ -15,6 +15,7 @@ from stampede_rt_supernode.replication.interface import Member
 
 MEMBERS_MAX = 9
 RETIRED_MAX = 512
+SPENT_MAX = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,24 +24,33 @@ class Configuration:
 
     members: tuple[Member, ...]
     retired: tuple[str, ...] = ()
+    # (ticket, member id): a ticket lets one member in.
+    spent: tuple[tuple[str, str], ...] = ()
 
     @classmethod
-    def of(cls, members: Sequence[Member], retired: Sequence[str] = ()) -> Configuration:
+    def of(
+        cls, members: Sequence[Member], retired: Sequence[str] = (), spent: Sequence[tuple[str, str]] = ()
+    ) -> Configuration:
         """The configuration of these members."""
-        return cls(tuple(sorted(members, key=lambda member: member.member_id)), tuple(retired))
+        return cls(tuple(sorted(members, key=lambda member: member.member_id)), tuple(retired), tuple(spent))
+
+    def spender_of(self, ticket: str) -> str | None:
+        """Whom a ticket has let in."""
+        return dict(self.spent).get(ticket)
 
     def find(self, member_id: str) -> Member | None:
         """The member with this id."""
         return next((member for member in self.members if member.member_id == member_id), None)
 
-    def with_member(self, member: Member) -> Configuration:
-        """The configuration with one member more."""
-        return Configuration.of((*self.members, member), self.retired)
+    def with_member(self, member: Member, ticket: str = "") -> Configuration:
+        """The configuration with one member more, let in by a ticket, or without one."""
+        spent = (*self.spent, (ticket, member.member_id)) if ticket else self.spent
+        return Configuration.of((*self.members, member), self.retired, spent[-SPENT_MAX:])
 
     def without(self, member_id: str) -> Configuration:
         """The configuration with one member less, whose id never comes back."""
         remaining = [member for member in self.members if member.member_id != member_id]
-        return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:])
+        return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:], self.spent)
 
 
 class Change(NamedTuple):

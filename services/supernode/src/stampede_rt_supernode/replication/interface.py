@@ -69,6 +69,10 @@ class ChangeRefused(Exception):
     """The members cannot be changed in this way; the message says why and what to do."""
 
 
+class TicketSpent(ChangeRefused):
+    """The ticket has let another member in."""
+
+
 class Ambiguous(Exception):
     """The command may or may not be applied: try again with the same operation id, never report it as failed."""
 
@@ -88,11 +92,12 @@ class ReplicatedLog(Protocol):
         After it, this replica's own state answers linearizably. Raises Unavailable.
         """
 
-    async def add_member(self, member: Member, *, timeout: float) -> int:
+    async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """Let a replica in that runs at `member.address` and waits to join; return the log position of the change.
 
         It is counted once it has caught up. Idempotent: an addition under way is waited for, and goes on after
-        `timeout`. Raises NotLeading, ChangeUnderWay, ChangeRefused, Unavailable or Ambiguous.
+        `timeout`. A `ticket` lets one member in. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if it
+        has let another one in), Unavailable or Ambiguous.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:

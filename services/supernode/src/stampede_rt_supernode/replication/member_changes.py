@@ -18,6 +18,7 @@ from stampede_rt_supernode.replication.interface import (
     ChangeUnderWay,
     Member,
     NotLeading,
+    TicketSpent,
     Unavailable,
 )
 
@@ -35,6 +36,7 @@ class MemberChange:
     member: Member
     is_removal: bool
     done: Callable[[ChangeOutcome], None]
+    ticket: str = ""
 
 
 @dataclass(slots=True)
@@ -176,7 +178,7 @@ class MemberChanges:
         if configuration.find(member.member_id) == member:
             self._finish([change], self._node.applied_index())
             return
-        refusal = _refusal(configuration, member)
+        refusal = _refusal(configuration, member, change.ticket)
         if refusal is not None:
             self._finish([change], refusal)
             return
@@ -198,8 +200,9 @@ class MemberChanges:
             return
         if self._node.may_change_members():
             self._addition = None
+            configuration = self._node.configuration().with_member(addition.member, addition.callers[0].ticket)
             # The learner first becomes a voter, and then ceases to be a learner: what it acknowledged stays known.
-            self._commit(addition.member.member_id, self._node.configuration().with_member(addition.member), addition)
+            self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 
     def _give_up(self, addition: _Addition) -> None:
@@ -277,7 +280,9 @@ class MemberChanges:
             self._finish_later(lambda caller=caller: caller.done(left))  # type: ignore[misc]
 
 
-def _refusal(configuration: Any, member: Member) -> ChangeRefused | None:
+def _refusal(configuration: Any, member: Member, ticket: str) -> ChangeRefused | None:
+    if ticket and configuration.spender_of(ticket) is not None:
+        return TicketSpent(f"the token has let {configuration.spender_of(ticket)} in already; make another one")
     if member.member_id in configuration.retired:
         return ChangeRefused(f"{member.member_id} was a member before; an id never comes back: join under a new one")
     known = configuration.find(member.member_id)

@@ -91,18 +91,18 @@ class PySyncObjLog:
         status = self._replica.status()
         return replace(status, removed=True) if self._links.removed else status
 
-    async def add_member(self, member: Member, *, timeout: float) -> int:
+    async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """See ReplicatedLog."""
-        return await self._change(member, is_removal=False, timeout=timeout)
+        return await self._change(member, is_removal=False, timeout=timeout, ticket=ticket)
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:
         """See ReplicatedLog."""
         return await self._change(Member(member_id=member_id, address=""), is_removal=True, timeout=timeout)
 
-    async def _change(self, member: Member, *, is_removal: bool, timeout: float) -> int:
+    async def _change(self, member: Member, *, is_removal: bool, timeout: float, ticket: str = "") -> int:
         self._refuse_when_closed()
         answer: asyncio.Future[ChangeOutcome] = asyncio.get_running_loop().create_future()
-        self._replica.change_members(MemberChange(member, is_removal, self._into(answer)))
+        self._replica.change_members(MemberChange(member, is_removal, self._into(answer), ticket))
         try:
             async with asyncio.timeout(timeout):
                 outcome = await answer

@@ -1,0 +1,54 @@
+"""Join tokens: made by any supernode, checked by any other, kept by none until they are used. Pure.
+
+A token carries its own end and a proof that only holders of the cluster's secret can make (HMAC, RFC 2104); in a
+cluster without a secret everybody could join anyway. That it lets in only one supernode is seen to by the log.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+
+from stampede_rt.errors import InvalidArgument, PermissionDenied
+
+VALID_NANOS_DEFAULT = 3600 * 10**9
+VALID_NANOS_MAX = 24 * 3600 * 10**9
+_PREFIX = "sj1"
+
+
+class JoinTokens:
+    """Makes and checks the tokens of one cluster."""
+
+    def __init__(self, secret_text: str) -> None:
+        self._secret_text = secret_text
+
+    def make(self, request_id: bytes, *, valid_until_unix_nano: int, cluster_id: str) -> str:
+        """The token for a request; the same for the same arguments."""
+        body = f"{_PREFIX}.{valid_until_unix_nano:x}.{request_id.hex()}"
+        return f"{body}.{self._proof(body, cluster_id)}"
+
+    def check(self, token: str, *, now_unix_nano: int, cluster_id: str) -> str:
+        """What the log knows the token by. Raises PermissionDenied with reason UNAUTHENTICATED."""
+        body, _, proof = token.rpartition(".")
+        parts = body.split(".")
+        if not hmac.compare_digest(proof.encode(), self._proof(body, cluster_id).encode()) or len(parts) != 3:
+            raise _refused("the join token is not one of this cluster; make one with `stampede supernode add`")
+        if int(parts[1], 16) <= now_unix_nano:
+            raise _refused("the join token is over; make another one with `stampede supernode add`")
+        return hashlib.sha256(token.encode()).hexdigest()
+
+    def _proof(self, body: str, cluster_id: str) -> str:
+        key = f"stampede-rt join token\n{cluster_id}\n{self._secret_text}".encode()
+        return hmac.new(key, body.encode(), hashlib.sha256).hexdigest()
+
+
+def valid_until(now_unix_nano: int, valid_nanos: int | None) -> int:
+    """When a token made now is over. Raises InvalidArgument."""
+    chosen = VALID_NANOS_DEFAULT if valid_nanos is None else valid_nanos
+    if not 0 < chosen <= VALID_NANOS_MAX:
+        raise InvalidArgument(f"valid_nanos is {chosen}; it must be more than 0 and at most 24 h")
+    return now_unix_nano + chosen
+
+
+def _refused(text: str) -> PermissionDenied:
+    return PermissionDenied(text, reason="UNAUTHENTICATED")

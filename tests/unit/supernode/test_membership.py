@@ -1,0 +1,158 @@
+"""Join tokens, MembershipService on an in-memory log, and what a data folder says of itself."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import pytest_asyncio
+
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
+from stampede_rt.v1 import directory_pb2, membership_service_pb2_grpc
+from stampede_rt.v1 import membership_service_pb2 as pb
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import serving
+from stampede_rt_supernode import replication
+from stampede_rt_supernode.founding import Founding, check_unused, note_started, read_founding, write_founding
+from stampede_rt_supernode.join_tokens import VALID_NANOS_MAX, JoinTokens, valid_until
+from stampede_rt_supernode.membership_servicer import MembershipServicer
+from stampede_rt_supernode.settings import SupernodeSettings
+from tests.unit.supernode.node import Node, reason_of, running_node
+
+TOKENS = JoinTokens("the secret")
+REQUEST_ID = bytes(range(16))
+
+
+def token(**changes: Any) -> str:
+    fields = {"valid_until_unix_nano": 1000, "cluster_id": "c", **changes}
+    return TOKENS.make(REQUEST_ID, **fields)
+
+
+def test_a_token_lets_in_until_it_is_over() -> None:
+    assert TOKENS.check(token(), now_unix_nano=999, cluster_id="c") == TOKENS.check(
+        token(), now_unix_nano=1, cluster_id="c"
+    )
+    with pytest.raises(PermissionDenied, match="over"):
+        TOKENS.check(token(), now_unix_nano=1000, cluster_id="c")
+
+
+@pytest.mark.parametrize("text", ["", ".", "sj1..", "sj1.3e8.00.11", "\u20ac.\u20ac.\u20ac.\u20ac"])
+def test_what_is_no_token_is_refused(text: str) -> None:
+    with pytest.raises(PermissionDenied, match="not one of this cluster"):
+        TOKENS.check(text, now_unix_nano=1, cluster_id="c")
+
+
+def test_a_token_of_another_cluster_or_secret_or_with_a_later_end_is_refused() -> None:
+    later = token().replace("3e8", "3e9")
+    for text, tokens, cluster_id in ((token(), TOKENS, "d"), (token(), JoinTokens("x"), "c"), (later, TOKENS, "c")):
+        with pytest.raises(PermissionDenied, match="not one of this cluster"):
+            tokens.check(text, now_unix_nano=1, cluster_id=cluster_id)
+
+
+def test_a_token_is_good_for_a_day_at_most() -> None:
+    assert valid_until(5, None) == 5 + 3600 * 10**9
+    for nanos in (0, VALID_NANOS_MAX + 1):
+        with pytest.raises(InvalidArgument, match="24 h"):
+            valid_until(5, nanos)
+
+
+@pytest_asyncio.fixture
+async def rig() -> AsyncIterator[tuple[Node, Any]]:
+    async with running_node() as node:
+        members: Any = type("Nobody", (), {"records": lambda self: ([], 1)})()
+        servicer = MembershipServicer(node.log, node.replica, members, TOKENS, node.clock, log_cluster_id="log")
+        register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
+        async with (
+            serving(lambda server: register(servicer, server)) as server,
+            dial(server.address, secret=None) as channel,
+        ):
+            yield node, membership_service_pb2_grpc.MembershipServiceStub(channel)
+
+
+async def addition(stub: Any, **changes: Any) -> pb.AddSupernodeRequest:
+    made = await stub.CreateJoinToken(pb.CreateJoinTokenRequest(request_id=REQUEST_ID), timeout=10)
+    fields = {
+        "supernode_id": "new",
+        "endpoint": directory_pb2.Endpoint(target="new:1"),
+        "token": made.token,
+        "protocol_version": 1,
+    }
+    return pb.AddSupernodeRequest(**{**fields, **changes})
+
+
+async def test_a_newcomer_with_a_token_is_added(rig: tuple[Node, Any]) -> None:
+    node, stub = rig
+    added = await stub.AddSupernode(await addition(stub), timeout=10)
+    assert added.index == node.log.index
+    [(member, ticket)] = node.log.added
+    assert (member.member_id, member.address, len(ticket)) == ("new", "new:1", 64)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"token": "nonsense"}, "UNAUTHENTICATED"),
+        ({"protocol_version": 2}, "VERSION_MISMATCH"),
+        ({"supernode_id": ""}, "INVALID_ARGUMENT"),
+        ({"endpoint": directory_pb2.Endpoint(target="nowhere")}, "INVALID_ARGUMENT"),
+    ],
+)
+async def test_a_newcomer_that_cannot_be_let_in_is_told_why(
+    rig: tuple[Node, Any], changes: dict[str, Any], reason: str
+) -> None:
+    _, stub = rig
+    error = await reason_of(stub.AddSupernode(await addition(stub, **changes), timeout=10))
+    assert error.reason == reason
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        (replication.NotLeading("x"), "NO_QUORUM"),
+        (replication.ChangeUnderWay("x"), "OVERLOADED"),
+        (replication.ChangeRefused("x"), "INVALID_ARGUMENT"),
+        (replication.TicketSpent("x"), "UNAUTHENTICATED"),
+        (replication.Unavailable("x"), "NO_QUORUM"),
+        (replication.Ambiguous("x"), "AMBIGUOUS"),
+    ],
+)
+async def test_what_the_log_says_of_a_change_reaches_the_caller(
+    rig: tuple[Node, Any], failure: Exception, reason: str
+) -> None:
+    node, stub = rig
+    node.log.change_fails = failure
+    error = await reason_of(stub.RemoveSupernode(pb.RemoveSupernodeRequest(supernode_id="s2"), timeout=10))
+    assert error.reason == reason
+
+
+FOUNDING = Founding(supernode_id="a", address="h:1", members={"a": "h:1"}, log_cluster_id="c", token="t")
+
+
+def test_a_founding_comes_back_as_it_was_written_and_only_its_user_can_read_it(tmp_path: Path) -> None:
+    write_founding(tmp_path / "a", FOUNDING)
+    assert read_founding(tmp_path / "a") == FOUNDING
+    assert (tmp_path / "a" / "supernode.json").stat().st_mode & 0o077 == 0
+    with pytest.raises(StampedeError, match="already"):
+        check_unused(tmp_path / "a")
+
+
+def test_once_started_the_store_must_be_there(tmp_path: Path) -> None:
+    write_founding(tmp_path, FOUNDING)
+    assert FOUNDING.replication_settings(tmp_path).create
+    assert not note_started(tmp_path, FOUNDING).replication_settings(tmp_path).create
+    assert read_founding(tmp_path) == replace(FOUNDING, started=True)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"format_version": 1, "surprise": 2}', '{"format_version": 9}'])
+def test_a_damaged_founding_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "supernode.json").write_text(text)
+    with pytest.raises(StampedeError, match=r"supernode\.json"):
+        read_founding(tmp_path)
+
+
+def test_a_folder_that_nobody_prepared_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StampedeError, match="stampede supernode init"):
+        SupernodeSettings(data_dir=tmp_path).founding("localhost:1")
