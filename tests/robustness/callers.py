@@ -1,0 +1,285 @@
+"""Callers that write histories, hosts that keep leases, and a probe that measures when the directory serves."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.status import DETAILS_KEY, from_rpc_error
+from stampede_rt.v1 import channel_pb2, directory_pb2
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_channel_host.lease_keeper import LeaseKeeper
+from tests.robustness.cluster import Cluster, Supernode, request_id
+from tests.robustness.histories.channel_model import Delete, Deleted, Open, Refusal, Resolve, Seen, Update
+from tests.robustness.histories.operations import Recorder
+
+ATTEMPT_SECONDS, CALL_SECONDS = 1.5, 8.0
+FINAL_REASONS = frozenset(("CHANNEL_NOT_FOUND", "WRONG_EPOCH"))
+NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 6, 4.0
+
+
+class TwoOwners(AssertionError):
+    """Two hosts believed at one moment that they own a channel."""
+
+
+class NotDone(Exception):
+    """The call was certainly not done."""
+
+
+class Unknown(Exception):
+    """The call may or may not have been done."""
+
+
+async def persist(
+    cluster: Cluster, method: str, request: Any, dice: random.Random, *, seconds: float = CALL_SECONDS
+) -> Any:
+    """One call, at one supernode after the other with the same request id. Raises StampedeError for what the directory
+    itself refuses, NotDone or Unknown."""
+    deadline, unknown = time.monotonic() + seconds, False
+    nodes = dice.sample(cluster.supernodes, len(cluster.supernodes))
+    turn = 0
+    while (left := deadline - time.monotonic()) > 0:
+        node, turn = nodes[turn % len(nodes)], turn + 1
+        try:
+            return await getattr(node.stub, method)(request, timeout=min(left, ATTEMPT_SECONDS))
+        except grpc.aio.AioRpcError as error:
+            answered = any(key == DETAILS_KEY for key, _ in error.trailing_metadata() or ())
+            refusal = from_rpc_error(error, node.name)
+            if answered and refusal.reason in FINAL_REASONS:
+                raise refusal from error
+            unknown |= not answered or refusal.reason not in ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
+        await asyncio.sleep(dice.uniform(0.02, 0.3))
+    raise Unknown if unknown else NotDone
+
+
+class Caller:
+    """One sequential caller. Knows only what it was itself told."""
+
+    def __init__(self, number: int, cluster: Cluster, recorder: Recorder, hosts: list[HostActor], seed: int) -> None:
+        self._cluster, self._recorder, self._hosts = cluster, recorder, hosts
+        self._dice = random.Random(f"{seed}-{number}")
+        self._value = 1_000_000 * (number + 1)
+        self._seen: dict[str, Seen] = {}
+        self.not_done = 0
+
+    async def run(self, began: float, pause_s: float = 0.05) -> None:
+        """Call until cancelled."""
+        while True:
+            age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
+            await self.once(f"robust/{age}-{self._dice.randrange(NAMES_AT_ONCE)}")
+            await asyncio.sleep(self._dice.uniform(0, 2 * pause_s))
+
+    async def once(self, name: str) -> None:
+        """One random call about a name, taken down."""
+        call, invoked = self._choose(name), time.monotonic()
+        try:
+            answer = await self._answer(name, call)
+        except StampedeError as error:
+            self._recorder.done(name, call, invoked, Refusal(error.reason))
+            self._seen.pop(name, None)
+        except NotDone:
+            self.not_done += 1
+        except (Unknown, asyncio.CancelledError) as error:
+            self._recorder.ambiguous(name, call, invoked)
+            if isinstance(error, asyncio.CancelledError):
+                raise
+        else:
+            self._recorder.done(name, call, invoked, answer)
+            if isinstance(answer, Seen):
+                self._seen[name] = answer
+            else:
+                self._seen.pop(name, None)
+
+    def _choose(self, name: str) -> Open | Resolve | Update | Delete:
+        chance, seen = self._dice.random(), self._seen.get(name)
+        if seen is None or chance < 0.15:
+            return Open(0) if chance < 0.7 else Resolve()
+        if chance < 0.5:
+            return Resolve()
+        if chance > 0.95:
+            return Delete(seen.channel_id)
+        self._value += 1
+        return Update(seen.channel_id, seen.epoch, self._value)
+
+    async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> Seen | Deleted:
+        invoked = time.monotonic()
+        match call:
+            case Open():
+                request = pb.OpenChannelRequest(request_id=request_id(), name=name, create=True)
+                opened = await persist(self._cluster, "OpenChannel", request, self._dice)
+                self._check_owner(opened, invoked)
+                return seen_in(opened.channel, created=opened.created)
+            case Resolve():
+                found = await persist(self._cluster, "ResolveChannel", pb.ResolveChannelRequest(name=name), self._dice)
+                self._check_owner(found, invoked)
+                return seen_in(found.channel)
+            case Update(channel_id=channel_id, epoch=epoch, value=value):
+                spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=value))
+                change = pb.UpdateChannelRequest(request_id=request_id(), channel_id=channel_id, epoch=epoch, spec=spec)
+                return seen_in((await persist(self._cluster, "UpdateChannel", change, self._dice)).channel)
+            case Delete(channel_id=channel_id):
+                forget = pb.DeleteChannelRequest(request_id=request_id(), channel_id=channel_id)
+                await persist(self._cluster, "DeleteChannel", forget, self._dice)
+                return Deleted()
+
+    def _check_owner(self, answer: Any, invoked: float) -> None:
+        for host in self._hosts:
+            host.hear(answer.channel, invoked)
+
+
+def seen_in(record: channel_pb2.ChannelRecord, *, created: bool = False) -> Seen:
+    """What an answer showed of a channel."""
+    value = record.spec.retention.max_items  # 0 where it was never stated: the directory allows no 0
+    return Seen(record.channel_id, record.epoch, value, record.spec_version, created)
+
+
+class HostActor:
+    """A host without items: it registers, keeps its lease by the product's own rules, and believes what it was told.
+
+    Its fence and this process's callers read one clock, so that belief and ownership can be compared at one moment.
+    """
+
+    def __init__(self, number: int, cluster: Cluster, seed: int) -> None:
+        self.host_id = (number + 1).to_bytes(16, "big")
+        self._name = f"robust-host-{number}"
+        self._boot = random.Random(f"boot-{seed}-{number}").getrandbits(64) | 1
+        self._cluster = cluster
+        self._dice = random.Random(f"host-{seed}-{number}")
+        self._lease = LeaseKeeper()
+        self._owned: dict[bytes, int] = {}
+        self._entered = 0.0
+        self.registrations = self.renewals = self.fenced = 0
+
+    def hear(self, record: channel_pb2.ChannelRecord, asked: float) -> None:
+        """Somebody who asked at `asked` was just told this, and comes to the host with it.
+
+        Raises TwoOwners if this host believes otherwise at this very moment. It believes what it hears only if its
+        registration is older than the question: an answer from before may be out of date.
+        """
+        epoch = self._owned.get(record.channel_id)
+        if record.host_id != self.host_id and epoch is not None and epoch < record.epoch and self._held():
+            raise TwoOwners(f"{self._name} believes in epoch {epoch} of {record.name}, which is at {record.epoch}")
+        newer = epoch is None or epoch < record.epoch
+        if record.host_id == self.host_id and newer and self._held() and self._entered <= asked:
+            self._owned[record.channel_id] = record.epoch
+
+    def _held(self) -> bool:
+        return self._lease.is_held(_boottime())
+
+    async def run(self) -> None:
+        """Register and renew until cancelled; now and then miss renewals for longer than a lease lasts."""
+        while True:
+            try:
+                await (self._renew() if self.registrations and self._held() else self._enter())
+            except LeaseExpired:
+                self._lease.give_up()
+            except (NotDone, Unknown, StampedeError, grpc.aio.AioRpcError):
+                self.fenced += not self._held()
+            absent = self._dice.random() < 0.01
+            pause_s = self._dice.uniform(2.5, 5.0) if absent else self._lease.renewal_in_nanos(_boottime()) / 1e9
+            await asyncio.sleep(max(0.05, pause_s))
+
+    async def _enter(self) -> None:
+        request = pb.RegisterHostRequest(
+            request_id=request_id(),
+            host_id=self.host_id,
+            name=self._name,
+            gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
+            boot_incarnation=self._boot,
+        )
+        sent = _boottime()
+        entered = await persist(self._cluster, "RegisterHost", request, self._dice, seconds=4.0)
+        self._owned = {record.channel_id: record.epoch for record in entered.channels}
+        self._lease.granted(sent_nanos=sent, ttl_nanos=entered.lease_ttl_nanos)
+        self._entered = time.monotonic()
+        self.registrations += 1
+
+    async def _renew(self) -> None:
+        request = pb.RenewHostLeaseRequest(host_id=self.host_id, boot_incarnation=self._boot)
+        for node in self._dice.sample(self._cluster.supernodes, len(self._cluster.supernodes)):
+            sent = _boottime()
+            try:
+                renewed = await node.stub.RenewHostLease(request, timeout=0.6)
+            except grpc.aio.AioRpcError as error:
+                refusal = from_rpc_error(error, node.name)
+                if isinstance(refusal, LeaseExpired):
+                    raise refusal from error
+                continue
+            self._lease.granted(sent_nanos=sent, ttl_nanos=renewed.lease_ttl_nanos)
+            self.renewals += 1
+            return
+
+
+def _boottime() -> int:
+    return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+
+
+class Probe:
+    """Sends a write every so often, at each supernode in turn, never waiting for the one before.
+
+    `served`: (invoked, answered) of those that were acknowledged. A write is a registration of its own host, which
+    always makes a log entry.
+    """
+
+    def __init__(self, cluster: Cluster, *, every_s: float = 0.1, patience_s: float = 6.0) -> None:
+        self._cluster, self._every_s, self._patience_s = cluster, every_s, patience_s
+        self.served: list[tuple[float, float]] = []
+        self._news = asyncio.Condition()
+
+    async def run(self) -> None:
+        """Probe until cancelled."""
+        pending: set[asyncio.Task[None]] = set()
+        turn = 0
+        try:
+            while True:
+                node, turn = self._cluster.supernodes[turn % len(self._cluster.supernodes)], turn + 1
+                pending.add(task := asyncio.create_task(self.write(node)))
+                task.add_done_callback(pending.discard)
+                await asyncio.sleep(self._every_s)
+        finally:
+            for task in pending:
+                task.cancel()
+
+    async def write(self, node: Supernode) -> None:
+        """One write, whose acknowledgement counts as service."""
+        request = pb.RegisterHostRequest(
+            request_id=request_id(),
+            host_id=b"p" * 16,
+            name="robust-probe",
+            gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
+            boot_incarnation=1,
+        )
+        invoked = time.monotonic()
+        try:
+            await node.stub.RegisterHost(request, timeout=self._patience_s)
+        except grpc.aio.AioRpcError:
+            return
+        self.served.append((invoked, time.monotonic()))
+        async with self._news:
+            self._news.notify_all()
+
+    async def serves_after(self, moment: float, *, seconds: float) -> float:
+        """How long after `moment` a write begun after it was first acknowledged. Raises TimeoutError."""
+        async with asyncio.timeout(seconds), self._news:
+            await self._news.wait_for(lambda: any(invoked >= moment for invoked, _ in self.served[-200:]))
+        return min(answered for invoked, answered in self.served if invoked >= moment) - moment
+
+
+async def with_background(work: list[Awaitable[None]], body: Callable[[], Awaitable[None]]) -> None:
+    """Run `body` beside endless `work`; a failure in either ends both and is raised."""
+    tasks = [asyncio.ensure_future(one) for one in work]
+    main = asyncio.ensure_future(body())
+    try:
+        done, _ = await asyncio.wait([main, *tasks], return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in (main, *tasks):
+            task.cancel()
+        await asyncio.gather(main, *tasks, return_exceptions=True)

@@ -1,0 +1,174 @@
+"""Channel hosts in simulated time: the production lease and channel store, under a registration of a few lines."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.v1 import directory_pb2
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_channel_host.identity import HostIdentity
+from stampede_rt_channel_host.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.store import ChannelStore
+from tests.robustness.directory.tasks import drive
+from tests.robustness.directory.world import Clock, DirectoryWorld
+from tests.robustness.replication.machine import PromiseBroken
+
+CHANNELS_TOLD_MAX = 1000
+
+
+class Ownership:
+    """What all hosts together do, seen in true time."""
+
+    def __init__(self) -> None:
+        self.hosts: list[SimHost] = []
+        self.puts = 0
+        self._highest: dict[bytes, int] = {}
+
+    def acknowledged(self, channel_id: bytes, epoch: int) -> None:
+        """A host has just taken an item under this epoch. Raises PromiseBroken."""
+        self.puts += 1
+        if epoch < self._highest.get(channel_id, 0):
+            raise PromiseBroken(f"an item was taken under epoch {epoch} after one under {self._highest[channel_id]}")
+        self._highest[channel_id] = epoch
+        self.check(channel_id)
+
+    def check(self, channel_id: bytes) -> None:
+        """Raises PromiseBroken if two hosts would serve the channel at this moment."""
+        serving = [(host.identity.name, epoch) for host in self.hosts if (epoch := host.epoch_served(channel_id))]
+        if len(serving) > 1:
+            raise PromiseBroken(f"channel {channel_id.hex()} is served by {serving} at one moment")
+
+
+class SimHost:
+    """One host. It restarts with a new boot incarnation, freezes, and is far from the directory at times."""
+
+    def __init__(self, world: DirectoryWorld, number: int, ownership: Ownership) -> None:
+        self.world, self._ownership = world, ownership
+        self._host_id = (number + 1).to_bytes(16, "big")
+        self._boots = itertools.count(1)
+        self.clock = Clock(world)
+        self.frozen_until = 0.0
+        ownership.hosts.append(self)
+        self.restart()
+
+    def restart(self) -> None:
+        """Killed and started: nothing is left but the id."""
+        number = int.from_bytes(self._host_id, "big")
+        self.identity = HostIdentity(
+            host_id=self._host_id, name=f"host-{number}", boot_incarnation=1000 * number + next(self._boots)
+        )
+        self.lease = LeaseKeeper()
+        self.store = ChannelStore(
+            self.identity,
+            self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
+            self.clock,
+            lease_held=lambda: self.lease.is_held(self.clock.boottime_nanos()),
+            memory_bytes_max=2**30,
+        )
+        self._binding: set[bytes] = set()
+        self._run(self._keep)
+
+    def epoch_served(self, channel_id: bytes) -> int:
+        """Under which epoch it would serve the channel now; 0: it would not."""
+        held = (one for one in self.store.all() if one.record.channel_id == channel_id)
+        served = next(held, None)
+        return served.epoch if served is not None and self.store.lease_held() else 0
+
+    def put(self, channel_id: bytes, epoch: int) -> None:
+        """Somebody's put arrives."""
+        self._run(lambda: self._take(channel_id, epoch))
+
+    def _run(self, make: Any) -> None:
+        boot = self.identity.boot_incarnation
+        drive(make, alive=lambda: self.identity.boot_incarnation == boot, gate=self._when_awake)
+
+    def _when_awake(self, call: Any) -> None:
+        if self.frozen_until > self.world.now:
+            self.world.at(self.frozen_until + self.world.dice.random() * 0.001, call)
+        else:
+            call()
+
+    async def _take(self, channel_id: bytes, epoch: int) -> None:
+        binding = self._binding  # of this start of the process
+        if channel_id in binding:
+            return  # it would wait for the store's lock, which takes an event loop; the caller would look again
+        binding.add(channel_id)
+        try:
+            await self.store.bind(channel_id, epoch)
+            self.store.find(channel_id, epoch)
+            self._ownership.acknowledged(channel_id, epoch)
+        except StampedeError:
+            pass  # the caller would look again
+        finally:
+            binding.discard(channel_id)
+
+    async def resolve(self, channel_id: bytes) -> Any:
+        """As `stampede_rt_channel_host.directory.Directory.resolve`."""
+        response = await self._ask("ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0)
+        return response.channel
+
+    async def _ask(self, method: str, request: Any, seconds: float) -> Any:
+        """At one supernode after the other. Raises what the directory refuses, or the last failure."""
+        deadline = self.world.now + seconds
+        for member in self._members():
+            left = deadline - self.world.now
+            if left <= 0:
+                break
+            outcome = await self.world.call(member, method, request, min(left, 1.5))
+            if not isinstance(outcome, (StampedeError, type(None))):
+                return outcome
+            if isinstance(outcome, StampedeError) and not outcome.retryable:
+                raise outcome
+            await self.world.sleep(0.02 + self.world.dice.random() * 0.1)
+        raise _Unanswered("nobody answered in time")
+
+    def _members(self) -> Iterator[Any]:
+        members = list(self.world.members.values())
+        start = self.world.dice.randrange(len(members))
+        return itertools.islice(itertools.cycle(members), start, start + 6 * len(members))
+
+    async def _keep(self) -> None:
+        while True:
+            try:
+                await (self._renew() if self.store.lease_held() else self._enter())
+            except LeaseExpired:
+                self.lease.give_up()
+            except StampedeError:
+                pass  # tried again below
+            await self.world.sleep(max(0.05, self.lease.renewal_in_nanos(self.clock.boottime_nanos()) / 1e9))
+
+    async def _enter(self) -> None:
+        request = pb.RegisterHostRequest(
+            request_id=self.world.dice.randbytes(16),
+            host_id=self.identity.host_id,
+            name=self.identity.name,
+            gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
+            boot_incarnation=self.identity.boot_incarnation,
+        )
+        sent = self.clock.boottime_nanos()
+        entered = await self._ask("RegisterHost", request, 4.0)
+        self.store.registered(entered.channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX)
+        self._granted(sent, entered.lease_ttl_nanos)
+
+    async def _renew(self) -> None:
+        request = pb.RenewHostLeaseRequest(
+            host_id=self.identity.host_id, boot_incarnation=self.identity.boot_incarnation
+        )
+        sent = self.clock.boottime_nanos()
+        renewed = await self._ask("RenewHostLease", request, 0.7)
+        self._granted(sent, renewed.lease_ttl_nanos)
+
+    def _granted(self, sent: int, ttl_nanos: int) -> None:
+        self.lease.granted(sent_nanos=sent, ttl_nanos=ttl_nanos)
+        for one in self.store.all():
+            self._ownership.check(one.record.channel_id)
+
+
+class _Unanswered(StampedeError):
+    """Nobody answered."""
+
+    reason = "NO_QUORUM"
+    retryable = True

@@ -1,0 +1,299 @@
+"""The whole directory through seeded bad weather: `python -m tests.robustness.directory.simulate --seeds 200`.
+
+Production code: the replicated log, the state machine, leases, service, and the hosts' lease and channel store.
+Made up: time, network, disks, clocks that drift and wall clocks that are set. One seed is one run, the same every time:
+`--first SEED --seeds 1` replays a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import random
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+from unittest import mock
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_supernode.lease_keeper import LeaseKeeper
+from tests.robustness.callers import FINAL_REASONS, seen_in
+from tests.robustness.directory.host import Ownership, SimHost
+from tests.robustness.directory.tasks import drive
+from tests.robustness.directory.world import DirectoryWorld, _Leases
+from tests.robustness.histories.channel_model import (
+    Delete,
+    Deleted,
+    Open,
+    Refusal,
+    Resolve,
+    Seen,
+    Update,
+    acknowledged_writes,
+    check_channel_histories,
+)
+from tests.robustness.histories.operations import Recorder
+from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.simulate import weather_of
+from tests.robustness.replication.world import Weather
+from tests.robustness.report import Simulated
+
+STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
+CALLERS, HOSTS, NAMES = 8, 3, 4
+NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
+
+
+class Caller:
+    """One sequential caller in simulated time, see `tests.robustness.callers.Caller`."""
+
+    def __init__(self, number: int, storm: DirectoryStorm) -> None:
+        self._storm, self._world = storm, storm.world
+        self._value = 1_000_000 * (number + 1)
+        self._seen: dict[str, Seen] = {}
+        self._host_of: dict[str, bytes] = {}
+
+    async def run(self) -> None:
+        self._storm.calling += 1
+        while not self._storm.over:
+            name = f"sim/{int(self._world.now / 3)}-{self._world.dice.randrange(NAMES)}"
+            await self._once(name)
+            await self._world.sleep(self._world.dice.expovariate(1 / 0.04))
+        self._storm.calling -= 1
+
+    async def _once(self, name: str) -> None:
+        call, invoked, recorder = self._choose(name), self._world.now, self._storm.recorder
+        answer = await self._answer(name, call)
+        if answer is None:
+            recorder.ambiguous(name, call, invoked)
+        elif not isinstance(answer, StampedeError):
+            recorder.done(name, call, invoked, answer)
+        if isinstance(answer, Seen):
+            self._seen[name] = answer
+            self._storm.put(self._host_of[name], answer)
+        elif not isinstance(answer, StampedeError):
+            self._seen.pop(name, None)
+
+    def _choose(self, name: str) -> Open | Resolve | Update | Delete:
+        chance, seen = self._world.dice.random(), self._seen.get(name)
+        if seen is None or chance < 0.2:
+            return Open(0) if chance < 0.7 else Resolve()
+        if chance < 0.5:
+            return Resolve()
+        if chance > 0.95:
+            return Delete(seen.channel_id)
+        self._value += 1
+        return Update(seen.channel_id, seen.epoch, self._value)
+
+    async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> object:
+        """What the history gets; None: unknown; a StampedeError: certainly not done."""
+        method, request = _request(name, call, self._world.dice)
+        outcome = await self._persist(method, request)
+        if isinstance(outcome, StampedeError) and outcome.reason in FINAL_REASONS:
+            return Refusal(outcome.reason)
+        if outcome is None or isinstance(outcome, StampedeError):
+            return outcome
+        if isinstance(call, Delete):
+            return Deleted()
+        self._host_of[name] = outcome.channel.host_id
+        return seen_in(outcome.channel, created=getattr(outcome, "created", False))
+
+    async def _persist(self, method: str, request: Any) -> Any:
+        deadline, unknown = self._world.now + self._world.dice.uniform(1, 6), False
+        outcome: Any = None
+        while (left := deadline - self._world.now) > 0:
+            member = self._world.dice.choice(list(self._world.members.values()))
+            outcome = await self._world.call(member, method, request, min(left, 1.5))
+            if outcome is None:
+                unknown = True
+            elif not isinstance(outcome, StampedeError) or outcome.reason in FINAL_REASONS:
+                return outcome
+            else:
+                unknown |= outcome.reason not in NOT_DONE_REASONS
+            await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
+        return None if unknown else outcome
+
+
+def _request(name: str, call: Open | Resolve | Update | Delete, dice: random.Random) -> tuple[str, Any]:
+    identity = dice.randbytes(16)
+    match call:
+        case Open():
+            return "OpenChannel", pb.OpenChannelRequest(request_id=identity, name=name, create=True)
+        case Resolve():
+            return "ResolveChannel", pb.ResolveChannelRequest(name=name)
+        case Update(channel_id=channel_id, epoch=epoch, value=value):
+            spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=value))
+            return "UpdateChannel", pb.UpdateChannelRequest(
+                request_id=identity, channel_id=channel_id, epoch=epoch, spec=spec
+            )
+        case Delete(channel_id=channel_id):
+            return "DeleteChannel", pb.DeleteChannelRequest(request_id=identity, channel_id=channel_id)
+
+
+class DirectoryStorm:
+    """Faults, callers and hosts over a world, until it ends."""
+
+    def __init__(self, world: DirectoryWorld) -> None:
+        self.world, self.over = world, False
+        self.calling = 0  # callers with a call under way, or about to make one
+        self.recorder = Recorder(lambda: world.now)
+        self.ownership = Ownership()
+        self._hosts = [SimHost(world, number, self.ownership) for number in range(HOSTS)]
+        for number in range(CALLERS):
+            drive(Caller(number, self).run)
+        weather = world.weather
+        for rate, happen in (
+            (weather.crashes, self._crash),
+            (weather.partitions, self._partition),
+            (weather.freezes, self._freeze),
+            (weather.link_breaks, lambda: world.break_wire(world.dice.choice(list(world.wires)))),
+            (0.3, self._set_wall_clock),
+            (0.15, lambda: world.dice.choice(self._hosts).restart()),
+            (0.3, self._freeze_host),
+        ):
+            if rate > 0:
+                self._repeat(rate, happen)
+
+    def put(self, host_id: bytes, seen: Seen) -> None:
+        """A caller goes to the owner that it was told, and again later, with what it knew then."""
+        owner = next((host for host in self._hosts if host.identity.host_id == host_id), None)
+        for _ in range(2):
+            delay = self.world.trip()
+            if owner is not None and delay is not None:
+                later = delay + self.world.dice.choice([0.0, 0.0, self.world.dice.uniform(0, 6)])
+                self.world.after(later, lambda: owner.put(seen.channel_id, seen.epoch))
+
+    def _repeat(self, rate: float, happen: Callable[[], None]) -> None:
+        def once() -> None:
+            if not self.over:
+                happen()
+                self._repeat(rate, happen)
+
+        self.world.after(self.world.dice.expovariate(rate), once)
+
+    def _crash(self) -> None:
+        alive, everybody = self.world.alive(), self.world.dice.random() < 0.15
+        for member in alive if everybody else alive and [self.world.dice.choice(alive)]:
+            member.crash()
+
+    def _freeze(self) -> None:
+        if alive := self.world.alive():
+            self.world.dice.choice(alive).frozen_until = self.world.now + self.world.dice.uniform(0.2, 4.0)
+
+    def _freeze_host(self) -> None:
+        self.world.dice.choice(self._hosts).frozen_until = self.world.now + self.world.dice.uniform(0.2, 5.0)
+
+    def _set_wall_clock(self) -> None:
+        machine: Any = self.world.dice.choice([*self.world.members.values(), *self._hosts])
+        machine.clock.wall_offset_nanos = int(self.world.dice.uniform(-1e18, 1e18))
+
+    def _partition(self) -> None:
+        dice, world = self.world.dice, self.world
+        names = list(world.members)
+        side = set(dice.sample(names, dice.randint(1, len(names) - 1)))
+        kind = dice.choice(["split", "one way", "bridge"])
+        pairs = [(a, b) for a, b in world.wires if a in side and b not in side]
+        if kind == "bridge":
+            pairs = pairs[:1]
+        if kind != "one way":
+            pairs += [(b, a) for a, b in pairs]
+        world.block(pairs)
+        world.after(dice.uniform(0.3, 5.0), lambda: world.unblock(pairs))
+
+
+def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> DirectoryStorm:
+    """One seed: storm, calm, judgement. Raises PromiseBroken or NotLinearizable; the arguments plant faults."""
+    dice = random.Random(f"directory-{seed}")
+    world = DirectoryWorld(seed, size=dice.choice([3, 3, 3, 5]), weather=weather_of(dice), leases=leases)
+    with (
+        mock.patch("secrets.token_bytes", world.dice.randbytes),
+        mock.patch("secrets.randbits", world.dice.getrandbits),
+        mock.patch("secrets.token_hex", lambda count: world.dice.randbytes(count).hex()),
+    ):
+        for member in world.members.values():
+            member.disk.forgets = forgets
+            member.start()
+        _revive(world)
+        storm = DirectoryStorm(world)
+        world.run_until(STORM_SECONDS)
+        storm.over = True
+        _calm(storm)
+    check_channel_histories(storm.recorder.operations)
+    return storm
+
+
+def _revive(world: DirectoryWorld) -> None:
+    for member in world.members.values():
+        if member.replica is None and world.dice.random() < 0.3:
+            world.restart(member)
+    world.after(0.4, lambda: _revive(world))
+
+
+def _calm(storm: DirectoryStorm) -> None:
+    """Heal everything; then every name must be readable at every supernode, and the reads belong to the history."""
+    world = storm.world
+    world.weather = Weather()
+    world.unblock(list(world.wires))
+    for member in world.members.values():
+        member.frozen_until = 0.0
+        world.restart(member)
+    names = sorted({operation.key for operation in storm.recorder.operations})
+    waiting: set[tuple[str, str]] = set()
+    for member in world.members.values():
+        for name in names:
+            waiting.add((member.member.member_id, name))
+            drive(lambda member=member, name=name: _read_until_answered(storm, member, name, waiting))
+    if not world.run_until(world.now + HEAL_SECONDS, lambda: not waiting and not storm.calling):
+        raise PromiseBroken(
+            f"{len(waiting)} reads and {storm.calling} callers find no answer {HEAL_SECONDS} s after everything healed"
+        )
+
+
+async def _read_until_answered(storm: DirectoryStorm, member: Any, name: str, waiting: set[tuple[str, str]]) -> None:
+    world = storm.world
+    while True:
+        invoked = world.now
+        outcome = await world.call(member, "ResolveChannel", pb.ResolveChannelRequest(name=name), 2.0)
+        refused = isinstance(outcome, StampedeError)
+        if outcome is not None and (not refused or outcome.reason in FINAL_REASONS):
+            answer = Refusal(outcome.reason) if refused else seen_in(outcome.channel)
+            storm.recorder.done(name, Resolve(), invoked, answer)
+            waiting.discard((member.member.member_id, name))
+            return
+        await world.sleep(0.1)
+
+
+def run_seeds(first: int, count: int) -> Simulated:
+    """Many seeds; the failed ones are named, with what went wrong on stderr."""
+    logging.disable(logging.WARNING)  # services complain of the weather, as they should
+    failed, operations, acknowledged, puts, began = [], 0, 0, 0, time.monotonic()
+    for seed in range(first, first + count):
+        try:
+            storm = run(seed)
+        except Exception:  # noqa: BLE001 - every failure is reported with its seed
+            failed.append(seed)
+            print(f"seed {seed} failed:", file=sys.stderr)
+            traceback.print_exc()
+            continue
+        operations += len(storm.recorder.operations)
+        acknowledged += acknowledged_writes(storm.recorder.operations)
+        puts += storm.ownership.puts
+    return Simulated(count, failed, operations, acknowledged, puts, time.monotonic() - began)
+
+
+def main() -> int:
+    """Run many seeds and name those that fail."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    wanted = parser.parse_args()
+    found = run_seeds(wanted.first, wanted.seeds)
+    print(found)
+    return 1 if found.failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,92 @@
+"""The directory through seeded bad weather, and planted faults that the same judgement must find."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from stampede_rt_channel_host.lease_keeper import LeaseKeeper as HostLease
+from stampede_rt_supernode.replication.interface import ReplicationStatus
+from tests.robustness.directory import host, simulate
+from tests.robustness.directory.world import Submission, _Leases
+from tests.robustness.histories.channel_model import acknowledged_writes
+from tests.robustness.histories.linearizability import NotLinearizable
+from tests.robustness.replication.machine import PromiseBroken
+
+SEEDS_IN_SUITE, BLOCKS = 20, 4
+
+
+@pytest.mark.parametrize("block", range(BLOCKS))
+def test_histories_are_linearizable_and_no_channel_has_two_owners_in_bad_weather(block: int) -> None:
+    writes = puts = 0
+    for seed in range(block, SEEDS_IN_SUITE, BLOCKS):
+        try:
+            storm = simulate.run(seed)
+        except Exception as error:
+            error.add_note(f"replay: python -m tests.robustness.directory.simulate --first {seed} --seeds 1")
+            raise
+        writes += acknowledged_writes(storm.recorder.operations)
+        puts += storm.ownership.puts
+    assert writes > 20, "the weather was so bad that nothing was tested"
+    assert puts > 20, "the weather was so bad that no host served"
+
+
+def test_a_seed_gives_the_same_run_every_time() -> None:
+    first, second = simulate.run(3), simulate.run(3)
+    assert first.recorder.operations == second.recorder.operations
+    assert first.ownership.puts == second.ownership.puts > 0
+
+
+class ShortOfMemory(_Leases):
+    """A leader that means a shorter lease than the cluster was founded with, and than its hosts were told."""
+
+    async def _take_over(self, status: ReplicationStatus) -> None:
+        await super()._take_over(status)
+        self._table.ttl_nanos //= 4
+
+
+class NeverFenced(HostLease):
+    """A host that goes on until it is told that its lease has ended."""
+
+    def is_held(self, now: int) -> bool:
+        return self._fence_nanos is not None
+
+
+@pytest.fixture(autouse=True)
+def _no_complaints_of_the_weather() -> Iterator[None]:
+    logging.disable(logging.WARNING)
+    yield
+    logging.disable(logging.NOTSET)
+
+
+def found_within(seeds: int, **planted: Any) -> bool:
+    for seed in range(seeds):
+        try:
+            simulate.run(seed, **planted)
+        except (PromiseBroken, NotLinearizable):
+            return True
+    return False
+
+
+def test_a_leader_that_ends_leases_too_early_is_found() -> None:
+    assert found_within(20, leases=ShortOfMemory)
+
+
+def test_a_supernode_that_reads_without_asking_the_leader_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def confirm(self: Submission, *, seconds: float) -> int:
+        return 0
+
+    monkeypatch.setattr(Submission, "confirm", confirm)
+    assert found_within(20)
+
+
+def test_a_host_that_does_not_fence_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "LeaseKeeper", NeverFenced)
+    assert found_within(40)
+
+
+def test_a_disk_that_forgets_what_it_acknowledged_is_found() -> None:
+    assert found_within(40, forgets=1)

@@ -1,0 +1,245 @@
+"""The simulated cluster of the replicated log, with the production directory, leases and service on each member."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any, TypeVar
+
+from stampede_rt import errors
+from stampede_rt_supernode.command_codec import decode_result, encode_command
+from stampede_rt_supernode.commands import Command, Deed, Refused, Success
+from stampede_rt_supernode.lease_keeper import TICK_SECONDS, LeaseKeeper
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
+from stampede_rt_supernode.replication.proposals import Proposal
+from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.servicer import DirectoryServicer
+from tests.robustness.directory.tasks import Resume, drive, wait
+from tests.robustness.replication.world import SimMember, Weather, World
+
+LEASE_TTL_NANOS = 2 * 10**9
+CLOCK_DRIFT_MAX = 0.02  # of each machine's clock against true time; ten times what NTP calls a broken clock
+R = TypeVar("R", bound=Success)
+
+
+class Clock:
+    """A machine's clocks: one that drifts a little, and a wall clock that somebody sets now and then."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._rate = 1 + world.dice.uniform(-CLOCK_DRIFT_MAX, CLOCK_DRIFT_MAX)
+        self._offset = world.dice.uniform(0, 1e6)
+        self.wall_offset_nanos = 0
+
+    def boottime_nanos(self) -> int:
+        return int((self._offset + self._world.now * self._rate) * 1e9)
+
+    def time_unix_nano(self) -> int:
+        return max(0, 1_700_000_000_000_000_000 + self.boottime_nanos() + self.wall_offset_nanos)
+
+
+class Submission:
+    """As `stampede_rt_supernode.submission`, in simulated time."""
+
+    def __init__(self, member: DirectoryMember) -> None:
+        self._member, self._world = member, member.world
+
+    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float) -> R:
+        stamp = self._member.clock.time_unix_nano()
+        encoded = encode_command(Command(op_id=op_id, time_unix_nano=stamp, deed=deed))
+        deadline, ambiguous = self._world.now + seconds, False
+        while (left := deadline - self._world.now) > 0:
+            outcome = await wait(lambda resume, left=left: self._propose(encoded, min(left, 2.0), resume))
+            if isinstance(outcome, bytes):
+                result = decode_result(outcome)
+                if not (isinstance(result, Refused) and result.reason == "NO_QUORUM"):
+                    return _checked(result, kind)
+            ambiguous |= isinstance(outcome, Ambiguous)
+            await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
+        raise errors.Unavailable("not within the time", reason="AMBIGUOUS" if ambiguous else "NO_QUORUM")
+
+    async def confirm(self, *, seconds: float) -> int:
+        deadline = self._world.now + seconds
+        while (left := deadline - self._world.now) > 0:
+            index = await wait(lambda resume, left=left: self._read(min(left, 2.0), resume))
+            if index is not None:
+                return int(index)
+            await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
+        raise errors.Unavailable("not within the time")
+
+    def _propose(self, encoded: bytes, timeout: float, resume: Resume) -> None:
+        assert self._member.replica is not None
+        later = self._world.later(resume)
+        try:
+            self._member.replica.propose(Proposal(encoded, self._world.now + timeout, later))
+        except Unavailable as full:
+            later(full)
+
+    def _read(self, timeout: float, resume: Resume) -> None:
+        assert self._member.replica is not None
+        later = self._world.later(resume)
+        try:
+            self._member.replica.read(Read(self._world.now + timeout, later))
+        except Unavailable:
+            later(None)
+
+
+def _checked(result: Any, kind: type[R]) -> R:
+    if isinstance(result, Refused):
+        raise result.error()
+    assert isinstance(result, kind)
+    return result
+
+
+class _Log:
+    """What the lease keeper asks of the log."""
+
+    def __init__(self, member: DirectoryMember) -> None:
+        self._member = member
+
+    def status(self) -> ReplicationStatus:
+        assert self._member.replica is not None
+        return self._member.replica.status()
+
+
+class _Leases(LeaseKeeper):
+    """The production one; only what needs an event loop is done one after the other."""
+
+    async def _end_due_leases(self) -> None:
+        now = self._clock.boottime_nanos()
+        self._table.follow(self._replica.read(lambda directory: list(directory.tables.live_hosts())), now)
+        for lease in self._table.due(now):
+            await self._end(*lease)
+
+
+class DirectoryMember(SimMember):
+    """One supernode: the member of the log, and the service on it. Whatever machine a member is given, it drives a
+    directory."""
+
+    world: DirectoryWorld
+    _directory: DirectoryReplica
+
+    def __init__(self, world: DirectoryWorld, member: Member, seeds: Sequence[Member]) -> None:
+        self.clock = Clock(world)
+        super().__init__(world, member, seeds)
+
+    @property
+    def machine(self) -> Any:
+        return self._directory
+
+    @machine.setter
+    def machine(self, _: object) -> None:
+        self._directory = DirectoryReplica()
+
+    def start(self) -> None:
+        super().start()
+        submission = Submission(self)
+        leases = self.world.leases(
+            _Log(self),  # type: ignore[arg-type]  # status() is all that it asks for
+            self._directory,
+            submission,  # type: ignore[arg-type]  # the same methods
+            clock=self.clock,
+            founding_ttl_nanos=LEASE_TTL_NANOS,
+        )
+        self.service = DirectoryServicer(self._directory, submission, leases, None, None, self.clock)  # type: ignore[arg-type]
+        self.run(lambda: self._tick(leases))
+
+    def run(self, make: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Run it in this process: it ends with it, and stands still while it is frozen."""
+        process = self.replica
+        drive(make, alive=lambda: self.replica is process, gate=self._when_awake)
+
+    def _when_awake(self, call: Callable[[], None]) -> None:
+        if self.frozen_until > self.world.now:
+            self.world.at(self.frozen_until, call)
+        else:
+            call()
+
+    async def _tick(self, leases: LeaseKeeper) -> None:
+        while True:
+            await leases.tick()
+            await self.world.sleep(TICK_SECONDS)
+
+
+class DirectoryWorld(World):
+    """A World whose members serve the directory. `leases`: another class plants faults."""
+
+    members: dict[str, DirectoryMember]  # type: ignore[assignment]
+
+    def __init__(self, seed: int, *, size: int, weather: Weather, leases: type[LeaseKeeper] = _Leases) -> None:
+        self.leases = leases
+        super().__init__(seed, size=size, weather=weather)
+        self.members = {
+            name: DirectoryMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
+        }
+
+    async def sleep(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        await wait(lambda resume: self.after(seconds, lambda: resume(None)))
+
+    def later(self, resume: Resume) -> Resume:
+        """`resume`, but through the event loop of the process, a moment later."""
+        return lambda value: self.after(self.dice.random() * 0.002, lambda: resume(value))
+
+    # -- calls -------------------------------------------------------------------------------------------------
+
+    async def call(self, member: DirectoryMember, method: str, request: Any, timeout: float) -> Any:
+        """One RPC over a bad network: the response, the StampedeError, or None if nothing was heard in time."""
+        return await wait(lambda resume: self._call(member, method, request, timeout, resume))
+
+    def _call(self, member: DirectoryMember, method: str, request: Any, timeout: float, resume: Resume) -> None:
+        deadline = self.now + timeout
+        self.at(deadline, lambda: resume(None))
+
+        def answer(outcome: object) -> None:
+            if (delay := self.trip()) is not None:
+                self.after(delay, lambda: resume(outcome))
+
+        def arrive() -> None:
+            if member.replica is not None:
+                service = member.service
+                member.run(lambda: _served(service, method, request, _Context(self, deadline), answer))
+
+        if (delay := self.trip()) is not None:
+            self.after(delay, arrive)
+
+    def trip(self) -> float | None:
+        """How long a message between a caller and a service is on its way; None: it is lost."""
+        if self.dice.random() < self.weather.loss / 2:
+            return None
+        slow = self.dice.random() < 0.04
+        return self.dice.uniform(0.1, 3.0) if slow else self.dice.expovariate(1 / 0.003)
+
+
+class _Context:
+    """What a servicer asks of gRPC."""
+
+    def __init__(self, world: DirectoryWorld, deadline: float) -> None:
+        self._world, self._deadline = world, deadline
+
+    def time_remaining(self) -> float:
+        return max(0.0, self._deadline - self._world.now)
+
+    def auth_context(self) -> dict[str, Any]:
+        return {}
+
+    async def abort(self, code: object, message: str, trailers: Any) -> None:
+        raise _Aborted(code, message, trailers)
+
+
+class _Aborted(Exception):
+    """The RPC ended with an error; carries what the caller would be sent."""
+
+    def trailing_metadata(self) -> Any:
+        return self.args[2]
+
+
+async def _served(
+    service: DirectoryServicer, method: str, request: Any, context: _Context, answer: Callable[[object], None]
+) -> None:
+    from stampede_rt.status import from_rpc_error
+
+    try:
+        answer(await getattr(service, method)(request, context))
+    except _Aborted as error:
+        answer(from_rpc_error(error, "simulated"))  # type: ignore[arg-type]  # it has the trailers

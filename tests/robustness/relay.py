@@ -1,0 +1,99 @@
+"""A TCP relay that makes a network bad: `python -m tests.robustness.relay LISTEN_HOST:PORT TO_HOST:PORT`.
+
+Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share`: every chunk waits delay plus up to jitter; a
+`stall_share` of them waits 0.2 to 0.6 s more, which is what a lost segment costs a TCP reader (RFC 6298);
+at a `cut_share` of them the connection is reset. Bytes of one connection stay in order, as TCP has it; those of
+different connections overtake each other.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+import sys
+from dataclasses import dataclass
+
+CHUNK_BYTES = 64 * 1024
+CHUNKS_WAITING_MAX = 256
+
+
+@dataclass(slots=True)
+class Weather:
+    """What happens to a chunk."""
+
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+    stall_share: float = 0.0
+    cut_share: float = 0.0
+
+    def wait_s(self) -> float:
+        """How long the next chunk is on its way."""
+        stalled = random.random() < self.stall_share
+        return self.delay_s + random.random() * self.jitter_s + (random.uniform(0.2, 0.6) if stalled else 0.0)
+
+
+class Relay:
+    """Every connection is passed on to `target`, under the weather of the moment."""
+
+    def __init__(self, target: tuple[str, int]) -> None:
+        self.weather = Weather()
+        self._target = target
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One connection, until either end closes or the weather cuts it."""
+        try:
+            far_reader, far_writer = await asyncio.open_connection(*self._target)
+        except OSError:
+            writer.transport.abort()
+            return
+        ways = [
+            asyncio.create_task(self._pass(reader, far_writer)),
+            asyncio.create_task(self._pass(far_reader, writer)),
+        ]
+        try:
+            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for way in ways:
+                way.cancel()
+            await asyncio.gather(*ways, return_exceptions=True)
+            for end in (writer, far_writer):
+                end.transport.abort()
+
+    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        waiting: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(CHUNKS_WAITING_MAX)
+        sending = asyncio.create_task(_send(waiting, writer))
+        now = asyncio.get_running_loop().time
+        try:
+            with contextlib.suppress(OSError):
+                while chunk := await reader.read(CHUNK_BYTES):
+                    if random.random() < self.weather.cut_share or sending.done():
+                        return
+                    await waiting.put((now() + self.weather.wait_s(), chunk))
+        finally:
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+
+
+async def _send(waiting: asyncio.Queue[tuple[float, bytes]], writer: asyncio.StreamWriter) -> None:
+    now = asyncio.get_running_loop().time
+    while True:
+        due, chunk = await waiting.get()
+        await asyncio.sleep(max(0.0, due - now()))
+        writer.write(chunk)
+        await writer.drain()
+
+
+async def main(listen: str, to: str) -> None:
+    """Relay until stdin closes."""
+    host, _, port = to.rpartition(":")
+    relay = Relay((host, int(port)))
+    host, _, port = listen.rpartition(":")
+    async with await asyncio.start_server(relay.serve, host, int(port)):
+        print("ready", flush=True)
+        while line := await asyncio.to_thread(sys.stdin.readline):
+            relay.weather = Weather(*(float(word) for word in line.split()))
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))
