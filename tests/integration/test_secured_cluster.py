@@ -46,6 +46,13 @@ def cluster() -> Iterator[LocalCluster]:
         yield made
 
 
+@pytest.fixture(scope="module")
+def secret_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    place = tmp_path_factory.mktemp("secret") / "secret"
+    with LocalCluster(tls=True, hosts=0, supernodes=1, durable=False, secret_file=place) as made:
+        yield made
+
+
 @pytest.fixture
 def certificates(cluster: LocalCluster) -> ClusterCertificates:
     assert cluster.certificates is not None
@@ -175,15 +182,21 @@ def leaving(name: str) -> Callable[[grpc.aio.Channel], Any]:
     return lambda channel: directory_service_pb2_grpc.DirectoryServiceStub(channel).DeregisterHost(request, timeout=5)
 
 
+async def knock(channel: grpc.aio.Channel) -> None:
+    """Open a member's stream and say nothing: who may not have one is told before anything is read."""
+    call: Any = raft_service_pb2_grpc.RaftServiceStub(channel).Exchange(timeout=5)
+    await call.read()
+    raise AssertionError(f"the stream ended without a reason: {await call.code()}")
+
+
 def greeting(member: str, to: str) -> Callable[[grpc.aio.Channel], Any]:
     hello = raft_pb.RaftHello(protocol_version=1, member_id=member, peer_member_id=to)
 
     async def greet(channel: grpc.aio.Channel) -> None:
         call: Any = raft_service_pb2_grpc.RaftServiceStub(channel).Exchange(timeout=5)
         await call.write(raft_pb.RaftServiceExchangeRequest(hello=hello))
-        if await call.read() is grpc.aio.EOF:
-            await call.read()
-            raise AssertionError("the stream ended without a reason")
+        await call.read()
+        raise AssertionError(f"the stream was not refused: {await call.code()}")
 
     return greet
 
@@ -214,8 +227,8 @@ def test_a_host_cannot_end_or_prolong_the_lease_of_another(cluster: LocalCluster
 
 def test_only_the_member_that_a_certificate_names_opens_its_stream(cluster: LocalCluster) -> None:
     first = cluster.supernodes[0].address
-    told = ask(first, cluster.tls_files("h1", Role.HOST), greeting("s2", "s1"))
-    assert told.startswith("PERMISSION_DENIED: host h1 may not call RaftService/Exchange, which is for supernode")
+    told = ask(first, cluster.tls_files("h9", Role.HOST), knock)
+    assert told.startswith("PERMISSION_DENIED: host h9 may not call RaftService/Exchange, which is for supernode")
     told = ask(first, cluster.tls_files("s9", Role.SUPERNODE), greeting("s2", "s1"))
     assert "'s2' bears the certificate of supernode s9 of cluster local" in told
 
@@ -274,6 +287,26 @@ def test_doctor_finds_a_secured_cluster_well_and_says_what_a_caller_lacks(
         monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
     assert stampede(["doctor", "--url", cluster.address]) == 0
     assert "Everything is well." in capsys.readouterr().out
+    monkeypatch.setattr("stampede_rt.cli.doctor.CERTIFICATE_S_MIN", 365 * 86400.0)
+    assert stampede(["doctor", "--url", cluster.address]) == 1
+    told = capsys.readouterr().out
+    for process in cluster.processes():
+        assert f"{process.address}: its certificate ends in 30.0 days; issue it anew" in told
+
+
+@both_surfaces
+def test_a_cluster_that_is_told_to_ask_for_the_secret_asks_for_both(
+    connect: Connect, secret_cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret_cluster.secret_file))
+    connect(secret_cluster.address, secret_cluster.tls_files())
+    assert "asks for certificates (TLS)" in refusal(connect, secret_cluster.address, None)
+    wrong = tmp_path / "wrong"
+    wrong.write_text("another one")
+    wrong.chmod(0o600)
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(wrong))
+    told = refusal(connect, secret_cluster.address, secret_cluster.tls_files())
+    assert told.startswith("the secret that the call brought is another one than the service's; ")
 
 
 class Bomb:

@@ -66,11 +66,7 @@ def _try_plain(connection: socket.socket, target: str) -> str:
 
 
 def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) -> str:
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    ca, certificate, key = tls.files.paths()
-    context.load_verify_locations(cafile=ca)
-    context.load_cert_chain(certificate, key)
-    context.set_alpn_protocols(["h2"])
+    context = _context(tls)
     try:
         with context.wrap_socket(connection, server_hostname=host) as secured:
             answered = secured.recv(1)  # a server that accepts the certificate speaks first (HTTP/2 SETTINGS)
@@ -82,6 +78,32 @@ def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) 
     except ConnectionError:
         answered = b""
     return "" if answered else _about_ours(target, tls)
+
+
+def _context(tls: TlsReader) -> ssl.SSLContext:
+    """As a gRPC client would have it."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    ca, certificate, key = tls.files.paths()
+    context.load_verify_locations(cafile=ca)
+    context.load_cert_chain(certificate, key)
+    context.set_alpn_protocols(["h2"])
+    return context
+
+
+def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
+    """When the certificate of `target` ends; None if it shows none that is good. Blocks like `explain_refusal`."""
+    place = _place(target)
+    if place is None:
+        return None
+    try:
+        with socket.create_connection(place, CONNECT_SECONDS) as connection:
+            connection.settimeout(HANDSHAKE_SECONDS)
+            with _context(tls).wrap_socket(connection, server_hostname=place[0]) as secured:
+                shown = secured.getpeercert() or {}
+    except (OSError, UnicodeError):
+        return None
+    end = shown.get("notAfter")
+    return ssl.cert_time_to_seconds(end) if isinstance(end, str) else None
 
 
 def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsReader) -> str:

@@ -6,7 +6,7 @@ import argparse
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stampede_rt._sync.ports import Ports
@@ -15,7 +15,7 @@ from stampede_rt.cli.output import print_rows
 from stampede_rt.connecting import Target, parse_target
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.timeline import format_duration
-from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.tls_diagnosis import certificate_end_unix_s, explain_refusal
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
@@ -23,6 +23,7 @@ from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 TIMEOUT_S = 2.0
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
+CERTIFICATE_S_MIN = 14 * 86400.0
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -141,7 +142,17 @@ def _probe(ports: Ports, part: str, address: str, service: str, method: str, req
     round_trip = time.monotonic_ns() - started
     offset = response.time_unix_nano - (sent + round_trip // 2)
     finding = Finding(part, address, "ok", "", round_trip, offset, response.version)
-    return response, _judged(finding, getattr(response, "ready", True))
+    judged = _judged(finding, getattr(response, "ready", True))
+    return response, judged if judged.advice else replace(judged, advice=_about_certificate(ports, address))
+
+
+def _about_certificate(ports: Ports, address: str) -> str:
+    """What to do about a certificate that ends soon; empty if there is time."""
+    tls = ports.credentials.tls
+    end_s = certificate_end_unix_s(address, tls) if tls else None
+    if end_s is None or (left_s := end_s - time.time()) > CERTIFICATE_S_MIN:
+        return ""
+    return f"its certificate ends in {left_s / 86400:.1f} days; issue it anew (stampede certs issue)"
 
 
 def _judged(finding: Finding, ready: bool) -> Finding:
