@@ -23,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 CHANNELS_MAX = 100_000
 DROPS_REMEMBERED_MAX = 1024
+QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
 
 
 class ChannelStore:
@@ -49,6 +50,7 @@ class ChannelStore:
         self._asking: dict[bytes, asyncio.Lock] = {}
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
+        self._registrations = 0
         self._memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
 
     def now(self) -> int:
@@ -106,7 +108,10 @@ class ChannelStore:
         """Change the set-up in the directory, then here. Raises what the directory refuses. Safe to repeat."""
         hosted = await self.bind(channel_id, epoch)
         _check_spec(hosted.record.spec, spec)  # before the directory takes what this host could not hold
+        registrations = self._registrations
         record = await self._directory.update(channel_id, epoch, spec, request_id=request_id)
+        if registrations != self._registrations:
+            return await self.bind(channel_id, record.epoch, record.spec_version)
         return self._adopt(record)
 
     def registered(self, records: Iterable[channel_pb2.ChannelRecord], *, all_told: bool) -> None:
@@ -114,6 +119,7 @@ class ChannelStore:
 
         `all_told` False: the answer was cut; channels that it does not name are let go, and bound again when asked for.
         """
+        self._registrations += 1
         told = {record.channel_id: record for record in records}
         for channel_id, hosted in list(self._channels.items()):
             record = told.get(channel_id)
@@ -164,7 +170,7 @@ class ChannelStore:
         self._check_lease()
         held = self._channels.get(channel_id)
         try:
-            record = await self._directory.resolve(channel_id)
+            record = await self._resolve(channel_id)
         except ChannelNotFound:
             if held is not None:
                 self._forget(channel_id, refusals.deleted(held.record.name))
@@ -174,6 +180,19 @@ class ChannelStore:
             self._forget(channel_id, error)
             raise error
         self._adopt(record)
+
+    async def _resolve(self, channel_id: bytes) -> channel_pb2.ChannelRecord:
+        """The channel, asked for since the last registration.
+
+        An older answer may be out of date: before the host registered again its lease had ended, and the channel may
+        have got a new owner. Raises what the directory answers, or StaleBinding if the host cannot keep a lease.
+        """
+        for _ in range(QUESTIONS_MAX):
+            registrations = self._registrations
+            record = await self._directory.resolve(channel_id)
+            if registrations == self._registrations:
+                return record
+        raise refusals.fenced(self._identity.name)
 
     def _adopt(self, record: channel_pb2.ChannelRecord) -> HostedChannel:
         """Serve the channel as the directory describes it. An older description than the one held changes nothing."""

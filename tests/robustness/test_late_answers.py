@@ -1,0 +1,105 @@
+"""The directory's answer to a host can be late: the host's lease ended, its channel went elsewhere and it registered
+again, and only then it hears that the channel is its own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import StaleBinding
+from stampede_rt.v1 import channel_pb2
+from stampede_rt_channel_host.identity import HostIdentity
+from stampede_rt_channel_host.store import ChannelStore
+from stampede_rt_runtime.clock import SystemClock
+
+ME, OTHER, CHANNEL = b"m" * 16, b"o" * 16, b"c" * 16
+
+
+def record(host_id: bytes, epoch: int, *, incarnation: int = 7) -> channel_pb2.ChannelRecord:
+    return channel_pb2.ChannelRecord(
+        channel_id=CHANNEL, name="cam", host_id=host_id, epoch=epoch, incarnation=incarnation, spec_version=1
+    )
+
+
+class SlowDirectory:
+    """Each question waits for its answer to be given; `asked` is signalled for each."""
+
+    def __init__(self) -> None:
+        self.questions: asyncio.Queue[asyncio.Future[channel_pb2.ChannelRecord]] = asyncio.Queue()
+
+    async def resolve(self, channel_id: bytes) -> channel_pb2.ChannelRecord:
+        answer: asyncio.Future[channel_pb2.ChannelRecord] = asyncio.get_running_loop().create_future()
+        self.questions.put_nowait(answer)
+        return await answer
+
+    async def update(self, channel_id: bytes, *_: Any, **__: Any) -> channel_pb2.ChannelRecord:
+        return await self.resolve(channel_id)
+
+
+def store_over(directory: SlowDirectory) -> ChannelStore:
+    identity = HostIdentity(host_id=ME, name="me", boot_incarnation=1)
+    return ChannelStore(
+        identity,
+        directory,  # type: ignore[arg-type]  # what is asked of it here
+        SystemClock(),
+        lease_held=lambda: True,
+        memory_bytes_max=2**20,
+    )
+
+
+async def test_an_answer_from_before_a_registration_is_not_served() -> None:
+    directory = SlowDirectory()
+    store = store_over(directory)
+    binding = asyncio.create_task(store.bind(CHANNEL, 1))
+    late = await directory.questions.get()
+    store.registered([], all_told=True)  # the lease had ended, and the channel went elsewhere meanwhile
+    late.set_result(record(ME, 1))
+    again = await asyncio.wait_for(directory.questions.get(), 5)
+    again.set_result(record(OTHER, 2, incarnation=8))
+    with pytest.raises(StaleBinding):
+        await binding
+    with pytest.raises(StaleBinding):
+        store.find(CHANNEL, 1)
+
+
+async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring_the_channel_back() -> None:
+    directory = SlowDirectory()
+    store = store_over(directory)
+    await answered(directory, lambda: store.bind(CHANNEL, 1), record(ME, 1))
+    change = asyncio.create_task(store.configure(CHANNEL, 1, channel_pb2.ChannelSpec(), b"r" * 16))
+    late = await directory.questions.get()
+    store.registered([], all_told=True)
+    late.set_result(record(ME, 1))
+    again = await asyncio.wait_for(directory.questions.get(), 5)
+    again.set_result(record(OTHER, 2, incarnation=8))
+    with pytest.raises(StaleBinding):
+        await change
+    with pytest.raises(StaleBinding):
+        store.find(CHANNEL, 1)
+
+
+async def answered(
+    directory: SlowDirectory, ask: Callable[[], Coroutine[Any, Any, Any]], answer: channel_pb2.ChannelRecord
+) -> None:
+    asking = asyncio.create_task(ask())
+    (await directory.questions.get()).set_result(answer)
+    await asking
+
+
+async def test_a_host_that_keeps_registering_gives_up_asking() -> None:
+    directory = SlowDirectory()
+    store = store_over(directory)
+    binding = asyncio.create_task(store.bind(CHANNEL, 1))
+    while not binding.done():
+        question = asyncio.create_task(directory.questions.get())
+        await asyncio.wait({question, binding}, return_when=asyncio.FIRST_COMPLETED)
+        if not question.done():
+            question.cancel()
+            break
+        store.registered([], all_told=True)
+        question.result().set_result(record(ME, 1))
+    with pytest.raises(StaleBinding, match="resolve the channel again"):
+        await binding
