@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 
 
 class PromiseBroken(AssertionError):
@@ -80,6 +81,12 @@ class ListMachine:
     def snapshot(self) -> bytes:
         """All commands."""
         return json.dumps([[index, command.decode()] for index, command in self.entries]).encode()
+
+    def begin_snapshot(self) -> Callable[[], bytes]:
+        """All commands of now, encoded later."""
+        still = ListMachine()
+        still.entries = self.entries[:]
+        return still.snapshot
 
     def restore(self, snapshot: bytes) -> None:
         """Replace all commands, and check them."""

@@ -59,6 +59,21 @@ class Wire:
     answer_due: float = 0.0
 
 
+class LateResult:
+    """Work that another thread does: finished when it was asked for some times."""
+
+    def __init__(self, work: Callable[[], bytes], times: int) -> None:
+        self._work = work
+        self._times = times
+
+    def done(self) -> bool:
+        self._times -= 1
+        return self._times < 0
+
+    def result(self) -> bytes:
+        return self._work()
+
+
 class SimMember:
     """One member: a disk that stays, and a replica that comes and goes. It is its replica's Network."""
 
@@ -91,6 +106,7 @@ class SimMember:
             dice=random.Random(self.world.dice.getrandbits(64)),
             wake=lambda: self._plan(0.0),
             rules=self.world.rules,
+            run_aside=lambda work: LateResult(work, self.world.dice.randint(0, 20)),
         )
         self._next_step = float("inf")
         self._plan(0.0)

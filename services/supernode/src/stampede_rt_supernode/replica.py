@@ -14,6 +14,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_supernode.command_codec import decode_command, encode_result
 from stampede_rt_supernode.commands import Refused
 from stampede_rt_supernode.directory import Directory
+from stampede_rt_supernode.frozen_directory import frozen
 from stampede_rt_supernode.snapshot_codec import SnapshotWriter, decode_snapshot
 
 T = TypeVar("T")
@@ -44,9 +45,13 @@ class DirectoryReplica:
         self._listener()
         return result
 
-    def snapshot(self) -> bytes:
-        """The whole state, as of the last applied command. No lock is needed: only this thread changes it."""
-        return self._snapshots.write(self._directory)
+    def begin_snapshot(self) -> Callable[[], bytes]:
+        """The whole state, as of the last applied command, to be encoded by any thread; one at a time.
+
+        No lock is needed: only this thread changes it.
+        """
+        still, snapshots = frozen(self._directory), self._snapshots
+        return lambda: snapshots.write(still)
 
     def restore(self, snapshot: bytes) -> None:
         """Replace the whole state. Raises for a damaged snapshot: going on without it would answer wrongly."""

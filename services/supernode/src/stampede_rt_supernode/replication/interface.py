@@ -6,7 +6,7 @@ replicated log can take its place (paper, section 4.3: "standard consensus techn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,11 +20,14 @@ class StateMachine(Protocol):
         Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal.
         """
 
-    def snapshot(self) -> bytes:
-        """The whole state, encoded, as of the last applied command."""
+    def begin_snapshot(self) -> Callable[[], bytes]:
+        """Copy the whole state as of the last applied command, and return what encodes it.
+
+        That is called once, on another thread, while commands go on being applied; the next one begins after it.
+        """
 
     def restore(self, snapshot: bytes) -> None:
-        """Replace the whole state with an earlier `snapshot()`, of this or another replica."""
+        """Replace the whole state with an earlier snapshot, of this or another replica."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

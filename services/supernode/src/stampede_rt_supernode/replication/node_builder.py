@@ -15,7 +15,7 @@ from stampede_rt_supernode.replication.mailroom import Mailroom
 from stampede_rt_supernode.replication.proposals import UNKNOWN_OUTCOME
 from stampede_rt_supernode.replication.reads import ConfirmedReads
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
+from stampede_rt_supernode.replication.snapshots import RunAside, SnapshotKeeper, run_at_once
 
 APPEND_BATCH_BYTES = 1 << 20
 
@@ -29,6 +29,7 @@ def build_node(
     clock: Callable[[], float],
     dice: Dice,
     rules: type = TrialElections,
+    run_aside: RunAside = run_at_once,
 ) -> Any:
     """A node with its mailroom, keeper and reads attached; its snapshot is not opened yet.
 
@@ -53,7 +54,9 @@ def build_node(
     node.mailroom.on_stream_opened = node.on_stream_opened
     node.mailroom.on_members_told = node.on_members_told
     node.self_member, node.make_node, node.peers, node._told = settings.self_member, node_type, peers, {}
-    node.keeper = SnapshotKeeper(journal, state_machine, has_room, chunk_bytes=settings.snapshot_piece_bytes)
+    node.keeper = SnapshotKeeper(
+        journal, state_machine, has_room, run_aside=run_aside, chunk_bytes=settings.snapshot_piece_bytes
+    )
     node.has_room = has_room
     node.unknown_outcome = UNKNOWN_OUTCOME
     node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2

@@ -19,6 +19,7 @@ from stampede_rt_supernode.replication.node_builder import build_node
 from stampede_rt_supernode.replication.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
+from stampede_rt_supernode.replication.snapshots import RunAside, run_at_once
 from stampede_rt_supernode.replication.storage import Store
 
 CHANGES_MAX = 100
@@ -71,8 +72,9 @@ class Replica:
         dice: Dice,
         wake: Callable[[], None] = lambda: None,
         rules: type = TrialElections,
+        run_aside: RunAside = run_at_once,
     ) -> None:
-        """Load the state; blocks. Tests plant faults through `rules`.
+        """Load the state; blocks. Snapshots are encoded by `run_aside`; tests plant faults through `rules`.
 
         Raises StoreDamaged, LibraryMismatch and what `restore` raises.
         """
@@ -95,6 +97,7 @@ class Replica:
             clock=clock,
             dice=dice,
             rules=rules,
+            run_aside=run_aside,
         )
         self._node.open_snapshot()
         self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)

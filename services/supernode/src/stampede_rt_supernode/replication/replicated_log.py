@@ -6,6 +6,7 @@ import asyncio
 import random
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TypeVar
 
@@ -26,6 +27,7 @@ from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica
 from stampede_rt_supernode.replication.servicer import RaftServicer
 from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.snapshots import RunAside
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage import MemoryStore, Store
 from stampede_rt_supernode.replication.tick_thread import TickThread, end_process
@@ -36,7 +38,10 @@ T = TypeVar("T")
 class PySyncObjLog:
     """A ReplicatedLog over PySyncObj. Made by `open_replicated_log`; used on that loop only."""
 
-    def __init__(self, replica: Replica, thread: TickThread, bridge: LoopBridge, links: Links) -> None:
+    def __init__(
+        self, replica: Replica, thread: TickThread, bridge: LoopBridge, links: Links, encoder: ThreadPoolExecutor
+    ) -> None:
+        self._encoder = encoder
         self._replica = replica
         self._thread = thread
         self._bridge = bridge
@@ -132,6 +137,7 @@ class PySyncObjLog:
             self._servicer.close()
         await self._links.close()
         await asyncio.get_running_loop().run_in_executor(None, self._thread.stop)
+        self._encoder.shutdown(wait=False, cancel_futures=True)
 
     def _refuse_when_closed(self) -> None:
         if self._closed:
@@ -165,14 +171,20 @@ async def open_replicated_log(
     bridge = LoopBridge(asyncio.get_running_loop())
     links = Links(settings, dial, bridge, on_fatal)
     thread = TickThread(tick_seconds=settings.timing.tick_seconds, on_fatal=on_fatal)
-    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake)
-    log = PySyncObjLog(replica, thread, bridge, links)
+    # Its thread ends with the process: what it encodes for a closed log is thrown away.
+    encoder = ThreadPoolExecutor(1, thread_name_prefix="snapshot")
+    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, encoder.submit)
+    log = PySyncObjLog(replica, thread, bridge, links, encoder)
     log.start(settings, server)
     return log
 
 
 def _open_replica(
-    settings: ReplicationSettings, state_machine: StateMachine, links: Links, wake: Callable[[], None]
+    settings: ReplicationSettings,
+    state_machine: StateMachine,
+    links: Links,
+    wake: Callable[[], None],
+    run_aside: RunAside,
 ) -> Replica:
     store = _open_store(settings)
     try:
@@ -184,6 +196,7 @@ def _open_replica(
             clock=time.monotonic,
             dice=random.SystemRandom(),
             wake=wake,
+            run_aside=run_aside,
         )
     except BaseException:
         store.close()

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication import codec
@@ -26,6 +27,37 @@ class Piece(NamedTuple):
     chunk: pb.RaftSnapshotChunk
     is_first: bool
     is_last: bool
+
+
+class Result(Protocol):
+    """What becomes of work that is done aside."""
+
+    def done(self) -> bool:
+        """Whether it is finished."""
+
+    def result(self) -> bytes:
+        """What it gave, once it is finished. Raises what it raised."""
+
+
+RunAside = Callable[[Callable[[], bytes]], Result]
+
+
+def run_at_once(work: Callable[[], bytes]) -> Result:
+    """Do the work here and now."""
+    finished: Future[bytes] = Future()
+    finished.set_result(work())
+    return finished
+
+
+@dataclass(frozen=True, slots=True)
+class _Taking:
+    """A snapshot on its way to bytes."""
+
+    record: Result
+    previous: Entry
+    last: Entry
+    configuration: Configuration
+    id: int
 
 
 @dataclass
@@ -47,6 +79,7 @@ class SnapshotKeeper:
         state_machine: StateMachine,
         has_room: Callable[[str], bool],
         *,
+        run_aside: RunAside = run_at_once,
         chunk_bytes: int = 256 * 1024,
         chunks_per_step: int = 8,
     ) -> None:
@@ -57,7 +90,9 @@ class SnapshotKeeper:
         self._chunks_per_step = chunks_per_step
         # What is still allowed in this step, for all members together: the library would send all in one go.
         self._chunks_left = chunks_per_step
-        self._taken_id: int | None = None
+        self._run_aside = run_aside
+        # The snapshot that another thread encodes, and what it is of.
+        self._taking: _Taking | None = None
         # Member id -> how many bytes of the present snapshot it was sent.
         self._sent: dict[str, int] = {}
         self._incoming: _Incoming | None = None
@@ -69,25 +104,34 @@ class SnapshotKeeper:
         self._chunks_left = self._chunks_per_step
 
     def checkSerializing(self) -> tuple[int, int | None]:
-        """SUCCESS once after each snapshot taken."""
-        if self._taken_id is None:
+        """SERIALIZING until the snapshot is encoded, then SUCCESS once, with snapshot and log on their way to the disk.
+
+        Raises what encoding it has raised.
+        """
+        taking = self._taking
+        if taking is None:
             return NOT_SERIALIZING, None
-        taken, self._taken_id = self._taken_id, None
-        return SUCCESS, taken
+        if not taking.record.done():
+            return SERIALIZING, None
+        self._taking = None
+        record = taking.record.result()
+        if taking.last.log_index > self._journal[0].log_index:  # else a leader has sent a newer one meanwhile
+            stored = StoredSnapshot(last_log_index=taking.last.log_index, record=record)
+            self._adopt(stored, taking.previous, taking.last, taking.configuration)
+        return SUCCESS, taking.id
 
     def serialize(self, data: tuple[Any, Any, Any, Any], id: int) -> None:
-        """Take a snapshot as of the last applied entry. It and the log's new beginning reach the disk together."""
+        """Begin a snapshot as of the last applied entry. It and the log's new beginning reach the disk together."""
         _, last, previous, _ = data
         last, previous = Entry(*last), Entry(*previous)
         configuration = self._journal.configurations.at(last.log_index)
-        record = codec.encode_snapshot(
-            previous=previous,
-            last=last,
-            configuration=configuration,
-            state=self._state_machine.snapshot(),
-        )
-        self._adopt(StoredSnapshot(last_log_index=last.log_index, record=record), previous, last, configuration)
-        self._taken_id = id
+        encode_state = self._state_machine.begin_snapshot()
+
+        def encode() -> bytes:
+            state = encode_state()
+            return codec.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
+
+        self._taking = _Taking(self._run_aside(encode), previous, last, configuration, id)
 
     def deserialize(self) -> tuple[None, Entry, Entry, list[str]]:
         """Open the present snapshot into the state machine, as the unchanged library asks for it."""

@@ -1,0 +1,220 @@
+"""What one directory of three supernodes carries: `python -m tests.benchmarks.directory_load`.
+
+Real processes on this machine, with stores on its disk; the clients are in this one process, and share its processors
+with the supernodes. Prints one table. `--channels` and `--clients` make it smaller.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import secrets
+import signal
+import tempfile
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import grpc
+
+from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime.dial import dial
+from tests.unit.supernode.processes import Cluster
+
+WRITERS = 64
+READERS = 64
+SAMPLE_SECONDS = 5.0
+CALL_SECONDS = 20.0
+# Connections of their own, as many processes would have them: gRPC would share one otherwise.
+OWN_CONNECTION = (("grpc.use_local_subchannel_pool", 1),)
+
+Stub = Any
+Row = tuple[str, str]
+
+
+def percentile(seconds: list[float], share: float) -> str:
+    ordered = sorted(seconds)
+    return f"{ordered[min(len(ordered) - 1, int(share * len(ordered)))] * 1e3:.1f} ms"
+
+
+async def rate_of(work: Callable[[int], Awaitable[Any]], *, workers: int, seconds: float) -> tuple[float, list[float]]:
+    """How often a second so many workers get `work` done, and how long each took."""
+    took: list[float] = []
+    until = time.monotonic() + seconds
+
+    async def worker(number: int) -> None:
+        while (began := time.monotonic()) < until:
+            await work(number)
+            took.append(time.monotonic() - began)
+
+    began = time.monotonic()
+    await asyncio.gather(*(worker(number) for number in range(workers)))
+    return len(took) / (time.monotonic() - began), took
+
+
+async def open_channel(stub: Stub, name: str) -> None:
+    request = pb.OpenChannelRequest(request_id=secrets.token_bytes(16), name=name, create=True)
+    await stub.OpenChannel(request, timeout=CALL_SECONDS)
+
+
+async def register_host(stub: Stub) -> None:
+    request = pb.RegisterHostRequest(
+        request_id=secrets.token_bytes(16),
+        host_id=bytes(16),
+        name="host",
+        gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
+        boot_incarnation=1,
+    )
+    await stub.RegisterHost(request, timeout=CALL_SECONDS)
+
+
+async def writes(stubs: list[Stub], prefix: str, *, workers: int) -> list[Row]:
+    names = iter(range(10**9))
+    rate, took = await rate_of(
+        lambda number: open_channel(stubs[number % len(stubs)], f"{prefix}/{next(names)}"),
+        workers=workers,
+        seconds=SAMPLE_SECONDS,
+    )
+    text = f"{rate:,.0f}/s, p50 {percentile(took, 0.5)}, p99 {percentile(took, 0.99)}"
+    return [(f"durable writes, {workers} at once", text)]
+
+
+async def lookups(stub: Stub) -> list[Row]:
+    rows = []
+    for stale_ok in (False, True):
+        request = pb.ResolveChannelRequest(name="many/0", stale_ok=stale_ok)
+        rate, took = await rate_of(
+            lambda _, request=request: stub.ResolveChannel(request, timeout=CALL_SECONDS),  # type: ignore[misc]
+            workers=READERS,
+            seconds=SAMPLE_SECONDS,
+        )
+        kind = "stale_ok" if stale_ok else "linearizable"
+        rows.append((f"lookups at one supernode, {kind}", f"{rate:,.0f}/s, p99 {percentile(took, 0.99)}"))
+    return rows
+
+
+async def fill(stubs: list[Stub], count: int) -> list[Row]:
+    numbers = iter(range(count))
+    longest = 0.0
+
+    async def worker(stub: Stub) -> None:
+        nonlocal longest
+        for number in numbers:
+            began = time.monotonic()
+            await open_channel(stub, f"many/{number}")
+            longest = max(longest, time.monotonic() - began)
+
+    began = time.monotonic()
+    await asyncio.gather(*(worker(stubs[number % len(stubs)]) for number in range(2 * WRITERS)))
+    took = time.monotonic() - began
+    return [
+        (f"{count:,} channels opened", f"{took:.0f} s, {count / took:,.0f}/s"),
+        ("... longest write meanwhile, snapshots included", f"{longest * 1e3:.0f} ms"),
+    ]
+
+
+async def fan_out(cluster: Cluster, stub: Stub, clients: int) -> list[Row]:
+    """From the write to the last of many watches, each on a stream of its own."""
+    addresses = [one.address for one in cluster.supernodes]
+    channels = [dial(addresses[number % len(addresses)], secret=None) for number in range(30)]
+    index = (await stub.ResolveChannel(pb.ResolveChannelRequest(name="many/0"), timeout=CALL_SECONDS)).applied_index
+    arrived: list[float] = []
+    ready = [asyncio.Event() for _ in range(clients)]
+
+    async def watch(number: int) -> None:
+        call = directory_service_pb2_grpc.DirectoryServiceStub(channels[number % len(channels)]).Watch(
+            pb.WatchRequest(name_glob="watched/*", after_index=index)
+        )
+        async for response in call:
+            ready[number].set()
+            if response.changes:
+                arrived.append(time.monotonic())
+                return
+
+    tasks = [asyncio.create_task(watch(number)) for number in range(clients)]
+    await asyncio.gather(*(one.wait() for one in ready))
+    began = time.monotonic()
+    await open_channel(stub, "watched/one")
+    await asyncio.gather(*tasks)
+    for channel in channels:
+        await channel.close()
+    spread = [one - began for one in arrived]
+    text = f"first {percentile(spread, 0.0)}, p50 {percentile(spread, 0.5)}, last {percentile(spread, 1.0)}"
+    return [(f"a change seen by {clients:,} watches", text)]
+
+
+async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
+    """All at once: a connection of its own for each, and one confirmed lookup on it."""
+    took: list[float] = []
+
+    async def come(number: int) -> None:
+        address = cluster.supernodes[number % len(cluster.supernodes)].address
+        began = time.monotonic()
+        async with grpc.aio.insecure_channel(address, options=OWN_CONNECTION) as channel:
+            stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+            await stub.ResolveChannel(pb.ResolveChannelRequest(name="many/0"), timeout=60.0)
+            took.append(time.monotonic() - began)
+
+    await asyncio.gather(*(come(number) for number in range(clients)))
+    text = f"p50 {percentile(took, 0.5)}, p99 {percentile(took, 0.99)}, last {percentile(took, 1.0)}"
+    return [(f"{clients:,} clients connect at once and look up", text)]
+
+
+async def restart(cluster: Cluster) -> list[Row]:
+    leader = await cluster.leader()
+    follower = next(one for one in cluster.supernodes if one is not leader)
+    await follower.end(signal.SIGKILL)
+    began = time.monotonic()
+    await follower.start()
+    one = time.monotonic() - began
+    for each in cluster.supernodes:
+        await each.end(signal.SIGKILL)
+    began = time.monotonic()
+    await cluster.start()
+    request = pb.ResolveChannelRequest(name="many/0")
+    while True:
+        try:
+            await cluster.supernodes[0].stub.ResolveChannel(request, timeout=CALL_SECONDS, wait_for_ready=True)
+        except grpc.aio.AioRpcError:
+            continue
+        break
+    every = time.monotonic() - began
+    return [
+        ("kill -9 of a follower to its ready line", f"{one:.1f} s"),
+        ("kill -9 of all to the first confirmed lookup", f"{every:.1f} s"),
+    ]
+
+
+async def measure(channels: int, clients: int) -> list[Row]:
+    with tempfile.TemporaryDirectory() as folder:
+        cluster = Cluster(Path(folder), "--lease-ttl", "1h")
+        await cluster.start()
+        try:
+            leader = await cluster.leader()
+            stubs = [one.stub for one in cluster.supernodes]
+            await register_host(leader.stub)
+            rows = [*(await writes(stubs, "one", workers=1)), *(await writes(stubs, "some", workers=WRITERS))]
+            rows += await fill(stubs, channels)
+            rows += await lookups(leader.stub)
+            rows += await fan_out(cluster, leader.stub, clients)
+            rows += await reconnect(cluster, clients)
+            return rows + await restart(cluster)
+        finally:
+            await cluster.close()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--channels", type=int, default=100_000)
+    parser.add_argument("--clients", type=int, default=1000)
+    arguments = parser.parse_args()
+    rows = asyncio.run(measure(arguments.channels, arguments.clients))
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        print(f"{name:<{width}}  {text}")
+
+
+if __name__ == "__main__":
+    main()
