@@ -105,9 +105,13 @@ class _Campaign:
         began = time.monotonic()
         try:
             await EVERY_FAULT[name](self.scene)
+            for one in self._cluster.supernodes:
+                if not one.running:
+                    raise TimeoutError(f"{one.name} has ended: {one.last_words()!r}")
             await self._cluster.all_serve()
         except TimeoutError as error:
             self.scene.ended(name, began, majority=False, note=f"did not come back in time: {error}", failed=True)
+            await asyncio.gather(*(one.start() for one in self._cluster.supernodes if not one.running))
 
     async def run(self, body: object) -> Findings:
         """Run `body` with everything around it, then judge. Raises what was found."""

@@ -240,12 +240,22 @@ async def full_disk(scene: Scene) -> None:
         if not victim.running:
             break
         await asyncio.gather(*(scene.probe.write(scene.cluster.supernodes[0]) for _ in range(50)))
-    died = not victim.running
+    died = await _has_ended(victim, within_s=3.0)
     ballast.unlink()
     if died:
         await victim.start()
     note = f"it ended ({victim.last_words()[:120]!r}) and was started again" if died else "it went on"
     scene.ended("full disk", began, recovery, note=note)
+
+
+async def _has_ended(one: Supernode, *, within_s: float) -> bool:
+    """Whether it ends by then: what writes its last words takes a moment."""
+    try:
+        async with asyncio.timeout(within_s):
+            await one.ended()
+    except TimeoutError:
+        return False
+    return True
 
 
 async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:

@@ -65,7 +65,7 @@ def _summary(real: Sequence[Findings], outcomes: Sequence[Outcome], simulated: S
         rows += [
             ("simulated seeds / failed", f"{simulated.seeds} / {failed}"),
             ("simulated calls judged / acknowledged writes", f"{simulated.operations} / {simulated.acknowledged}"),
-            ("simulated puts acknowledged by fenced hosts' rules", simulated.puts),
+            ("simulated puts that hosts acknowledged", simulated.puts),
         ]
     return "## Summary\n\n" + _table(("what", "figure"), rows)
 
