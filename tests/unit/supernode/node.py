@@ -13,13 +13,22 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import from_rpc_error
-from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2_grpc
+from stampede_rt.v1 import (
+    channel_pb2,
+    directory_pb2,
+    directory_service_pb2_grpc,
+    group_directory_service_pb2_grpc,
+    replica_directory_service_pb2_grpc,
+)
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
+from stampede_rt_supernode.calls import DirectoryCalls
 from stampede_rt_supernode.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.load_keeper import LoadKeeper
 from stampede_rt_supernode.members import Members
 from stampede_rt_supernode.probe import Probe
+from stampede_rt_supernode.record_services import register_record_services
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicer import DirectoryServicer
 from stampede_rt_supernode.submission import Submission
@@ -44,6 +53,8 @@ class Node:
     clock: ManualClock
     address: str
     stub: Any
+    groups: Any
+    replicas: Any
 
     async def open(self, name: str, **fields: Any) -> pb.OpenChannelResponse:
         fields = {"request_id": secrets.token_bytes(16), "create": True, **fields}
@@ -96,13 +107,19 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
     members = Members(log, replica, probe, advertise="rig:7581", zone="lab")
     servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
     await leases.tick()
-    register = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server
+
+    def register(server: grpc.aio.Server) -> None:
+        directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
+        register_record_services(server, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock))
+
     async with (
-        serving(lambda server: register(servicer, server)) as server,
+        serving(register) as server,
         dial(server.address, secret=None) as channel,
     ):
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
-        yield Node(log, replica, leases, watches, probe, submission, clock, server.address, stub)
+        groups = group_directory_service_pb2_grpc.GroupDirectoryServiceStub(channel)
+        replicas = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub(channel)
+        yield Node(log, replica, leases, watches, probe, submission, clock, server.address, stub, groups, replicas)
         watches.close()
 
 
