@@ -17,9 +17,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.robustness.campaign import Findings, run_campaign, run_weathers
+from tests.robustness.campaign import EVERY_FAULT, Findings, run_campaign, run_weathers
 from tests.robustness.directory.simulate import run_seeds
-from tests.robustness.faults import EVERY_FAULT
 from tests.robustness.network import unavailable_because
 from tests.robustness.report import limits_broken, write_report
 

@@ -12,12 +12,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.robustness import faults, hostility
 from tests.robustness.callers import Caller, HostActor, Probe, with_background
 from tests.robustness.cluster import Cluster, running_cluster
-from tests.robustness.faults import EVERY_FAULT, Outcome, Scene
 from tests.robustness.histories.channel_model import acknowledged_writes, check_channel_histories
 from tests.robustness.histories.operations import Operation, Recorder
+from tests.robustness.scene import Fault, Outcome, Scene
 
+EVERY_FAULT: dict[str, Fault] = {**faults.FAULTS, **hostility.FAULTS}
 CALLERS, HOSTS = 6, 3
 SMALL_DISK = "size=48m"
 # (delay, jitter, share of chunks that are retransmitted, share at which the connection is reset)
@@ -49,7 +51,7 @@ class Findings:
         return acknowledged_writes(self.operations)
 
 
-async def run_campaign(folder: Path, faults: Sequence[str], *, seed: int, quiet_s: float = 1.0) -> Findings:
+async def run_campaign(folder: Path, names: Sequence[str], *, seed: int, quiet_s: float = 1.0) -> Findings:
     """Faults by name, in this order, each followed by `quiet_s` in which everybody serves again.
 
     Raises NotLinearizable, TwoOwners, or TimeoutError if the directory does not come back.
@@ -59,7 +61,7 @@ async def run_campaign(folder: Path, faults: Sequence[str], *, seed: int, quiet_
             campaign = _Campaign(cluster, folder, seed)
 
             async def body() -> None:
-                for name in faults:
+                for name in names:
                     await campaign.attempt(name)
                     await asyncio.sleep(quiet_s)
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tests.robustness.campaign import Findings
-from tests.robustness.faults import Outcome
+from tests.robustness.scene import Outcome
 
 
 @dataclass(frozen=True, slots=True)

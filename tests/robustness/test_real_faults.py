@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.robustness.campaign import longest_gap, run_campaign
-from tests.robustness.faults import Outcome
 from tests.robustness.network import unavailable_because
 from tests.robustness.report import Simulated, limits_broken, write_report
+from tests.robustness.scene import Outcome
 
 WHY_NOT = unavailable_because()
 

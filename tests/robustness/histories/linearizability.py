@@ -69,18 +69,15 @@ def check_linearizable(
     head = _linked(operations)
     unfinished = sum(not operation.ambiguous for operation in operations)
     state, linearized = initial, 0
-    visited: set[tuple[int, State]] = set()
+    visited: set[tuple[int, Hashable]] = set()
     trail: list[tuple[_Node, State]] = []
-    node, furthest = head.after, 0
+    node = head.after
     while unfinished:
         assert node is not None, "an unfinished operation's return is still in the list"
         if node.is_call:
             following = step(state, operations[node.position])
             configuration = (linearized | 1 << node.position, following)
-            if following is not None and configuration not in visited:
-                visited.add(configuration)  # type: ignore[arg-type]  # following is not None
-                if len(visited) > configurations_max:
-                    raise Undecided(f"key {operations[0].key}: more than {configurations_max} configurations")
+            if following is not None and _is_new(configuration, visited, configurations_max):
                 trail.append((node, state))
                 state, linearized = following, linearized | 1 << node.position
                 unfinished -= node.match is not None
@@ -89,7 +86,6 @@ def check_linearizable(
             else:
                 node = node.after
             continue
-        furthest = max(furthest, len(trail))
         if not trail:
             raise NotLinearizable(_explanation(operations, node.position))
         node, state = trail.pop()
@@ -97,6 +93,16 @@ def check_linearizable(
         unfinished += node.match is not None
         node.unlift()
         node = node.after
+
+
+def _is_new(configuration: tuple[int, Hashable], visited: set[tuple[int, Hashable]], most: int) -> bool:
+    """Whether the search comes there for the first time. Raises Undecided when it has been to too many places."""
+    if configuration in visited:
+        return False
+    visited.add(configuration)
+    if len(visited) > most:
+        raise Undecided(f"more than {most} configurations were searched without a proof")
+    return True
 
 
 def _linked(operations: Sequence[Operation]) -> _Node:
