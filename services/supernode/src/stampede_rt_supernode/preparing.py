@@ -6,6 +6,7 @@ import argparse
 import secrets
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from stampede_rt.cli.supernode import add_place, reached
@@ -13,6 +14,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_runtime.values import parse_target
 from stampede_rt_supernode.founding import Founding, check_unused, write_founding
 from stampede_rt_supernode.join_tokens import VALID_NANOS_DEFAULT
+from stampede_rt_supernode.replication import Member, StoreDamaged, StoreRefused, restore_from
 
 PREPARING = ("init", "join")
 FAILED, MISUSED = 1, 2
@@ -25,6 +27,9 @@ def prepare(argv: Sequence[str]) -> int:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     init = verbs.add_parser("init", help="found a cluster, once", description="Found a cluster of one, once.")
     init.set_defaults(run=_run_init)
+    init.add_argument(
+        "--restore", type=Path, metavar="DIR", help="take over what this folder of a stopped, lost member holds"
+    )
     join = verbs.add_parser("join", help="enter a cluster", description="Enter a running cluster, under a new id.")
     join.set_defaults(run=_run_join)
     add_place(join)
@@ -47,9 +52,22 @@ def _run_init(arguments: argparse.Namespace) -> int:
     name, address = _name(arguments), _address(arguments)
     cluster_id = secrets.token_hex(16)
     founding = Founding(supernode_id=name, address=address, members={name: address}, log_cluster_id=cluster_id)
+    if arguments.restore is not None:
+        founding = _restored(arguments, founding)
     write_founding(arguments.data_dir, founding)
     _say(f"Cluster {cluster_id} is founded, with supernode {name}. {_start(arguments)}")
     return 0
+
+
+def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
+    """Take over what a member of a lost cluster holds."""
+    founder = Member(member_id=founding.supernode_id, address=founding.address)
+    try:
+        index = restore_from(arguments.restore, arguments.data_dir, founder=founder, cluster_id=founding.log_cluster_id)
+    except (StoreDamaged, StoreRefused) as error:
+        raise StampedeError(str(error)) from error
+    _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
+    return replace(founding, started=True)
 
 
 def _run_join(arguments: argparse.Namespace) -> int:

@@ -25,6 +25,7 @@ from stampede_rt_supernode.replication.interface import (
 from stampede_rt_supernode.replication.library import LibraryMismatch
 from stampede_rt_supernode.replication.links import CHANNEL_OPTIONS
 from stampede_rt_supernode.replication.replicated_log import open_replicated_log
+from stampede_rt_supernode.replication.restoring import restore_from
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.sqlite_store import holds_store
 from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
@@ -49,4 +50,5 @@ __all__ = [
     "Unavailable",
     "holds_store",
     "open_replicated_log",
+    "restore_from",
 ]

@@ -46,6 +46,26 @@ def holds_store(data_dir: Path) -> bool:
     return (data_dir / DATABASE_NAME).exists()
 
 
+def read_identity(data_dir: Path) -> tuple[str, str]:
+    """(cluster id, member id) of the store in a folder that no process uses. Raises StoreDamaged or StoreRefused."""
+    path = data_dir / DATABASE_NAME
+    try:
+        db = sqlite3.connect(path, timeout=0.2)
+        try:
+            row = db.execute("SELECT cluster_id, member_id FROM identity").fetchone()
+        finally:
+            db.close()
+    except sqlite3.OperationalError as error:
+        if "locked" in str(error):
+            raise StoreRefused(f"{path} is in use by another process: stop that one first") from error
+        raise StoreDamaged(f"{path} cannot be opened ({error})") from error
+    except sqlite3.DatabaseError as error:
+        raise StoreDamaged(f"{path} is not a sound database ({error})") from error
+    if row is None:
+        raise StoreDamaged(f"{path} does not say whose it is")
+    return str(row[0]), str(row[1])
+
+
 class SqliteStore:
     """One replica's store in `data_dir`. Opening locks it against every other process."""
 
