@@ -4,7 +4,7 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core import RetryWindow
-from stampede_rt_channel_host.core.dedup import KEPT_NANOS, NUMBERS_MAX
+from stampede_rt_channel_host.core.dedup import KEPT_NANOS, RUNS_MAX
 
 PRODUCER = 0xABC
 
@@ -34,12 +34,21 @@ def test_numbers_of_a_known_run_in_another_run_are_refused(first_number: int, it
         window.find(PRODUCER, first_number, items, now=0)
 
 
-def test_only_the_last_numbers_of_a_producer_are_kept() -> None:
+def test_only_the_last_runs_of_a_producer_are_kept() -> None:
     window: RetryWindow[int] = RetryWindow()
-    for number in range(1, 2 * NUMBERS_MAX + 1):
+    for number in range(1, 2 * RUNS_MAX + 1):
         window.record(PRODUCER, number, 1, number, now=0)
-    assert window.find(PRODUCER, NUMBERS_MAX, 1, now=0) is None
-    assert window.find(PRODUCER, NUMBERS_MAX + 1, 1, now=0) == NUMBERS_MAX + 1
+    assert window.find(PRODUCER, RUNS_MAX, 1, now=0) is None
+    assert window.find(PRODUCER, RUNS_MAX + 1, 1, now=0) == RUNS_MAX + 1
+
+
+def test_all_that_a_producer_has_in_flight_is_recognised_however_long_its_runs_are() -> None:
+    """A producer whose connection broke sends up to 64 runs of 256 items again: they were doubled once, all but the
+    last four, because the window was counted in numbers."""
+    window: RetryWindow[int] = RetryWindow()
+    for run in range(64):
+        window.record(PRODUCER, 1 + run * 256, 256, run, now=0)
+    assert [window.find(PRODUCER, 1 + run * 256, 256, now=1) for run in range(64)] == list(range(64))
 
 
 def test_runs_are_forgotten_after_ten_minutes() -> None:

@@ -1,4 +1,4 @@
-"""Recognising retried puts: the last numbers of each producer with what became of them. Pure."""
+"""Recognising retried puts: the last runs of each producer with what became of them. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
-NUMBERS_MAX = 1024
+RUNS_MAX = 1024  # far above the runs that a producer has in flight, whatever their length
 KEPT_NANOS = 600_000_000_000
 PRODUCERS_MAX = 4096
 
@@ -29,16 +29,16 @@ class _Producer(Generic[Outcome]):
     __slots__ = ("end", "puts")
 
     def __init__(self) -> None:
-        self.puts: deque[_Put[Outcome]] = deque(maxlen=NUMBERS_MAX)
+        self.puts: deque[_Put[Outcome]] = deque(maxlen=RUNS_MAX)
         self.end = 0
 
 
 class RetryWindow(Generic[Outcome]):
     """Outcomes of each producer's latest runs, so that a retried run is answered as before and not doubled.
 
-    Keeps the runs that hold a producer's last 1024 numbers, for 10 minutes, and at most `producers_max` producers, of
-    which the longest silent is forgotten first. Producer id 0 asks for nothing to be recognised. `now` is the host's
-    clock in nanoseconds and never runs backwards.
+    Keeps a producer's last 1024 runs, which hold its last 1024 numbers or more, for 10 minutes, and at most
+    `producers_max` producers, of which the longest silent is forgotten first. Producer id 0 asks for nothing to be
+    recognised. `now` is the host's clock in nanoseconds and never runs backwards.
     """
 
     def __init__(self, *, producers_max: int = PRODUCERS_MAX) -> None:
@@ -59,7 +59,7 @@ class RetryWindow(Generic[Outcome]):
             return None
         end = first_number + items
         for put in reversed(producer.puts):
-            if put.time <= now - KEPT_NANOS or put.end <= producer.end - NUMBERS_MAX:
+            if put.time <= now - KEPT_NANOS:
                 continue
             if (put.first, put.end) == (first_number, end):
                 return put.outcome
@@ -80,10 +80,8 @@ class RetryWindow(Generic[Outcome]):
         self._producers.move_to_end(producer_id)
         producer.puts.append(_Put(first_number, first_number + items, now, outcome))
         producer.end = max(producer.end, first_number + items)
-        while producer.puts[0].end <= producer.end - NUMBERS_MAX or producer.puts[0].time <= now - KEPT_NANOS:
+        while producer.puts and producer.puts[0].time <= now - KEPT_NANOS:
             producer.puts.popleft()
-            if not producer.puts:
-                break
         self._forget_producers(now)
 
     def _forget_producers(self, now: int) -> None:
