@@ -46,6 +46,7 @@ class Producer:
         self._moved = Signal()
         self._stream: PutDuplex | None = None
         self._generation = 0  # tells the acks of a stream that was given up from those of its successor
+        self._opening = False  # while what is unacked is sent again, nothing new may go between
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set while nothing has been acked since a failure
         self.accepted = 0
@@ -91,25 +92,27 @@ class Producer:
 
         Raises DeadlineExceeded, or Unavailable if the host is lost for good.
         """
-        await self._send()
-        await self._until(lambda: not self._unacked and not len(self._builder), timeout)
+        deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
+        await self._send(deadline_s)
+        await self._until(lambda: not self._unacked and not len(self._builder), deadline_s)
         refused, self.rejected = self.rejected, []
         if refused:
             raise refused[0]
 
     async def aclose(self) -> None:
         """Let go of the stream. What is not acked may be lost: flush before."""
-        self._generation += 1
-        if self._stream is not None:
-            self._stream.cancel()
-            self._stream = None
+        with self._mutex:
+            self._generation += 1
+            stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.cancel()
 
     def _has_room(self) -> bool:
         return self._unacked_bytes < IN_FLIGHT_BYTES_MAX and len(self._unacked) < IN_FLIGHT_RUNS_MAX
 
-    async def _send(self) -> None:
+    async def _send(self, deadline_s: float = float("inf")) -> None:
         """Send the run that is being filled, as soon as there is room."""
-        await self._until(self._has_room, None)
+        await self._until(self._has_room, deadline_s)
         if self._stream is None:
             await self._open()
         await self._send_filled()
@@ -131,35 +134,35 @@ class Producer:
             self._failure = self._failure or error
             self._moved.set()
 
-    async def _until(self, condition: Callable[[], bool], timeout_s: float | None) -> None:
+    async def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition`, replacing a failed stream meanwhile."""
-        deadline_s = float("inf") if timeout_s is None else clock.monotonic() + timeout_s
         while True:
             self._moved.clear()
-            if self._failure is not None:
-                await self._recover(self._failure)
-            elif condition():
+            left_s = deadline_s - clock.monotonic()
+            if self._failure is not None and left_s > 0:
+                await self._recover(self._failure, left_s)
+            elif self._failure is None and condition():
                 return
             else:
-                left_s = deadline_s - clock.monotonic()
                 if left_s <= 0:
                     raise DeadlineExceeded(
                         f"{len(self._unacked)} runs for channel {self._state.info.name!r} were not acknowledged in "
                         "time; its host may be overloaded, or the channel full"
                     )
-                await self._moved.wait(None if timeout_s is None else left_s)
+                await self._moved.wait(None if left_s == float("inf") else left_s)
 
-    async def _recover(self, failure: StampedeError) -> None:
+    async def _recover(self, failure: StampedeError, left_s: float) -> None:
         """Replace a failed stream, or raise its failure if that is final or nothing was acked for too long."""
         self._backoff = self._backoff or Backoff(clock.monotonic() + CALL_TIMEOUT_S)
         delay_s = self._backoff.next_delay_s(clock.monotonic(), random.random())
         if not failure.retryable or delay_s is None:
+            self._backoff = None  # whoever puts on regardless tries anew
             raise failure
-        await sleep(delay_s)
+        await sleep(min(delay_s, left_s))
         self._session.cache.forget(self._state.info.channel_id)
-        await self._open()
+        await self._open(min(left_s, CALL_TIMEOUT_S))
 
-    async def _open(self) -> None:
+    async def _open(self, timeout_s: float = CALL_TIMEOUT_S) -> None:
         """Open a stream at the channel's present place and send what was not acked, under the same numbers."""
         await self.aclose()
 
@@ -167,23 +170,31 @@ class Producer:
             self._failure = None
             port = self._session.ports.to(binding.target)
             on_acks, on_end = partial(self._acked, self._generation), partial(self._ended, self._generation)
-            self._stream = port.duplex(on_acks, on_end)
             head = put_head(binding.channel_id, binding.epoch, self._producer_id)
             with self._mutex:
+                self._stream = port.duplex(on_acks, on_end)
                 await self._write(head)
                 for run in tuple(self._unacked):
                     await self._write(put_request(b"", run.first_number, (run.encoded,)))
 
-        await self._session.perform(self._state, open_at)
+        self._opening = True
+        try:
+            await self._session.perform(self._state, open_at, timeout_s)
+        finally:
+            self._opening = False
 
     async def _acked(self, generation: int, response: channel_pb.PutResponse) -> None:
-        for ack in response.acks:
-            if generation != self._generation or self._failure is not None:
-                return
-            self._count(ack)
+        with self._mutex:
+            for ack in response.acks:
+                if generation == self._generation and self._failure is None:
+                    self._count(ack)
         self._moved.set()
-        if len(self._builder) and self._has_room():
+        if self._may_follow(generation) and len(self._builder) and self._has_room():
             await self._send_filled()
+
+    def _may_follow(self, generation: int) -> bool:
+        """Whether an ack may be answered with the next run: not before what was unacked has been sent again."""
+        return generation == self._generation and self._failure is None and not self._opening
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None
@@ -199,6 +210,7 @@ class Producer:
         self.rejected += refusals[: REJECTIONS_KEPT_MAX - len(self.rejected)]
 
     async def _ended(self, generation: int, error: StampedeError) -> None:
-        if generation == self._generation:
-            self._failure = self._failure or error
-            self._moved.set()
+        with self._mutex:
+            if generation == self._generation:
+                self._failure = self._failure or error
+        self._moved.set()

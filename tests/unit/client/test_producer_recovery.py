@@ -1,0 +1,165 @@
+"""The producer against a stream that a test plays: acks, refusals and ends in orders that a real host seldom shows."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from typing import Any, cast
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt._async.producer import Producer
+from stampede_rt._async.session import ChannelState, Session
+from stampede_rt.binding import Binding, BindingCache
+from stampede_rt.model import ChannelInfo, Policy
+from stampede_rt.status import to_error_message
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.core import RetryWindow
+
+LIMIT_S = 5.0
+
+
+class Duplex:
+    """A stream that keeps what is written. `gate` holds a write back, as a full window does."""
+
+    def __init__(self, on_response: Any, on_end: Any, gate: asyncio.Event) -> None:
+        self.on_response, self.on_end, self.gate = on_response, on_end, gate
+        self.written: list[pb.PutRequest] = []
+
+    async def write(self, request: bytes) -> None:
+        self.written.append(pb.PutRequest.FromString(request))
+        if self.numbers:  # a host acks no run before it came
+            await self.gate.wait()
+
+    @property
+    def numbers(self) -> list[int]:
+        """The first numbers of the runs, in the order of their coming."""
+        return [put.first_number for request in self.written for put in request.puts]
+
+    def cancel(self) -> None:
+        pass
+
+
+class Place:
+    """A session whose channel is always at one place; every stream opened there is kept."""
+
+    closed = False
+
+    def __init__(self) -> None:
+        self.cache = BindingCache()
+        self.ports = self
+        self.gate = asyncio.Event()
+        self.gate.set()
+        self.streams: list[Duplex] = []
+        self.opened = asyncio.Event()
+
+    def to(self, target: str) -> Place:
+        return self
+
+    def duplex(self, on_response: Any, on_end: Any) -> Duplex:
+        self.streams.append(Duplex(on_response, on_end, self.gate))
+        self.opened.set()
+        return self.streams[-1]
+
+    async def perform(self, state: ChannelState, operation: Any, timeout_s: float | None = None) -> Any:
+        return await operation(Binding(channel_id=b"c", target="there", epoch=1, incarnation=1))
+
+
+def producer_at(place: Place) -> Producer:
+    info = ChannelInfo.__new__(ChannelInfo)
+    object.__setattr__(info, "channel_id", b"c")
+    object.__setattr__(info, "name", "cam/left")
+    return Producer(cast(Session, place), ChannelState(info, cast(Policy, None), True))
+
+
+def accepted(first_number: int) -> pb.PutAck:
+    return pb.PutAck(first_number=first_number, items=1)
+
+
+def moved(first_number: int) -> pb.PutAck:
+    error = to_error_message(st.Unavailable("elsewhere", reason="MOVED"))
+    return pb.PutAck(first_number=first_number, items=1, error=error)
+
+
+async def three_in_flight(place: Place) -> Producer:
+    producer = producer_at(place)
+    for number in range(1, 4):
+        await producer.put(b"%d" % number)
+        await producer._send()
+    assert place.streams[0].numbers == [1, 2, 3]
+    return producer
+
+
+async def settled() -> None:
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+async def test_one_message_with_several_refusals_wakes_a_flush_that_waits() -> None:
+    place = Place()
+    producer = await three_in_flight(place)
+    place.opened.clear()
+    flush = asyncio.ensure_future(producer.flush(LIMIT_S))
+    await settled()
+    await place.streams[0].on_response(pb.PutResponse(acks=[moved(1), moved(2), moved(3)]))
+    await asyncio.wait_for(place.opened.wait(), LIMIT_S / 2)
+    await settled()
+    assert place.streams[1].numbers == [1, 2, 3]
+    await place.streams[1].on_response(pb.PutResponse(acks=[accepted(1), accepted(2), accepted(3)]))
+    await flush
+    assert producer.accepted == 3
+
+
+async def test_an_ack_during_a_resend_lets_nothing_new_go_between() -> None:
+    place = Place()
+    producer = await three_in_flight(place)
+    await producer.put(b"4")
+    place.opened.clear()
+    await place.streams[0].on_end(st.Unavailable("broken"))
+    place.gate.clear()
+    flush = asyncio.ensure_future(producer.flush(LIMIT_S))
+    await asyncio.wait_for(place.opened.wait(), LIMIT_S / 2)
+    stream = place.streams[1]
+    ack = asyncio.ensure_future(stream.on_response(pb.PutResponse(acks=[accepted(1)])))
+    await settled()
+    place.gate.set()
+    await ack
+    await settled()
+    assert stream.numbers == [1, 2, 3, 4]
+    await stream.on_response(pb.PutResponse(acks=[accepted(number) for number in (2, 3, 4)]))
+    await flush
+    assert producer.accepted == 4
+
+
+async def test_an_ack_of_a_stream_that_was_given_up_counts_for_nothing() -> None:
+    place = Place()
+    producer = await three_in_flight(place)
+    await place.streams[0].on_end(st.Unavailable("broken"))
+    await producer._send()
+    await place.streams[0].on_response(pb.PutResponse(acks=[accepted(1)]))
+    assert producer.accepted == 0
+    assert place.streams[1].numbers == [1, 2, 3]
+
+
+async def test_the_timeout_of_a_flush_holds_while_all_room_is_taken() -> None:
+    place = Place()
+    producer = producer_at(place)
+    for _ in itertools.takewhile(lambda _: producer._has_room(), itertools.count()):
+        await producer.put(b"x")
+        await producer._send_filled()
+    await producer.put(b"one more")
+    async with asyncio.timeout(LIMIT_S):
+        with pytest.raises(st.DeadlineExceeded, match="64 runs"):
+            await producer.flush(0.01)
+
+
+def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
+    """The client's bound on runs in flight and the host's window belong together."""
+    from stampede_rt._async.producer import IN_FLIGHT_RUNS_MAX
+    from stampede_rt.wire.runs import RUN_ITEMS_MAX
+
+    window: RetryWindow[int] = RetryWindow()
+    for run in range(IN_FLIGHT_RUNS_MAX):
+        window.record(7, 1 + run * RUN_ITEMS_MAX, RUN_ITEMS_MAX, run, now=0)
+    assert window.find(7, 1, RUN_ITEMS_MAX, now=1) == 0
