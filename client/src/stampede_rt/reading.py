@@ -28,6 +28,10 @@ class Wait:
             raise InvalidArgument(f"timeout is {timeout!r}; give seconds, 0 or more, or None to wait for ever")
         return cls(min(timeout, TIMEOUT_S_MAX))
 
+    def after(self, passed_s: float) -> Wait:
+        """What is left of it; a read that is tried again does not wait anew."""
+        return self if not self.seconds else Wait(max(self.seconds - passed_s, 0))
+
     @property
     def nanos(self) -> int:
         """As the wire has it: -1 stands for ever."""

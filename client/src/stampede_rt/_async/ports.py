@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.credentials import Credentials
+from stampede_rt.errors import Unavailable
 from stampede_rt.transports.concurrency_async import Mutex
 from stampede_rt.transports.grpc_async import Port
 
@@ -21,10 +22,13 @@ class Ports:
         self._ports: dict[str, Port] = {}
         self._former: list[Port] = []  # of the certificates before; their streams may still be read
         self._mutex = Mutex()
+        self.closed = False
 
     def to(self, target: str) -> Port:
-        """The port to `target`."""
+        """The port to `target`. Raises Unavailable once these are closed."""
         with self._mutex:
+            if self.closed:
+                raise Unavailable("this connection is closed; connect() again")
             self._look_at_certificates()
             port = self._ports.pop(target, None) or Port(target, self.credentials.secret, self._material)
             self._ports[target] = port
@@ -42,6 +46,7 @@ class Ports:
     async def aclose(self) -> None:
         """End everything that is under way."""
         with self._mutex:
+            self.closed = True
             ports = [*self._former, *self._ports.values()]
             self._former.clear()
             self._ports.clear()

@@ -5,8 +5,9 @@ from __future__ import annotations
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
 from stampede_rt.model import Item, Items
-from stampede_rt.reading import Read
+from stampede_rt.reading import Read, Wait
 from stampede_rt.status import from_error_message
+from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.reads import (
     interval_to_message,
@@ -21,16 +22,20 @@ from stampede_rt.wire.runs import ItemDecoder
 async def read(session: Session, state: ChannelState, query: Read) -> Items:
     """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait."""
     limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
+    began_s = monotonic_s()
 
     async def read_at(binding: Binding) -> Items:
         exchange = session.ports.to(binding.target).gets()
-        responses = await exchange.get(_request(binding, query), limit_s)
+        wait = query.wait.after(monotonic_s() - began_s)
+        responses = await exchange.get(
+            _request(binding, query, wait), None if wait.seconds is None else wait.seconds + CALL_TIMEOUT_S
+        )
         return _answer(state, query, responses)
 
     return await session.perform(state, read_at, limit_s)
 
 
-def _request(binding: Binding, query: Read) -> channel_pb.GetRequest:
+def _request(binding: Binding, query: Read, wait: Wait) -> channel_pb.GetRequest:
     return channel_pb.GetRequest(
         channel_id=binding.channel_id,
         epoch=binding.epoch,
@@ -41,7 +46,7 @@ def _request(binding: Binding, query: Read) -> channel_pb.GetRequest:
         after=None if query.after is None else position_of(query.after),
         newer_than=None if query.newer_than is None else position_of(query.newer_than),
         without_payloads=not query.payloads,
-        wait_nanos=query.wait.nanos,
+        wait_nanos=wait.nanos,
         complete=query.complete,
     )
 

@@ -96,9 +96,10 @@ class Session:
             try:
                 return await operation(await self.bind(state, backoff.deadline_s))
             except StampedeError as error:
+                if error.retryable or isinstance(error, DeadlineExceeded):  # a host that hangs may be lost soon
+                    self.cache.forget(state.info.channel_id)
                 if not error.retryable or self.closed:
                     raise
-                self.cache.forget(state.info.channel_id)
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
                 if delay_s is None:
                     raise

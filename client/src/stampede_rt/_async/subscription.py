@@ -98,8 +98,9 @@ class Subscription:
     def close(self) -> None:
         """End the subscription; callable from any thread."""
         self._closed = True
-        if self._stream is not None:
-            self._stream.cancel()
+        stream = self._stream
+        if stream is not None:
+            stream.cancel()
 
     async def _open(self) -> None:
         """Begin, or resume at the channel's present place, and wait until the host holds the subscription."""
@@ -113,6 +114,8 @@ class Subscription:
             responses = stream.__aiter__()
             first = await responses.__anext__()
             self._stream, self._responses = stream, responses
+            if self._closed:  # while it was being opened
+                stream.cancel()
             self._opened(first.opened)
             self._take(first)
 
@@ -136,8 +139,9 @@ class Subscription:
     async def _receive(self) -> None:
         try:
             self._take(await self._responses.__anext__())
-        except StopAsyncIteration:
+        except StopAsyncIteration:  # closed, or a step before was cancelled, and its call with it
             self._stream = None
+            self._resume()
         except StampedeError as error:
             self._stream = None
             if not error.retryable:

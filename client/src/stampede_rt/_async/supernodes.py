@@ -125,6 +125,8 @@ class Supernodes:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
                 failure = error
+                if self._ports.closed:
+                    raise
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
                 if delay_s is None:
                     raise

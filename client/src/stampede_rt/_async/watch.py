@@ -57,8 +57,9 @@ class Watch:
     def close(self) -> None:
         """End the watch."""
         self._closed = True
-        if self._stream is not None:
-            self._stream.cancel()
+        stream = self._stream
+        if stream is not None:
+            stream.cancel()
 
     async def _open(self) -> None:
         backoff = Backoff(monotonic_s() + CONNECT_TIMEOUT_S)
@@ -66,6 +67,8 @@ class Watch:
             try:
                 await self._open_once()
             except Unavailable:
+                if self._session.closed:
+                    raise
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:
                     raise
@@ -80,6 +83,8 @@ class Watch:
         responses = stream.__aiter__()
         self._take(await responses.__anext__())  # says that the watch holds
         self._stream, self._responses = stream, responses
+        if self._closed:  # while it was being opened
+            stream.cancel()
 
     async def _receive(self) -> None:
         try:

@@ -59,10 +59,13 @@ class PutStreams:
     def _stream(self, binding: Binding) -> PutExchange:
         key = thread_id()
         entry = self._streams.get(key)
-        if entry is not None and entry[0] is binding and not entry[1].broken:
+        if entry is not None and (entry[0] is binding or entry[0] == binding) and not entry[1].broken:
             return entry[1]
         stream = self._session.ports.to(binding.target).puts()
         with self._mutex:
+            former = self._streams.pop(key, None)
+            if former is not None:
+                former[1].cancel()  # of a place that is not the channel's any more
             if len(self._streams) >= STREAMS_MAX:
                 self._streams.pop(next(iter(self._streams)))[1].cancel()
             self._streams[key] = (binding, stream)

@@ -6,8 +6,9 @@ from __future__ import annotations
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
 from stampede_rt.model import Item, Items
-from stampede_rt.reading import Read
+from stampede_rt.reading import Read, Wait
 from stampede_rt.status import from_error_message
+from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.reads import (
     interval_to_message,
@@ -22,16 +23,20 @@ from stampede_rt.wire.runs import ItemDecoder
 def read(session: Session, state: ChannelState, query: Read) -> Items:
     """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait."""
     limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
+    began_s = monotonic_s()
 
     def read_at(binding: Binding) -> Items:
         exchange = session.ports.to(binding.target).gets()
-        responses = exchange.get(_request(binding, query), limit_s)
+        wait = query.wait.after(monotonic_s() - began_s)
+        responses = exchange.get(
+            _request(binding, query, wait), None if wait.seconds is None else wait.seconds + CALL_TIMEOUT_S
+        )
         return _answer(state, query, responses)
 
     return session.perform(state, read_at, limit_s)
 
 
-def _request(binding: Binding, query: Read) -> channel_pb.GetRequest:
+def _request(binding: Binding, query: Read, wait: Wait) -> channel_pb.GetRequest:
     return channel_pb.GetRequest(
         channel_id=binding.channel_id,
         epoch=binding.epoch,
@@ -42,7 +47,7 @@ def _request(binding: Binding, query: Read) -> channel_pb.GetRequest:
         after=None if query.after is None else position_of(query.after),
         newer_than=None if query.newer_than is None else position_of(query.newer_than),
         without_payloads=not query.payloads,
-        wait_nanos=query.wait.nanos,
+        wait_nanos=wait.nanos,
         complete=query.complete,
     )
 

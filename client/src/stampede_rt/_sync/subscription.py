@@ -99,8 +99,9 @@ class Subscription:
     def close(self) -> None:
         """End the subscription; callable from any thread."""
         self._closed = True
-        if self._stream is not None:
-            self._stream.cancel()
+        stream = self._stream
+        if stream is not None:
+            stream.cancel()
 
     def _open(self) -> None:
         """Begin, or resume at the channel's present place, and wait until the host holds the subscription."""
@@ -114,6 +115,8 @@ class Subscription:
             responses = stream.__iter__()
             first = responses.__next__()
             self._stream, self._responses = stream, responses
+            if self._closed:  # while it was being opened
+                stream.cancel()
             self._opened(first.opened)
             self._take(first)
 
@@ -137,8 +140,9 @@ class Subscription:
     def _receive(self) -> None:
         try:
             self._take(self._responses.__next__())
-        except StopIteration:
+        except StopIteration:  # closed, or a step before was cancelled, and its call with it
             self._stream = None
+            self._resume()
         except StampedeError as error:
             self._stream = None
             if not error.retryable:

@@ -58,8 +58,9 @@ class Watch:
     def close(self) -> None:
         """End the watch."""
         self._closed = True
-        if self._stream is not None:
-            self._stream.cancel()
+        stream = self._stream
+        if stream is not None:
+            stream.cancel()
 
     def _open(self) -> None:
         backoff = Backoff(monotonic_s() + CONNECT_TIMEOUT_S)
@@ -67,6 +68,8 @@ class Watch:
             try:
                 self._open_once()
             except Unavailable:
+                if self._session.closed:
+                    raise
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:
                     raise
@@ -81,6 +84,8 @@ class Watch:
         responses = stream.__iter__()
         self._take(responses.__next__())  # says that the watch holds
         self._stream, self._responses = stream, responses
+        if self._closed:  # while it was being opened
+            stream.cancel()
 
     def _receive(self) -> None:
         try:

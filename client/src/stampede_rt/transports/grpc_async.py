@@ -54,6 +54,12 @@ class Port:
             return await method(request, timeout=timeout_s, metadata=self.metadata)
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
+        except grpc.aio.UsageError as error:
+            raise closed(self.target) from error
+        except asyncio.CancelledError as error:
+            if _is_cancelled():
+                raise
+            raise closed(self.target) from error  # the call was ended by closing the connection, not this task
 
     def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
         """One request, many responses."""
@@ -82,6 +88,17 @@ class Port:
         await self._channel.close(None)
 
 
+def closed(target: str) -> Unavailable:
+    """What a call meets whose connection is closed meanwhile."""
+    return Unavailable(f"the connection to {target} is closed")
+
+
+def _is_cancelled() -> bool:
+    """Whether this task is to end; if not, it was its call that somebody cancelled."""
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0
+
+
 class Stream(Generic[Response]):
     """The responses of one request. `cancel` may be called from anywhere and ends the iteration."""
 
@@ -98,9 +115,11 @@ class Stream(Generic[Response]):
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
         except asyncio.CancelledError:
-            if not self._cancelled:
-                self.cancel()
+            if not self._cancelled and _is_cancelled():
+                self._call.cancel()
                 raise
+            if not self._cancelled:
+                raise closed(self._target) from None
         if not self._cancelled:
             raise Unavailable(f"{self._target} ended the stream")
 
@@ -126,7 +145,8 @@ class _Exchange:
                 await self._call.write(request)
         except (grpc.RpcError, asyncio.InvalidStateError) as error:
             self.broken = True
-            await self._reader  # it ends with the reason, and hands it to all that wait
+            if asyncio.current_task() is not self._reader:  # which writes, too, where an ack makes room
+                await self._reader  # it ends with the reason, and hands it to all that wait
             raise Unavailable(f"the stream to {self._target} is broken") from error
 
     async def _read(self) -> None:
@@ -223,7 +243,12 @@ class PutExchange(_Exchange):
         except (grpc.RpcError, asyncio.InvalidStateError):
             self.broken = True
             await self._reader
-        except asyncio.CancelledError:
+            if not future.done():  # it joined those that wait when the reader had ended
+                future.set_exception(Unavailable(f"the stream to {self._target} is broken"))
+        except asyncio.CancelledError as error:
+            if not _is_cancelled():
+                self.broken = True
+                raise closed(self._target) from error
             self.cancel()  # the ack that would come for nobody could be taken for another's
             raise
         return await _within(future, timeout_s, self._target)

@@ -57,10 +57,19 @@ class Port:
             return method(request, timeout=timeout_s, metadata=self.metadata)
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
+        except ValueError as error:  # how gRPC says that the channel is closed
+            raise closed(self.target) from error
 
     def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
         """One request, many responses."""
-        return Stream(method(request, metadata=self.metadata), self.target)
+        return Stream(self.begin(method, request), self.target)
+
+    def begin(self, method: Callable[..., Any], requests: Any) -> Any:
+        """The call of a stream. Raises Unavailable once this port is closed."""
+        try:
+            return method(requests, metadata=self.metadata)
+        except ValueError as error:
+            raise closed(self.target) from error
 
     def gets(self) -> GetExchange:
         """This thread's open stream for gets."""
@@ -85,6 +94,11 @@ class Port:
         self._channel.close()
 
 
+def closed(target: str) -> Unavailable:
+    """What a call meets whose connection is closed meanwhile."""
+    return Unavailable(f"the connection to {target} is closed")
+
+
 class Stream(Generic[Response]):
     """The responses of one request. `cancel` may be called from any thread and ends the iteration."""
 
@@ -99,6 +113,9 @@ class Stream(Generic[Response]):
         except grpc.RpcError as error:
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
+        except BaseException:  # an interrupt: nobody reads on, and whoever resumes begins a call of its own
+            self._call.cancel()
+            raise
         if not self._cancelled:
             raise Unavailable(f"{self._target} ended the stream")
 
@@ -114,7 +131,9 @@ class _Exchange:
     def __init__(self, port: Port, method: Callable[..., Any]) -> None:
         self._target = port.target
         self._requests: SimpleQueue[Any] = SimpleQueue()
-        self._call = method(iter(self._requests.get, None), metadata=port.metadata)
+        self.broken = True  # until there is a call
+        self._call: Any = None
+        self._call = port.begin(method, iter(self._requests.get, None))
         self.broken = False
 
     def _error(self, error: BaseException) -> StampedeError:
@@ -127,7 +146,8 @@ class _Exchange:
         """Give the stream up."""
         self.broken = True
         self._requests.put(None)
-        self._call.cancel()
+        if self._call is not None:
+            self._call.cancel()
 
     def __del__(self) -> None:
         self.cancel()  # the thread that owned it is gone, or the caller has let go of it

@@ -1,0 +1,139 @@
+"""What cancellation, closing and broken streams leave behind in the client: nothing missed, doubled, hung or leaked."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from functools import partial
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+LIMIT_S = 10.0
+
+
+async def test_a_step_that_was_cancelled_makes_a_subscription_neither_miss_nor_double(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/cancelled", max_age="60s")
+        await channel.put(b"1")
+        subscription = channel.subscribe(start=st.OLDEST)
+        async with subscription:
+            assert (await anext(subscription)).payload == b"1"
+            step = asyncio.ensure_future(anext(subscription))
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(step, 0.05)
+            await channel.put(b"2")
+            async with asyncio.timeout(LIMIT_S):
+                assert (await anext(subscription)).payload == b"2"
+
+
+async def test_a_step_that_was_cancelled_does_not_lose_what_came_next_on_a_subscription_to_new_items(
+    cluster: LocalCluster,
+) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/cancelled-new", max_age="60s")
+        async with channel.subscribe() as subscription:
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(anext(subscription), 0.05)
+            await channel.put(b"between")
+            async with asyncio.timeout(LIMIT_S):
+                assert (await anext(subscription)).payload == b"between"
+
+
+async def test_closing_the_connection_ends_a_task_that_reads_with_an_error_and_no_cancellation(
+    cluster: LocalCluster,
+) -> None:
+    rt = await aio.connect(cluster.address)
+    channel = await rt.channel("client/closed", max_age="60s")
+    subscription = channel.subscribe()
+    await subscription.__aenter__()
+    reader = asyncio.ensure_future(anext(subscription))
+    waiter = asyncio.ensure_future(channel.newest(timeout=None))
+    await channel.put(b"the get is answered, and so under way before")
+    await asyncio.wait([waiter], timeout=LIMIT_S)
+    assert (await reader).payload
+    reader = asyncio.ensure_future(anext(subscription))
+    await asyncio.sleep(0)
+    await rt.aclose()
+    with pytest.raises(st.Unavailable, match="closed"):
+        await asyncio.wait_for(reader, LIMIT_S)
+
+
+def test_after_close_nothing_of_a_connection_works_any_more(cluster: LocalCluster) -> None:
+    rt = st.connect(cluster.address)
+    channel = rt.channel("client/after-close")
+    watch = rt.watch()
+    rt.close()
+    for use in (rt.channels, rt.hosts, channel.newest, partial(channel.put, b"x"), partial(rt.channel, "another")):
+        with pytest.raises(st.Unavailable, match="closed"):
+            use()
+    with pytest.raises(st.Unavailable, match="closed"):
+        next(watch)
+
+
+def test_closing_the_connection_ends_a_thread_that_watches(cluster: LocalCluster) -> None:
+    rt = st.connect(cluster.address)
+    met: list[BaseException] = []
+    watch = rt.watch()
+
+    def look() -> None:
+        try:
+            for _ in watch:
+                pass
+        except st.StampedeError as error:
+            met.append(error)
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    rt.close()
+    thread.join(LIMIT_S)
+    assert not thread.is_alive()
+    assert isinstance(met[0], st.Unavailable)
+
+
+async def test_puts_that_waited_for_their_turn_on_a_broken_stream_do_not_hang(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/broken", max_age="60s")
+        await channel.put(b"opens the stream")
+        _, stream = next(iter(channel._puts._streams.values()))
+        await stream._writing.acquire()
+        puts = [asyncio.ensure_future(channel.put(b"%d" % number)) for number in range(3)]
+        for _ in range(100):  # until all of them wait for their turn
+            await asyncio.sleep(0)
+        assert len(stream._writing._waiters or ()) == len(puts)
+        stream.cancel()
+        await stream._reader
+        stream._writing.release()
+        async with asyncio.timeout(5.0):
+            await asyncio.gather(*puts)
+        items = await channel.get(st.OLDEST, st.NEWEST)
+        assert sorted(item.payload for item in items) == [b"0", b"1", b"2", b"opens the stream"]
+
+
+async def test_a_producer_whose_stream_breaks_again_and_again_loses_and_doubles_nothing(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/producer", max_age="60s", max_items=100_000)
+        async with channel.producer() as producer:
+            for number in range(20_000):
+                await producer.put(b"%d" % number)
+                if number % 3_000 == 2_999 and producer._stream is not None:
+                    producer._stream._call.cancel()
+            await producer.flush()
+        assert producer.accepted == 20_000
+        assert (await channel.stats()).accepted == 20_000
+
+
+async def test_binding_anew_at_the_same_place_leaves_no_stream_behind(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/rebound", max_age="60s")
+        await channel.put(b"1")
+        tasks = len(asyncio.all_tasks())
+        for number in range(5):
+            rt._session.cache.forget(channel.info.channel_id)
+            await channel.put(b"%d" % number)
+        assert len(asyncio.all_tasks()) == tasks
