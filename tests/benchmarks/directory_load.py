@@ -21,12 +21,14 @@ import grpc
 from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
+from tests.unit.supernode import processes
 from tests.unit.supernode.processes import Cluster
 
 WRITERS = 64
 READERS = 64
 SAMPLE_SECONDS = 5.0
 CALL_SECONDS = 20.0
+START_SECONDS_MAX = 180.0
 # Connections of their own, as many processes would have them: gRPC would share one otherwise.
 OWN_CONNECTION = (("grpc.use_local_subchannel_pool", 1),)
 
@@ -187,7 +189,12 @@ async def restart(cluster: Cluster) -> list[Row]:
     ]
 
 
-async def measure(channels: int, clients: int) -> list[Row]:
+def show(rows: list[Row]) -> None:
+    for name, text in rows:
+        print(f"{name:<50}  {text}", flush=True)
+
+
+async def measure(channels: int, clients: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         cluster = Cluster(Path(folder), "--lease-ttl", "1h")
         await cluster.start()
@@ -195,12 +202,13 @@ async def measure(channels: int, clients: int) -> list[Row]:
             leader = await cluster.leader()
             stubs = [one.stub for one in cluster.supernodes]
             await register_host(leader.stub)
-            rows = [*(await writes(stubs, "one", workers=1)), *(await writes(stubs, "some", workers=WRITERS))]
-            rows += await fill(stubs, channels)
-            rows += await lookups(leader.stub)
-            rows += await fan_out(cluster, leader.stub, clients)
-            rows += await reconnect(cluster, clients)
-            return rows + await restart(cluster)
+            show(await writes(stubs, "one", workers=1))
+            show(await writes(stubs, "some", workers=WRITERS))
+            show(await fill(stubs, channels))
+            show(await lookups(leader.stub))
+            show(await fan_out(cluster, leader.stub, clients))
+            show(await reconnect(cluster, clients))
+            show(await restart(cluster))
         finally:
             await cluster.close()
 
@@ -210,10 +218,8 @@ def main() -> None:
     parser.add_argument("--channels", type=int, default=100_000)
     parser.add_argument("--clients", type=int, default=1000)
     arguments = parser.parse_args()
-    rows = asyncio.run(measure(arguments.channels, arguments.clients))
-    width = max(len(name) for name, _ in rows)
-    for name, text in rows:
-        print(f"{name:<{width}}  {text}")
+    processes.PATIENCE_SECONDS = START_SECONDS_MAX
+    asyncio.run(measure(arguments.channels, arguments.clients))
 
 
 if __name__ == "__main__":

@@ -56,7 +56,6 @@ class DirectoryReplica:
     def restore(self, snapshot: bytes) -> None:
         """Replace the whole state. Raises for a damaged snapshot: going on without it would answer wrongly."""
         directory, snapshots = decode_snapshot(snapshot), SnapshotWriter()
-        snapshots.write(directory)  # now, since a long restore is expected, and a long first snapshot is not
         with self._lock:
             self._directory, self._snapshots = directory, snapshots
             self.restored += 1

@@ -1,0 +1,84 @@
+"""A cluster that is founded, grows, loses its disk and shrinks, by the commands of the runbook."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.unit.supernode.processes import PATIENCE_SECONDS, Supernode, attempts, clean_environment, free_ports
+
+pytestmark = pytest.mark.timeout(120)
+
+
+async def command(*words: str) -> tuple[int, str]:
+    """Run `stampede supernode ...` to its end: the exit code, and what it printed."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "stampede_rt_supernode", *words),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        env=clean_environment(),
+    )
+    async with asyncio.timeout(PATIENCE_SECONDS):
+        printed, _ = await process.communicate()
+    return process.returncode or 0, printed.decode()
+
+
+async def prepared(verb: str, name: str, port: int, folder: Path, *words: str) -> Supernode:
+    address, data_dir = f"127.0.0.1:{port}", str(folder / name)
+    code, printed = await command(verb, "--data-dir", data_dir, "--listen", address, "--id", name, *words)
+    assert code == 0, printed
+    return Supernode(name, address, ["--listen", address, "--data-dir", data_dir])
+
+
+async def status_has(address: str, text: str) -> None:
+    """Wait until `status` says it."""
+    async for _ in attempts():
+        _, printed = await command("status", "--member", address)
+        if text in printed:
+            return
+
+
+async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_path: Path) -> None:
+    ports = free_ports(2)
+    founder = await prepared("init", "a", ports[0], tmp_path)
+    newcomer = None
+    try:
+        await founder.start()
+        newcomer = await prepared("join", "b", ports[1], tmp_path, "--member", founder.address)
+        await newcomer.start()
+        await status_has(newcomer.address, "2 of 2 serve")
+        code, printed = await command("remove", "a", "--member", newcomer.address)
+        assert (code, "there remain b" in printed) == (0, True), printed
+        await status_has(newcomer.address, "1 of 1 serve")
+        await newcomer.end(signal.SIGKILL)
+        await newcomer.start()
+        await status_has(newcomer.address, "1 of 1 serve")
+    finally:
+        await founder.close()
+        if newcomer is not None:
+            await newcomer.close()
+
+
+async def test_a_folder_that_is_in_use_is_not_prepared_again_and_a_lost_disk_is_noticed(tmp_path: Path) -> None:
+    [port] = free_ports(1)
+    founder = await prepared("init", "a", port, tmp_path)
+    again = ("init", "--data-dir", str(tmp_path / "a"), "--listen", f"127.0.0.1:{port}")
+    code, printed = await command(*again)
+    assert (code, "is a supernode's already" in printed) == (1, True)
+    try:
+        await founder.start()
+    finally:
+        await founder.close()
+    for file in (tmp_path / "a").glob("replicated_log*"):
+        file.unlink()
+    code, printed = await command("--listen", f"127.0.0.1:{port}", "--data-dir", str(tmp_path / "a"))
+    assert (code, "under a new id" in printed) == (1, True), printed
+
+
+async def test_an_empty_folder_is_refused_with_the_way_out(tmp_path: Path) -> None:
+    code, printed = await command("--listen", "127.0.0.1:0", "--data-dir", str(tmp_path / "empty"))
+    assert (code, "stampede supernode init" in printed) == (1, True), printed
