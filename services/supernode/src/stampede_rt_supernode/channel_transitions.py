@@ -17,6 +17,7 @@ from stampede_rt_supernode.commands import (
     OpenChannel,
     UpdateChannel,
 )
+from stampede_rt_supernode.group_transitions import note_lost_cuts
 from stampede_rt_supernode.lookups import channel_by_id, host_by_name, no_such_channel
 from stampede_rt_supernode.policies import agree, check_policy, check_ranges, merge
 from stampede_rt_supernode.records import Channel, Host
@@ -54,6 +55,7 @@ def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
     opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
     if not tables.hosts[channel.host_id].alive:
         give_owner(tables, channel, _place_anew(tables, opened, deed))
+        note_lost_cuts(tables, [channel.channel_id])
     elif opened != channel:
         tables.replace_channel(opened)
     opened = tables.channels[channel.channel_id]

@@ -59,9 +59,13 @@ class GroupTable:
 
     def replace(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
         """The group of that id, which keeps its name, is now like this. Who knows its cut is nobody else's business."""
-        before = self.by_id[group.group_id]
-        self._unlink_members(before)
-        self._link(group, witnesses)
+        before, held = self._entries[group.group_id]
+        if (group, witnesses) == (before, held):
+            return
+        if group.spec.channel_ids != before.spec.channel_ids:
+            self._unlink_members(before)
+            self._link_members(group)
+        self._hold(group, witnesses)
         if group != before:
             self._note(ChangeKind.UPDATED, group)
 
@@ -74,9 +78,15 @@ class GroupTable:
         self._note(ChangeKind.REMOVED, group)
 
     def _link(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
-        self.by_id[group.group_id] = group
         self.ids[group.name] = group.group_id
+        self._hold(group, witnesses)
+        self._link_members(group)
+
+    def _hold(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
+        self.by_id[group.group_id] = group
         self._entries[group.group_id] = (group, witnesses)
+
+    def _link_members(self, group: Group) -> None:
         for channel_id in group.spec.channel_ids:
             self._ids_with.setdefault(channel_id, set()).add(group.group_id)
 

@@ -16,9 +16,11 @@ from stampede_rt_supernode.tables import Tables
 
 
 def give_owner(tables: Tables, before: Channel, after: Channel) -> None:
-    """A channel has another owner, or the same one has begun anew: `after`, with a higher epoch and new incarnation."""
+    """A channel has another owner, or the same one has begun anew: `after`, with a higher epoch and new incarnation.
+
+    The caller notes lost cuts, once for all the channels of one entry: they may be in the same groups.
+    """
     store(tables, after, adopted(tables, before, after))
-    note_lost_cuts(tables, [after.channel_id])
 
 
 def forget_channel(tables: Tables, channel: Channel) -> None:
@@ -33,12 +35,15 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
     replicas that are in sync, where there are any. The host is still as it was, or is already registered anew."""
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, tables.channels[channel_id], host_id)
+    inherited: list[bytes] = []
     for channel in tables.channels_at(host_id):
         heir = _heir(tables, channel)
         if heir is not None:
             incarnation = (channel.incarnation + 1) % 2**64 or 1  # random at first, and counted on
             after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
+            inherited.append(channel.channel_id)
+    note_lost_cuts(tables, inherited)
 
 
 def _heir(tables: Tables, channel: Channel) -> Host | None:
