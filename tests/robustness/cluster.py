@@ -116,9 +116,9 @@ class Supernode:
             await self._process.wait()
 
     def last_words(self) -> str:
-        """The last line that it logged."""
+        """The last line that it logged, without the name of its folder."""
         lines = self.log_file.read_text(errors="replace").splitlines() if self.log_file.exists() else []
-        return lines[-1] if lines else ""
+        return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""
 
     def limit_descriptors(self, spare: int | None) -> None:
         """Leave it `spare` file descriptors more than it has open; None: as many as this process may have."""
