@@ -20,6 +20,8 @@ def parse_addresses(url: str) -> tuple[str, ...]:
 def _parse_one(address: str) -> str:
     if address.startswith("unix:"):
         return address
+    if "/" in address:
+        raise InvalidArgument(f'the address is {address!r}; write a host and a port alone, as in "rig:7580"')
     host, separator, port = address.rpartition(":")
     if not separator or (host.count(":") and not host.endswith("]")):
         return f"{address if address.count(':') < 2 else f'[{address}]'}:{DEFAULT_PORT}"

@@ -22,6 +22,13 @@ class StampedeError(Exception):
         if reason is not None:
             self.reason = reason
 
+    def concerning(self, channel: str) -> None:
+        """Name the channel, unless the message does already."""
+        if channel not in self.message:
+            self.message = f"channel {channel!r}: {self.message}"
+            self.args = (self.message,)
+        self.metadata.setdefault("channel", channel)
+
 
 class InvalidArgument(StampedeError, ValueError):
     """A value is missing, of the wrong kind, or out of its range."""

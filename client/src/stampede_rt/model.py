@@ -8,6 +8,8 @@ from typing import NamedTuple, overload
 
 from stampede_rt.timeline import ResolvedInterval
 
+REPR_BYTES_MAX = 32
+
 
 class Item(NamedTuple):
     """One item of a channel (paper, section 3.2). Times in nanoseconds since the epoch, durations in nanoseconds.
@@ -32,6 +34,16 @@ class Item(NamedTuple):
 
     def __hash__(self) -> int:
         return hash((self.time, self.seq, self.incarnation))
+
+    def __repr__(self) -> str:
+        shown = self.payload
+        if shown is not None and len(shown) > REPR_BYTES_MAX:
+            payload = f"{shown[:REPR_BYTES_MAX]!r}... ({len(shown)} bytes)"
+        else:
+            payload = repr(shown)
+        extra = f", attributes={dict(self.attributes)}" if self.attributes else ""
+        kind = f", content_type={self.content_type!r}" if self.content_type else ""
+        return f"Item(time={self.time}, seq={self.seq}, duration={self.duration}, payload={payload}{extra}{kind})"
 
 
 class Reason(str):

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, ItemTooLarge
+
+ITEM_BYTES_MAX = 16 * 1024 * 1024
 
 
 def check_payload(payload: object) -> bytes:
-    """`payload` as bytes; anything with a buffer will do. Text is refused, since its encoding would be a guess."""
-    if type(payload) is bytes:
-        return payload
-    if isinstance(payload, bytes | bytearray | memoryview):
-        return bytes(payload)
-    raise InvalidArgument(f"the payload is a {type(payload).__name__}; give bytes, such as text.encode()")
+    """`payload` as bytes; anything with a buffer will do. Text is refused, since its encoding would be a guess.
+
+    Raises InvalidArgument, ItemTooLarge.
+    """
+    if not isinstance(payload, bytes | bytearray | memoryview):
+        raise InvalidArgument(f"the payload is a {type(payload).__name__}; give bytes, such as text.encode()")
+    data = payload if type(payload) is bytes else bytes(payload)
+    if len(data) > ITEM_BYTES_MAX:
+        raise ItemTooLarge(f"the item has {len(data)} bytes; one item has {ITEM_BYTES_MAX} at most: split it")
+    return data
 
 
 def check_attributes(attributes: Mapping[str, str] | None) -> None:

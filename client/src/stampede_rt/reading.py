@@ -11,6 +11,7 @@ from stampede_rt.model import Item
 from stampede_rt.timeline import InstantLike, Interval, Match, parse_instant
 
 TIMEOUT_S_MAX = 10**9
+RENEW_S = 30.0  # a wait without limit asks again so often
 
 
 @dataclass(frozen=True, slots=True)

@@ -204,6 +204,14 @@ class Interval:
         )
 
 
+def fixed(interval: Interval, resolved: ResolvedInterval | None) -> Interval:
+    """`interval` with the ends that a host has resolved, so that asking again does not resolve them anew."""
+    if resolved is None or resolved.start > resolved.end:
+        return interval
+    ends = Bound(None, resolved.start), Bound(None, resolved.end)
+    return Interval(*ends, interval.start_exclusive, interval.end_exclusive)
+
+
 _BOUNDS = {"[]": (False, False), "[)": (False, True), "(]": (True, False), "()": (True, True)}
 
 

@@ -61,8 +61,8 @@ def test_a_stated_field_that_contradicts_is_refused_naming_both_values(log: Log)
     opened(log, "cam/left", max_age_nanos=10)
     result = refused(log, "cam/left", max_age_nanos=11)
     assert result.reason == "CHANNEL_EXISTS"
-    assert "max_age_nanos=10" in result.message
-    assert "max_age_nanos=11" in result.message
+    assert "max_age 10 ns" in result.message
+    assert "max_age 11 ns" in result.message
     assert result.metadata["field"] == "max_age_nanos"
 
 

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.puts import PutStreams
 from stampede_rt._async.reads import read
-from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
+from stampede_rt._async.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.binding import Binding
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import DeadlineExceeded, Unavailable
 from stampede_rt.model import ChannelInfo, ChannelStats, Item, Items, Policy
 from stampede_rt.policy import parse_policy
 from stampede_rt.reading import Read, Wait, after_position, parse_limit
@@ -86,7 +86,7 @@ class Channel:
         on_full="block": how long to wait there; None: without limit. A put that was tried again is never doubled.
         Raises TooOld, InFuture, ChannelFull, ItemTooLarge; Unavailable if the host cannot be reached.
         """
-        return await self._puts.put(next(self._numbers), payload, time, duration, attributes, content_type, timeout)
+        return await self._puts.put(self._numbers, payload, time, duration, attributes, content_type, timeout)
 
     def producer(self) -> Producer:
         """A context manager for many puts that do not each wait for their ack."""
@@ -254,11 +254,11 @@ class Channel:
             request = gatekeeper_service_pb2.DropChannelRequest(
                 request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
             )
-            await port.call(port.gatekeeper.DropChannel, request, CALL_TIMEOUT_S)
+            await port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S)
 
         try:
             await self._session.perform(self._state, drop_at, timeout_s=1.0)
-        except Unavailable:  # no host to tell: the directory alone forgets it
+        except (Unavailable, DeadlineExceeded):  # no host to tell: the directory alone forgets it
             request = directory_service_pb2.DeleteChannelRequest(
                 request_id=identity, channel_id=self._state.info.channel_id
             )

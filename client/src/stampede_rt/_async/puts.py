@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
+from stampede_rt.errors import ChannelFull
 from stampede_rt.model import Item
 from stampede_rt.payloads import check_attributes, check_payload
-from stampede_rt.reading import Wait
+from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
-from stampede_rt.transports.concurrency_async import Mutex, thread_id
+from stampede_rt.transports.concurrency_async import Mutex, callers, thread_id
 from stampede_rt.transports.grpc_async import PutExchange
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.put_frames import put_head, put_request
@@ -32,7 +33,7 @@ class PutStreams:
 
     async def put(
         self,
-        number: int,
+        numbers: Iterator[int],
         payload: bytes,
         time: InstantLike | None,
         duration: DurationLike | int | None,
@@ -40,17 +41,27 @@ class PutStreams:
         content_type: str | None,
         timeout: float | None,
     ) -> Item:
-        """Put one item under the producer's `number`, which makes it safe to send it again."""
+        """Put one item under the producer's next number, which makes it safe to send it again.
+
+        A wait without limit on a full channel is renewed from time to time, so that a host that hangs is noticed.
+        """
         item = _Single.parse(payload, time, duration, attributes, content_type)
         wait = Wait.parse(timeout)
-        wait_nanos = None if wait.seconds is None else wait.nanos
-        blocks = self._state.info.policy.on_full == "block"
-        wait_s = wait.seconds if blocks else 0.0
-        limit_s = None if wait_s is None else wait_s + CALL_TIMEOUT_S
+        if self._state.info.policy.on_full != "block":
+            return await self._put(next(numbers), item, Wait(0))
+        while wait.seconds is None:
+            try:
+                return await self._put(next(numbers), item, Wait(RENEW_S))
+            except ChannelFull:
+                continue
+        return await self._put(next(numbers), item, wait)
+
+    async def _put(self, number: int, item: _Single, wait: Wait) -> Item:
+        limit_s = (wait.seconds or 0.0) + CALL_TIMEOUT_S
 
         async def put_at(binding: Binding) -> Item:
             head = put_head(binding.channel_id, binding.epoch, self._state.producer_id)
-            request = put_request(head, number, item.run_parts(), wait_nanos)
+            request = put_request(head, number, item.run_parts(), wait.nanos)
             return self._accepted(item, await self._stream(binding).put(request, limit_s))
 
         return await self._session.perform(self._state, put_at, limit_s)
@@ -65,6 +76,8 @@ class PutStreams:
             former = self._streams.pop(key, None)
             if former is not None:
                 former[1].cancel()  # of a place that is not the channel's any more
+            for ended in self._streams.keys() - callers():
+                self._streams.pop(ended)[1].cancel()
             if len(self._streams) >= STREAMS_MAX:
                 self._streams.pop(next(iter(self._streams)))[1].cancel()
             self._streams[key] = (binding, stream)

@@ -96,6 +96,7 @@ class Session:
             try:
                 return await operation(await self.bind(state, backoff.deadline_s))
             except StampedeError as error:
+                error.concerning(state.info.name)
                 if error.retryable or isinstance(error, DeadlineExceeded):  # a host that hangs may be lost soon
                     self.cache.forget(state.info.channel_id)
                 if not error.retryable or self.closed:

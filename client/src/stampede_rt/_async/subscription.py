@@ -87,7 +87,7 @@ class Subscription:
         return self
 
     async def __anext__(self) -> Item:
-        while not self._ready:
+        while not self._ready or self._closed:
             if self._closed:
                 raise StopAsyncIteration
             await self._open()

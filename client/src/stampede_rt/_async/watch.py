@@ -47,7 +47,7 @@ class Watch:
         return self
 
     async def __anext__(self) -> Change:
-        while not self._ready:
+        while not self._ready or self._closed:
             if self._closed:
                 raise StopAsyncIteration
             await self._open()

@@ -13,7 +13,7 @@ from types import TracebackType
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.batching import NumberedRun, RunBuilder
 from stampede_rt.binding import Binding
-from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.retry import Backoff
 from stampede_rt.status import from_error_message
@@ -50,6 +50,7 @@ class Producer:
         self._opening = False  # while what is unacked is sent again, nothing new may go between
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set while nothing has been acked since a failure
+        self._finished = False
         self.accepted = 0
         self.rejections = 0
         self.rejected: list[StampedeError] = []
@@ -64,6 +65,7 @@ class Producer:
             if kind is None:
                 self.flush()
         finally:
+            self._finished = True
             self.close()
 
     def put(
@@ -76,6 +78,8 @@ class Producer:
         content_type: str | None = None,
     ) -> None:
         """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged. See `Channel.put` for the arguments."""
+        if self._finished:
+            raise InvalidArgument("this producer is closed; make another with channel.producer()")
         payload = check_payload(payload)
         check_attributes(attributes)
         instant = time if time is None or type(time) is int else parse_instant(time)

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
-from stampede_rt.model import Item, Items
-from stampede_rt.reading import Read, Wait
+from stampede_rt.model import Item, Items, Reason
+from stampede_rt.reading import RENEW_S, Read, Wait
 from stampede_rt.status import from_error_message
+from stampede_rt.timeline import fixed
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.reads import (
@@ -21,7 +24,21 @@ from stampede_rt.wire.runs import ItemDecoder
 
 
 def read(session: Session, state: ChannelState, query: Read) -> Items:
-    """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait."""
+    """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait.
+
+    A wait without limit is renewed from time to time, so that a host that hangs is noticed; the interval stays as it
+    was first resolved.
+    """
+    if query.wait.seconds is not None:
+        return _read_once(session, state, query)
+    while True:
+        items = _read_once(session, state, replace(query, wait=Wait(RENEW_S)))
+        if items.complete or (items and not query.complete) or items.reason not in (Reason.NOT_YET, Reason.HIDDEN):
+            return items
+        query = replace(query, interval=fixed(query.interval, items.interval))
+
+
+def _read_once(session: Session, state: ChannelState, query: Read) -> Items:
     limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
     began_s = monotonic_s()
 

@@ -88,7 +88,7 @@ class Subscription:
         return self
 
     def __next__(self) -> Item:
-        while not self._ready:
+        while not self._ready or self._closed:
             if self._closed:
                 raise StopIteration
             self._open()

@@ -48,7 +48,7 @@ class Watch:
         return self
 
     def __next__(self) -> Change:
-        while not self._ready:
+        while not self._ready or self._closed:
             if self._closed:
                 raise StopIteration
             self._open()

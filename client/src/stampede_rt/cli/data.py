@@ -142,7 +142,7 @@ def _get_interval(channel: Channel, arguments: argparse.Namespace, payloads: boo
         end,
         bounds="[)" if arguments.before is not None else arguments.bounds,
         match="start" if newest_only else arguments.match,
-        limit=1 if newest_only else arguments.limit,
+        limit=(arguments.limit or 1) if newest_only else arguments.limit,
         newest_first=newest_only or arguments.newest_first,
         payloads=payloads,
         timeout=arguments.timeout,

@@ -76,7 +76,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "rejected": _counts(stats.rejected) if people else dict(stats.rejected),
         "oldest": None if stats.oldest is None else instant(stats.oldest),
         "newest": None if stats.newest is None else instant(stats.newest),
-        "age": _age(stats.newest, stats.host_time) if people else None,
+        "age": _age(stats.newest, stats.host_time, people),
         "frontier": None if stats.frontier is None else instant(stats.frontier),
         "subscriptions": stats.subscriptions,
         "waiting_gets": stats.waiting_gets,
@@ -91,5 +91,7 @@ def _counts(counts: Any) -> str:
     return ", ".join(shown) or "none"
 
 
-def _age(newest: int | None, host_time: int) -> str | None:
-    return None if newest is None else format_duration(host_time - newest)
+def _age(newest: int | None, host_time: int, people: bool) -> str | int | None:
+    if newest is None:
+        return None
+    return format_duration(host_time - newest) if people else host_time - newest

@@ -21,7 +21,7 @@ from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-TIMEOUT_S = 2.0
+TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for 2 s before it answers
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
 CERTIFICATE_S_MIN = 14 * 86400.0
 

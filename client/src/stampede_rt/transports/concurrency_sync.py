@@ -15,6 +15,11 @@ monotonic_s = time.monotonic
 thread_id = threading.get_ident
 
 
+def callers() -> set[int | None]:
+    """The ids that `thread_id` gives to those who can still call: the threads that are alive."""
+    return {thread.ident for thread in threading.enumerate()}
+
+
 class Signal:
     """Something happened; whoever waits looks again."""
 

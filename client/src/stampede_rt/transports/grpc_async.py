@@ -15,7 +15,7 @@ from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD, SILENCE_S_MAX
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
@@ -93,6 +93,11 @@ def closed(target: str) -> Unavailable:
     return Unavailable(f"the connection to {target} is closed")
 
 
+def silent(target: str) -> Unavailable:
+    """What a stream meets that gives no sign of life."""
+    return Unavailable(f"{target} was silent for {SILENCE_S_MAX:g} s; it may be stopped")
+
+
 def _is_cancelled() -> bool:
     """Whether this task is to end; if not, it was its call that somebody cancelled."""
     task = asyncio.current_task()
@@ -108,9 +113,17 @@ class Stream(Generic[Response]):
         self._cancelled = False
 
     async def __aiter__(self) -> AsyncIterator[Response]:
+        responses = aiter(self._call)
         try:
-            async for response in self._call:
+            while True:
+                async with asyncio.timeout(SILENCE_S_MAX):
+                    response = await anext(responses)
                 yield response
+        except StopAsyncIteration:
+            pass
+        except TimeoutError:
+            self._call.cancel()
+            raise silent(self._target) from None
         except grpc.RpcError as error:
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
+SILENCE_S_MAX = 15.0  # servers give a sign of life on every stream of theirs each 5 s
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
 CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
@@ -14,7 +15,7 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.http2.max_pings_without_data", 0),
     ("grpc.keepalive_permit_without_calls", 0),
     ("grpc.initial_reconnect_backoff_ms", 100),
-    ("grpc.min_reconnect_backoff_ms", 100),
+    ("grpc.min_reconnect_backoff_ms", 3_000),
     ("grpc.max_reconnect_backoff_ms", 1_000),
     ("grpc.enable_http_proxy", 0),
 )

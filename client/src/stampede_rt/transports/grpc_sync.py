@@ -15,7 +15,7 @@ from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD, SILENCE_S_MAX
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
@@ -62,7 +62,7 @@ class Port:
 
     def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
         """One request, many responses."""
-        return Stream(self.begin(method, request), self.target)
+        return Stream(self.begin(method, request), self.target, self._watchdog)
 
     def begin(self, method: Callable[..., Any], requests: Any) -> Any:
         """The call of a stream. Raises Unavailable once this port is closed."""
@@ -99,18 +99,32 @@ def closed(target: str) -> Unavailable:
     return Unavailable(f"the connection to {target} is closed")
 
 
+def silent(target: str) -> Unavailable:
+    """What a stream meets that gives no sign of life."""
+    return Unavailable(f"{target} was silent for {SILENCE_S_MAX:g} s; it may be stopped")
+
+
 class Stream(Generic[Response]):
     """The responses of one request. `cancel` may be called from any thread and ends the iteration."""
 
-    def __init__(self, call: Any, target: str) -> None:
+    def __init__(self, call: Any, target: str, watchdog: Watchdog) -> None:
         self._call = call
         self._target = target
+        self._watchdog = watchdog
         self._cancelled = False
 
     def __iter__(self) -> Iterator[Response]:
+        overdue: list[bool] = []
         try:
-            yield from self._call
+            while True:
+                with self._watchdog.limit(SILENCE_S_MAX, self._call.cancel) as overdue:
+                    response = next(self._call)
+                yield response
+        except StopIteration:
+            pass
         except grpc.RpcError as error:
+            if overdue:
+                raise silent(self._target) from None
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
         except BaseException:  # an interrupt: nobody reads on, and whoever resumes begins a call of its own

@@ -16,11 +16,11 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.model import Item
+from stampede_rt.payloads import ITEM_BYTES_MAX
 from stampede_rt.v1 import item_pb2
 
 RUN_ITEMS_MAX = 256
 RUN_BYTES_MAX = 64 * 1024
-ITEM_BYTES_MAX = 16 * 1024 * 1024
 CONTENT_TYPE_BYTES_MAX = 255
 ATTRIBUTES_BYTES_MAX = 16 * 1024
 ABSENT = -1

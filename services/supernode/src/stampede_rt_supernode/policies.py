@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 
 from stampede_rt.errors import ChannelExists, InvalidArgument
 from stampede_rt.model import Policy
+from stampede_rt.timeline import format_duration
 
 ITEM_BYTES_MAX = 16 * 2**20
 CONTENT_TYPE_BYTES_MAX = 255
@@ -94,12 +95,21 @@ def agree(channel: str, held: Policy, asked: Policy) -> Policy:
 
 
 def _contradiction(channel: str, field: str, before: object, in_effect: object, value: object) -> ChannelExists:
-    was = f"{field}={before!r}" if before is not None else f"{field} left out (in effect: {in_effect or 'no limit'})"
+    name = field.removesuffix("_nanos")
+    held = _shown(field, in_effect)
+    was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
     return ChannelExists(
-        f"channel {channel} was set up with {was}, and {field}={value!r} was asked for; leave {field} out to take the "
-        "channel as it is, or change it for everybody with configure() (UpdateChannel)",
+        f"channel {channel} was set up with {was}, and {name} {_shown(field, value)} was asked for; leave {name} out "
+        "to take the channel as it is, or change it for everybody with configure()",
         metadata={"channel": channel, "field": field, "held": str(in_effect), "asked": str(value)},
     )
+
+
+def _shown(field: str, value: object) -> str:
+    """A value as callers write it."""
+    if value is None:
+        return "no limit"
+    return format_duration(value) if field.endswith("_nanos") and isinstance(value, int) else str(value)
 
 
 def merge(held: Policy, changes: Policy) -> Policy:
