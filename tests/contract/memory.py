@@ -22,7 +22,7 @@ from stampede_rt.timeline import (
 )
 from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.runs import ItemDecoder, encode_run, seal_run, select_items, slice_run
-from stampede_rt_channel_host.core import Answer, Channel, Offer, Position, Query, Slice, WakeAt
+from stampede_rt_channel_host.core import Answer, Channel, Offer, Position, PutOutcome, Query, Slice, WakeAt
 
 LIMIT_BYTES = 1 << 20
 
@@ -48,7 +48,7 @@ class MemoryChannel:
             event.set()
 
     async def put(
-        self, payload: Any, *, time: Any = None, duration: Any = None, attributes: Any = None, **_: Any
+        self, payload: Any, *, time: Any = None, duration: Any = None, attributes: Any = None, **rest: Any
     ) -> st.Item:
         payload = check_payload(payload)
         check_attributes(attributes)
@@ -61,12 +61,28 @@ class MemoryChannel:
             chosen = raw if kept is None else select_items(raw, kept)
             return seal_run(chosen, first_seq, None if stamped_time is None else [stamped_time])
 
-        outcome = self.core.put(Offer(times=times, durations=durations, lengths=[len(payload)]), st.now(), seal)
+        offer = Offer(times=times, durations=durations, lengths=[len(payload)])
+        outcome = await self._put(offer, seal, rest.get("timeout"))
         if outcome.rejections:
             raise outcome.rejections[0].error
         assert outcome.run is not None
         self._wake()
         return self._items([Slice(outcome.run, 0, 1)], None, payloads=True)[0]
+
+    async def _put(self, offer: Offer, seal: Any, timeout: float | None) -> PutOutcome:
+        deadline = None if timeout is None else st.now() + round(timeout * 1e9)
+        outcome = self.core.put(offer, st.now(), seal)
+        while outcome.waiting is not None:
+            offer = offer.rest(outcome.waiting, st.now())
+            if deadline is not None and st.now() >= deadline:
+                return self.core.give_up_put(offer)
+            instants = [instant for instant in (deadline, outcome.retry_at) if instant is not None]
+            event = asyncio.Event()
+            self._changed.add(event)
+            await self._until(event, min(instants, default=None))
+            self._changed.discard(event)
+            outcome = self.core.put(offer, st.now(), seal)
+        return outcome
 
     def producer(self) -> MemoryProducer:
         return MemoryProducer(self)

@@ -81,6 +81,17 @@ async def test_a_full_channel_that_rejects_says_so(surface: Surface) -> None:
     assert (await adds_up(channel)).rejected["full"] == 1
 
 
+async def test_a_put_on_a_full_channel_waits_until_the_oldest_item_is_old_enough(surface: Surface) -> None:
+    channel = await surface.channel(max_items=1, max_age="100ms", on_full="block")
+    first = await channel.put(b"first")
+    second = await channel.put(b"second", timeout=10)
+    assert second.time - first.time >= 100 * MS
+    assert [item.payload for item in await channel.get(st.OLDEST, st.NEWEST)] == [b"second"]
+    with pytest.raises(st.ChannelFull):
+        await channel.put(b"third", timeout=0)
+    assert (await adds_up(channel)).collected["age"] == 1
+
+
 async def test_max_age_keeps_the_newest_bucket_of_a_quiet_stream(surface: Surface) -> None:
     channel = await surface.channel(max_age="50ms")
     base = st.now() - 40 * MS

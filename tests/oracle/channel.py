@@ -106,14 +106,17 @@ class OracleChannel:
         end = self.end(item)
         return self.now(clock) if end is None else end
 
-    def put(self, time: int, duration: int | None, length: int, clock: int) -> Verdict:
-        """One item, put at once or not at all."""
+    def put(self, time: int, duration: int | None, length: int, clock: int, since: int | None = None) -> Verdict:
+        """One item, put at once or not at all. One without a time of its own that waits since then is judged as if it
+        had been put then; the oldest bucket, which its coming would have outdated by now, makes room for it."""
         self.age(clock)
+        as_if_time = time if since is None else max([since, *(item.time for item in self.held)])
+        waiting = Item(as_if_time, len(self.log) + 1, duration, length)
         item = Item(time, len(self.log) + 1, duration, length)
         reason = self._refusal(item, clock)
-        if reason is None and not self.drops_oldest and not self._fits(item, clock):
+        if reason is None and not self.drops_oldest and not self._fits(waiting, clock):
             if self.policy.on_full == "block":
-                return Waits(self._retry_at(item))
+                return Waits(self._retry_at(waiting))
             reason = "CHANNEL_FULL"
         if reason is not None:
             self.rejected[reason] += 1
@@ -121,6 +124,8 @@ class OracleChannel:
         self.log[item.seq] = item
         self._insert(item)
         self.retain(clock)
+        if since is not None and not self.drops_oldest and not self._within_limits():
+            self._collect([one for one in self.held if one.time == self.oldest], "age", clock)
         return item
 
     def _refusal(self, item: Item, clock: int) -> str | None:
@@ -150,7 +155,10 @@ class OracleChannel:
         """Within the limits once age has taken what it takes with the item in."""
         trial = self._as_if_put(item)
         trial.age(clock)
-        return len(trial.held) <= (trial.policy.max_items or len(trial.held)) and trial.bytes() <= trial.max_bytes
+        return trial._within_limits()
+
+    def _within_limits(self) -> bool:
+        return len(self.held) <= (self.policy.max_items or len(self.held)) and self.bytes() <= self.max_bytes
 
     def _retry_at(self, item: Item) -> int | None:
         return self._as_if_put(item).next_age()

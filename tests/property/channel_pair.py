@@ -102,7 +102,7 @@ class ChannelPair:
             kept = None if len(accepted) == len(offer.lengths) else list(accepted)
             assert sealed == [(outcome.run.first_seq, kept, stamp)]
         if outcome.waiting is not None:
-            self.waiting.append(offer.rest(outcome.waiting))
+            self.waiting.append(offer.rest(outcome.waiting, self.clock))
 
     def _put_one_by_one(
         self, offer: Offer, stamp: int | None
@@ -113,7 +113,7 @@ class ChannelPair:
             time = stamp if offer.times is None else offer.times[index]
             assert time is not None
             duration = None if offer.durations is None or offer.durations[index] < 0 else offer.durations[index]
-            verdict = self.oracle.put(time, duration, length, self.clock)
+            verdict = self.oracle.put(time, duration, length, self.clock, offer.since if offer.times is None else None)
             if isinstance(verdict, Waits):
                 return accepted, refused, (index, verdict.retry_at)
             if isinstance(verdict, Refused):

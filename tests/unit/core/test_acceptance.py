@@ -108,7 +108,7 @@ def test_the_part_of_a_run_that_fits_is_taken_and_the_rest_waits() -> None:
     assert outcome.run is not None
     assert outcome.run.body == b"1 [0, 1] None"
     assert outcome.waiting == 2
-    given_up = channel.give_up_put(offer.rest(2))
+    given_up = channel.give_up_put(offer.rest(2, CLOCK))
     assert reasons(given_up.rejections) == [(0, "CHANNEL_FULL"), (1, "CHANNEL_FULL")]
     assert channel.counters(CLOCK).rejected["CHANNEL_FULL"] == 2
 

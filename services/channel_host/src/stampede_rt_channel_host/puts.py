@@ -49,7 +49,7 @@ class IncomingRun:
         encoded = self._encoded if len(places) == self.items else select_items(self._encoded, places)
         return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
 
-    def settle(self, outcome: PutOutcome) -> bool:
+    def settle(self, outcome: PutOutcome, now: int) -> bool:
         """Take in what became of the offer; True if none of its items has to wait."""
         if outcome.run is not None and self._first_seq is None:
             self._first_seq = outcome.run.first_seq
@@ -58,7 +58,7 @@ class IncomingRun:
             self._rejections.append(pb.PutRejection(index=self._offered + one.index, error=to_error_message(one.error)))
         if outcome.waiting is not None:
             self._offered += outcome.waiting
-            self.offer = self.offer.rest(outcome.waiting)
+            self.offer = self.offer.rest(outcome.waiting, now)
         return outcome.waiting is None
 
     def answer(self, now: int, incarnation: int) -> pb.PutAck:
@@ -187,7 +187,7 @@ class ChannelPuts:
             return True
         self._memory.claim(sum(run.offer.lengths), run.items)
         outcome = self._channel.put(run.offer, now, run.seal)
-        settled = run.settle(outcome)
+        settled = run.settle(outcome, now)
         if settled:
             self._finish(run, now)
         else:
@@ -197,7 +197,7 @@ class ChannelPuts:
         return settled
 
     def _refuse_rest(self, run: IncomingRun, now: int) -> pb.PutAck:
-        run.settle(self._channel.give_up_put(run.offer))
+        run.settle(self._channel.give_up_put(run.offer), now)
         return self._finish(run, now)
 
     def _finish(self, run: IncomingRun, now: int) -> pb.PutAck:

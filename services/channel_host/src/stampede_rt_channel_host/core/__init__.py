@@ -4,7 +4,7 @@ Nothing here reads a clock, waits, locks, or knows the wire. The shell around it
 
 - makes one `Channel` per channel from its Policy and incarnation, and passes `now` from one `HostTime` to every call;
 - puts: `channel.put(Offer(...), now, seal) -> PutOutcome`, `seal` giving the stored bytes once the first seq is known;
-  where `outcome.waiting` is set, it offers `offer.rest(waiting)` again after each change and at `outcome.retry_at`
+  where `outcome.waiting` is set, it offers `offer.rest(waiting, now)` again after each change and at `outcome.retry_at`
   (keeping later puts behind it), or calls `give_up_put`; a retried put is recognised by `RetryWindow` before;
 - reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (at once, after each change and at
   the instant of `WakeAt`), `give_up`;

@@ -188,10 +188,11 @@ class _ItemByItem:
             length = self._offer.lengths[index]
             self._retention.age_out(self._clock)
             fault = self._to.fault(time, duration, length, self._clock)
-            if fault is None and not self._has_room(time, length):
+            as_if = self._as_if_put_at(time)
+            if fault is None and not self._has_room(as_if, length):
                 if self._retention.limits.on_full == BLOCK:
                     waiting = index
-                    retry_at = self._retention.retry_at(time, None if duration == ABSENT else time + duration)
+                    retry_at = self._retention.retry_at(as_if, None if duration == ABSENT else as_if + duration)
                     break
                 fault = self._to.full()
             if fault is None:
@@ -201,6 +202,13 @@ class _ItemByItem:
         return PutOutcome(
             run=self._finish(stamp, seal), stamped_time=stamp, rejections=rejections, waiting=waiting, retry_at=retry_at
         )
+
+    def _as_if_put_at(self, time: int) -> int:
+        """When an item counts as put while it waits for room: one without a time of its own, since it waits."""
+        if self._offer.times is not None or self._offer.since is None:
+            return time
+        newest = self._held.newest
+        return self._offer.since if newest is None else max(self._offer.since, newest)
 
     def _has_room(self, time: int, length: int) -> bool:
         limits = self._retention.limits
@@ -214,6 +222,10 @@ class _ItemByItem:
         self._held.count_in(1, length, time, time)
         self._retention.age_out(self._clock)
         self._retention.drop_excess(self._clock)
+        if self._offer.since is not None and not (
+            self._retention.limits.drops_oldest or self._retention.has_room(0, 0)
+        ):
+            self._retention.release_oldest(self._clock)
 
     def _finish(self, stamp: int | None, seal: Seal) -> Run | None:
         if not self._kept:

@@ -95,6 +95,13 @@ class Retention:
         bucket = list(held.slices(high=(held.oldest, SEQ_END)))
         return sum(part.items for part in bucket), sum(part.payload_bytes for part in bucket)
 
+    def release_oldest(self, clock: int) -> None:
+        """Collect the oldest bucket, whose age an item has waited for that is in now."""
+        oldest = self._held.oldest
+        following = None if oldest is None else self._held.next_time(oldest)
+        if following is not None:
+            self._held.outdate(self._held.front(_before(following)), AGE, clock)
+
     def retry_at(self, time: int, own_end: int | None) -> int | None:
         """When age next makes room, judged as if an item were in at `time`; `own_end` is its end by duration, if any.
 

@@ -19,12 +19,14 @@ from stampede_rt_channel_host.core.run import Run, Slice
 class Offer:
     """A run that asks to be put. All columns have the same length, at least 1; -1 marks an absent duration.
 
-    `times` None: the channel stamps all items with one time when it accepts them.
+    `times` None: the channel stamps all items with one time when it accepts them. `since`: since when such items wait
+    (the host's clock); room is judged as if they had been put then, or else a channel of one item never had any.
     """
 
     times: Sequence[int] | None
     durations: Sequence[int] | None
     lengths: Sequence[int]
+    since: int | None = None
 
     def __post_init__(self) -> None:
         items = len(self.lengths)
@@ -34,12 +36,13 @@ class Offer:
             if values is not None and len(values) != items:
                 raise MalformedRun(f"the run has {items} lengths and {len(values)} {column}; give one for each item")
 
-    def rest(self, index: int) -> Offer:
-        """The items from place `index` on: what is offered again after waiting."""
+    def rest(self, index: int, now: int) -> Offer:
+        """The items from place `index` on, which wait from `now` on, unless they did before: what is offered again."""
         return Offer(
             times=None if self.times is None else self.times[index:],
             durations=None if self.durations is None else self.durations[index:],
             lengths=self.lengths[index:],
+            since=now if self.since is None or index else self.since,
         )
 
 
@@ -62,7 +65,7 @@ class PutOutcome(NamedTuple):
     """What became of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
 
     `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
-    place `waiting` on must wait (on_full="block"): offer `offer.rest(waiting)` again after the next change of the
+    place `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of the
     channel and at `retry_at`, if there is such an instant; to stop waiting, `Channel.give_up_put`.
     """
 
