@@ -154,7 +154,8 @@ class LiveCluster:
 
 
 def _is_in(status: ReplicationStatus) -> bool:
-    return any(member.member_id == status.self_id for member in status.members)
+    """One that was told of its removal by a refusal may not have the entry that says so."""
+    return not status.removed and any(member.member_id == status.self_id for member in status.members)
 
 
 async def until(condition: Callable[[], bool], *, within: float = 10.0) -> None:
