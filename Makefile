@@ -28,7 +28,7 @@ demo: setup  ## the TV watcher: a real film through a real cluster, with a pictu
 	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
 
 test: setup  ## the whole test suite
-	$(RUN)/pytest
+	$(RUN)/pytest -n 4 --dist loadfile
 
 check: setup  ## lint, types, import rules, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)
@@ -47,6 +47,7 @@ stubs: setup  ## generate the protobuf stubs and the synchronous client again
 	$(RUN)/python tools/generate.py
 
 robustness: setup  ## faults that really happen, for half an hour, with a report in out/robustness.md
+	$(RUN)/pytest -m slow
 	$(RUN)/python -m tests.robustness --report out/robustness.md
 
 images: setup  ## build the images of deploy/ and prove the compose file, without a container engine

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
 import grpc
@@ -200,6 +201,7 @@ class GetExchange(_Exchange):
     def __init__(self, call: Any, target: str) -> None:
         self._waiting: dict[int, tuple[asyncio.Future[list[channel_pb.GetResponse]], list[channel_pb.GetResponse]]] = {}
         self._next_id = 0
+        self._farewell: asyncio.Task[None] | None = None  # held, so that it is not collected before it is done
         super().__init__(call, target)
 
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
@@ -221,8 +223,12 @@ class GetExchange(_Exchange):
 
     def _give_up(self, call_id: int) -> None:
         if not self.broken:
-            task = asyncio.ensure_future(self._write(channel_pb.GetRequest(call_id=call_id, cancel=True)))
-            task.add_done_callback(lambda done: done.cancelled() or done.exception())
+            self._farewell = asyncio.ensure_future(self._cancel_call(call_id))
+
+    async def _cancel_call(self, call_id: int) -> None:
+        """Tell the host. On a stream that breaks meanwhile it has heard."""
+        with suppress(StampedeError):
+            await self._write(channel_pb.GetRequest(call_id=call_id, cancel=True))
 
     async def _receive(self, response: channel_pb.GetResponse) -> None:
         entry = self._waiting.get(response.call_id)

@@ -68,6 +68,7 @@ class Subscription:
         self._context = context
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None
+        self._owes_progress = False  # a reader that began in the past is told when it has all that was held
 
     def wake(self) -> None:
         """There may be something to send."""
@@ -88,6 +89,7 @@ class Subscription:
         cursor = open_cursor(channel, request, now)
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
         self._hosted.listeners[self] = None
+        self._owes_progress = request.HasField("start")
         try:
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString())
             while True:  # ends with the stream
@@ -108,7 +110,8 @@ class Subscription:
             )
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
-        elif not await self._wait_for_news():
+        elif self._owes_progress or not await self._wait_for_news():
+            self._owes_progress = False
             progress = self._progress(cursor, self._store.now())
             await self._write(pb.SubscribeResponse(progress=progress).SerializeToString())
 

@@ -46,6 +46,9 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
 # The generated class carries no types.
 _stub_class: Any = raft_service_pb2_grpc.RaftServiceStub
 
+CANCELLATIONS_MAX = 5
+CANCEL_AGAIN_SECONDS = 1.0
+
 
 class LinkBroken(Exception):
     """The stream ended, or was ended by us; the link starts again."""
@@ -281,12 +284,14 @@ class Links:
         return link is not None and link.queued_bytes < ROOM_BYTES
 
     async def close(self) -> None:
-        """End every stream."""
+        """End every stream. A cancellation that meets a call's own end can get lost in gRPC: it is said again."""
         self._deliver = None
-        tasks = [*self._tasks.values(), *self._ending]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        tasks = {*self._tasks.values(), *self._ending}
+        for _ in range(CANCELLATIONS_MAX):
+            for task in tasks:
+                task.cancel()
+            if tasks:
+                _, tasks = await asyncio.wait(tasks, timeout=CANCEL_AGAIN_SECONDS)
 
     def _enqueue(self, messages: Sequence[Outgoing]) -> None:
         for member_id, message in messages:
