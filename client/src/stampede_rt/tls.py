@@ -19,6 +19,8 @@ logger = logging.getLogger(__name__)
 LOOK_EVERY_S = 1.0  # a changed file counts after this, at the latest, for every new connection
 _VARIABLES = {"ca": "STAMPEDE_TLS_CA", "certificate": "STAMPEDE_TLS_CERTIFICATE", "key": "STAMPEDE_TLS_KEY"}
 _READ_TRIES_MAX = 3
+_PATIENT_TRIES_MAX = 5
+_PATIENCE_S = 0.05
 
 _Stamp = tuple[tuple[int, int, int], ...]
 
@@ -78,7 +80,7 @@ class TlsReader:
     def __init__(self, files: TlsFiles) -> None:
         self.files = files
         self._lock = threading.Lock()
-        self._stamp, self._material = _read(files)
+        self._stamp, self._material = _read_patiently(files)
         self._refused: _Stamp | None = None
         self._looked_s = time.monotonic()
 
@@ -123,6 +125,16 @@ def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
         if before is not None and _stamp_if_there(files) == before:
             return before, TlsMaterial(ca=ca, certificate=certificate, key=key)
     raise PermissionDenied(f"the certificate {files.certificate} changes while it is read; try again")
+
+
+def _read_patiently(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
+    """As `_read`; a pair that does not go together may be one that is just being replaced, so look again shortly."""
+    for _ in range(_PATIENT_TRIES_MAX - 1):
+        try:
+            return _read(files)
+        except PermissionDenied:
+            time.sleep(_PATIENCE_S)
+    return _read(files)
 
 
 def _bytes_of(path: Path) -> bytes:
