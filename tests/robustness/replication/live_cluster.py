@@ -18,6 +18,7 @@ from stampede_rt_supernode.replication import (
     ReplicatedLog,
     ReplicationSettings,
     ReplicationStatus,
+    Unavailable,
     open_replicated_log,
 )
 from tests.robustness.replication.machine import ListMachine
@@ -104,12 +105,13 @@ class LiveCluster:
         return await self.on_leader(lambda log: log.add_member(newcomer.member, timeout=10.0))
 
     async def on_leader(self, change: Callable[[ReplicatedLog], Awaitable[int]]) -> int:
-        """Have the leader do it, and the next one if it is replaced or hands over."""
-        while True:
-            try:
-                return await change(running(await self.leader()))
-            except (NotLeading, ChangeUnderWay):
-                continue
+        """Have the leader do it, and the next one if it is replaced or hands over; Unavailable says to try again."""
+        async with asyncio.timeout(30.0):
+            while True:
+                try:
+                    return await change(running(await self.leader()))
+                except (NotLeading, ChangeUnderWay, Unavailable):
+                    continue
 
     async def remove(self, member: LiveMember) -> None:
         """Remove a member, whoever leads, and stop it."""
