@@ -101,10 +101,11 @@ async def test_a_wrong_epoch_is_refused_with_the_right_one(rig: Rig) -> None:
 
 
 async def test_a_directory_that_cannot_answer_is_reported_as_such(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stampede_rt_channel_host.directory.CALL_SECONDS_MAX", 0.05)
+    monkeypatch.setattr("stampede_rt_channel_host.directory.CALL_SECONDS_MAX", 0.5)
     record = rig.directory.add_channel("a", HOST_ID)
     rig.directory.refuse["ResolveChannel"] = Unavailable("no majority")
-    assert (await refusal(bind(Opened(rig, record)))).reason == "NO_QUORUM"
+    error = await refusal(bind(Opened(rig, record)))
+    assert error.reason in ("NO_QUORUM", "DEADLINE_EXCEEDED")  # the last try may have hardly any time left
 
 
 async def test_a_channel_that_moved_away_tells_its_readers_at_the_next_bind(rig: Rig) -> None:
