@@ -101,7 +101,7 @@ async def test_a_wrong_epoch_is_refused_with_the_right_one(rig: Rig) -> None:
 
 
 async def test_a_directory_that_cannot_answer_is_reported_as_such(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stampede_rt_channel_host.directory.CALL_SECONDS_MAX", 0.5)
+    monkeypatch.setattr("stampede_rt_channel_host.cluster.directory.CALL_SECONDS_MAX", 0.5)
     record = rig.directory.add_channel("a", HOST_ID)
     rig.directory.refuse["ResolveChannel"] = Unavailable("no majority")
     error = await refusal(bind(Opened(rig, record)))

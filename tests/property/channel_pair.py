@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound
-from stampede_rt_channel_host.core import (
+from stampede_rt_channel_host.core.channel import (
     AllCursor,
     Answer,
     Channel,

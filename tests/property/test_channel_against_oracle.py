@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
-from stampede_rt_channel_host.core import Offer, Position, Query
+from stampede_rt_channel_host.core.channel import Offer, Position, Query
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice
 

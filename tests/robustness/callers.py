@@ -14,7 +14,7 @@ from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.status import DETAILS_KEY, from_rpc_error
 from stampede_rt.v1 import channel_pb2, directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_channel_host.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
 from tests.robustness.cluster import Cluster, Supernode, request_id
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Refusal, Resolve, Seen, Update
 from tests.robustness.histories.operations import Recorder

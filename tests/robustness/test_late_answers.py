@@ -11,8 +11,8 @@ import pytest
 
 from stampede_rt.errors import StaleBinding
 from stampede_rt.v1 import channel_pb2
-from stampede_rt_channel_host.identity import HostIdentity
-from stampede_rt_channel_host.store import ChannelStore
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_runtime.clock import SystemClock
 
 ME, OTHER, CHANNEL = b"m" * 16, b"o" * 16, b"c" * 16

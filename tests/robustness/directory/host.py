@@ -9,9 +9,9 @@ from typing import Any
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_channel_host.identity import HostIdentity
-from stampede_rt_channel_host.lease_keeper import LeaseKeeper
-from stampede_rt_channel_host.store import ChannelStore
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
 from tests.robustness.replication.machine import PromiseBroken
@@ -106,7 +106,7 @@ class SimHost:
             binding.discard(channel_id)
 
     async def resolve(self, channel_id: bytes) -> Any:
-        """As `stampede_rt_channel_host.directory.Directory.resolve`."""
+        """As `stampede_rt_channel_host.cluster.directory.Directory.resolve`."""
         response = await self._ask("ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0)
         return response.channel
 

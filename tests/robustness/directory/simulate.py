@@ -20,7 +20,7 @@ from unittest import mock
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_supernode.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from tests.robustness.callers import FINAL_REASONS, seen_in
 from tests.robustness.directory.host import Ownership, SimHost
 from tests.robustness.directory.tasks import drive

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt_channel_host.lease_keeper import LeaseKeeper as HostLease
+from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper as HostLease
 from stampede_rt_supernode.replication.interface import ReplicationStatus
 from tests.robustness.directory import host, simulate
 from tests.robustness.directory.world import Submission, _Leases

@@ -6,14 +6,14 @@ from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, TypeVar
 
 from stampede_rt import errors
-from stampede_rt_supernode.command_codec import decode_result, encode_command
-from stampede_rt_supernode.commands import Command, Deed, Refused, Success
-from stampede_rt_supernode.lease_keeper import TICK_SECONDS, LeaseKeeper
+from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
+from stampede_rt_supernode.core.commands import Command, Deed, Refused, Success
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
 from stampede_rt_supernode.replication.proposals import Proposal
 from stampede_rt_supernode.replication.reads import Read
-from stampede_rt_supernode.servicer import DirectoryServicer
+from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
+from stampede_rt_supernode.servicers.lease_keeper import TICK_SECONDS, LeaseKeeper
 from tests.robustness.directory.tasks import Resume, drive, wait
 from tests.robustness.replication.world import SimMember, Weather, World
 
@@ -39,7 +39,7 @@ class Clock:
 
 
 class Submission:
-    """As `stampede_rt_supernode.submission`, in simulated time."""
+    """As `stampede_rt_supernode.servicers.submission`, in simulated time."""
 
     def __init__(self, member: DirectoryMember) -> None:
         self._member, self._world = member, member.world

@@ -14,8 +14,8 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
-from stampede_rt_channel_host.identity import HostIdentity
 from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.limits import Limits

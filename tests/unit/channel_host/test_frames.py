@@ -12,8 +12,8 @@ from stampede_rt.timeline import parse_interval
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2, raw_run_pb2
 from stampede_rt.wire.runs import encode_run, seal_run, slice_run
-from stampede_rt_channel_host.core import Answer, Channel, DeliveredSlice, Offer, Query
-from stampede_rt_channel_host.frames import SharedMessages, get_error, get_responses
+from stampede_rt_channel_host.channels.frames import SharedMessages, get_error, get_responses
+from stampede_rt_channel_host.core.channel import Answer, Channel, DeliveredSlice, Offer, Query
 
 NOW = 1_700_000_000_000_000_000
 

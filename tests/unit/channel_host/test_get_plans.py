@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.get_plans import PLANS_MAX, GetPlans
+from stampede_rt_channel_host.channels.get_plans import PLANS_MAX, GetPlans
 from tests.unit.channel_host.rig import between
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stampede_rt_channel_host.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
 
 TTL = 5_000
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_channel_host.memory import MemoryBudget
+from stampede_rt_channel_host.channels.memory import MemoryBudget
 
 
 class Host:

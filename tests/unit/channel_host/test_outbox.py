@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 
-from stampede_rt_channel_host.frames import Message
-from stampede_rt_channel_host.outbox import ANSWERS_QUEUED_MAX, Outbox
-from stampede_rt_channel_host.streams import OpenStream
+from stampede_rt_channel_host.channels.frames import Message
+from stampede_rt_channel_host.channels.outbox import ANSWERS_QUEUED_MAX, Outbox
+from stampede_rt_channel_host.channels.streams import OpenStream
 
 
 class Context:

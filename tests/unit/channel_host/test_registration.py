@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable
-from stampede_rt_channel_host.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
-from stampede_rt_channel_host.registration import Registration
-from stampede_rt_channel_host.supernodes import Supernodes
+from stampede_rt_channel_host.cluster.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
+from stampede_rt_channel_host.cluster.registration import Registration
+from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving

@@ -6,10 +6,10 @@ from stampede_rt.model import Policy
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
-from stampede_rt_channel_host.channels import HostedChannel
-from stampede_rt_channel_host.memory import MemoryBudget
-from stampede_rt_channel_host.puts import IncomingRun
-from stampede_rt_channel_host.sweep import sweep
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts import IncomingRun
+from stampede_rt_channel_host.channels.sweep import sweep
 from tests.unit.channel_host.manual_clock import ManualClock
 
 S = 10**9

@@ -15,7 +15,7 @@ from stampede_rt.binding import Binding, BindingCache
 from stampede_rt.model import ChannelInfo, Policy
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.core import RetryWindow
+from stampede_rt_channel_host.core.dedup import RetryWindow
 
 LIMIT_S = 5.0
 

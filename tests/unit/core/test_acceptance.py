@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.errors import InFuture, InvalidArgument, MalformedRun, TooOld
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core import Channel, Offer
+from stampede_rt_channel_host.core.channel import Channel, Offer
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seal, times_of
 
 

@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core import RetryWindow
-from stampede_rt_channel_host.core.dedup import KEPT_NANOS, RUNS_MAX
+from stampede_rt_channel_host.core.dedup import KEPT_NANOS, RUNS_MAX, RetryWindow
 
 PRODUCER = 0xABC
 

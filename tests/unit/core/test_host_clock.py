@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stampede_rt_channel_host.core import HostTime
+from stampede_rt_channel_host.core.host_clock import HostTime
 
 SECOND = 1_000_000_000
 

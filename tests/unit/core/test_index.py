@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import random
 
-from stampede_rt_channel_host.core.index import FIRST_PLACE, LAST_PLACE, ChannelIndex
-from stampede_rt_channel_host.core.run import make_run
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, ChannelIndex
+from stampede_rt_channel_host.core.channel.run import make_run
 from tests.unit.core.channels import seqs_of, times_of
 
 Entries = list[tuple[int, int]]

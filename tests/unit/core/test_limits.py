@@ -4,7 +4,7 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core import Limits
+from stampede_rt_channel_host.core.channel import Limits
 
 
 def test_a_policy_without_any_limit_keeps_ten_seconds_and_256_mebibytes() -> None:

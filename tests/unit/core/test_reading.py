@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, NEWEST, NOW, OLDEST, Bound, Interval, Match, parse_interval
-from stampede_rt_channel_host.core import Answer, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Answer, Position, Query, WakeAt
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
 from stampede_rt.timeline import NEWEST, Bound
-from stampede_rt_channel_host.core import Position
+from stampede_rt_channel_host.core.channel import Position
 from tests.unit.core.channels import CLOCK, a_channel, put, seqs_of, times_of
 
 ALL = 10**9

@@ -6,7 +6,7 @@ from itertools import count
 from typing import Any
 
 from stampede_rt.model import Policy
-from stampede_rt_supernode.commands import (
+from stampede_rt_supernode.core.commands import (
     BeginTenure,
     Command,
     Deed,
@@ -18,10 +18,10 @@ from stampede_rt_supernode.commands import (
     Result,
     UpdateChannel,
 )
-from stampede_rt_supernode.directory import Directory
-from stampede_rt_supernode.group_commands import DeleteGroup, OpenGroup, UpdateGroup
-from stampede_rt_supernode.records import Endpoint, GroupSpec, ReplicaKind
-from stampede_rt_supernode.replica_commands import AddReplica, RemoveReplica, SetReplicaInSync
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
+from stampede_rt_supernode.core.records import Endpoint, GroupSpec, ReplicaKind
+from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 
 TTL_NANOS = 5 * 10**9
 

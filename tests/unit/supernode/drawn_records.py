@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from hypothesis import strategies as st
 
-from stampede_rt_supernode.directory import Directory
-from stampede_rt_supernode.group_commands import DeleteGroup, OpenGroup, UpdateGroup
-from stampede_rt_supernode.records import Channel, Group, GroupSpec, ReplicaKind
-from stampede_rt_supernode.replica_commands import AddReplica, RemoveReplica, SetReplicaInSync
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
+from stampede_rt_supernode.core.records import Channel, Group, GroupSpec, ReplicaKind
+from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 from tests.unit.supernode.deeds import id_of
 
 host_ids = st.integers(1, 4).map(id_of)

@@ -23,16 +23,16 @@ from stampede_rt.v1 import (
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
-from stampede_rt_supernode.calls import DirectoryCalls
-from stampede_rt_supernode.lease_keeper import LeaseKeeper
-from stampede_rt_supernode.load_keeper import LoadKeeper
-from stampede_rt_supernode.members import Members
-from stampede_rt_supernode.probe import Probe
-from stampede_rt_supernode.record_services import register_record_services
+from stampede_rt_supernode.joining.members import Members
+from stampede_rt_supernode.joining.probe import Probe
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.servicer import DirectoryServicer
-from stampede_rt_supernode.submission import Submission
-from stampede_rt_supernode.watch import Watches
+from stampede_rt_supernode.servicers.calls import DirectoryCalls
+from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
+from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
+from stampede_rt_supernode.servicers.record_services import register_record_services
+from stampede_rt_supernode.servicers.submission import Submission
+from stampede_rt_supernode.servicers.watch import Watches
 from tests.support.clock import ManualClock
 from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.memory_log import MemoryLog

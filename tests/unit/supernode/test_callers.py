@@ -11,7 +11,7 @@ from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.version import PROTOCOL_VERSION
 from stampede_rt_runtime.identity import Identity, Role
-from stampede_rt_supernode.callers import check_host_caller, check_protocol
+from stampede_rt_supernode.core.callers import check_host_caller, check_protocol
 from tests.unit.supernode.deeds import id_of
 from tests.unit.supernode.node import reason_of, running_node
 

@@ -1,5 +1,5 @@
-from stampede_rt_supernode.change_ring import ChangeRing
-from stampede_rt_supernode.records import Change, ChangeKind, Host
+from stampede_rt_supernode.core.change_ring import ChangeRing
+from stampede_rt_supernode.core.records import Change, ChangeKind, Host
 
 HOST = Host(
     host_id=b"", name="h", gatekeepers=(), boot_incarnation=1, version="", alive=True, channels=0, registered_index=0

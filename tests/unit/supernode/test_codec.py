@@ -5,8 +5,9 @@ import pytest
 from stampede_rt.errors import VersionMismatch
 from stampede_rt.model import Policy
 from stampede_rt.v1 import directory_command_pb2
-from stampede_rt_supernode.command_codec import decode_command, decode_result, encode_command, encode_result
-from stampede_rt_supernode.commands import (
+from stampede_rt_supernode.codecs.command_codec import decode_command, decode_result, encode_command, encode_result
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot
+from stampede_rt_supernode.core.commands import (
     ChannelDeleted,
     ChannelOpened,
     ChannelUpdated,
@@ -19,12 +20,11 @@ from stampede_rt_supernode.commands import (
     Result,
     TenureBegun,
 )
-from stampede_rt_supernode.group_commands import GroupDeleted, GroupOpened, GroupUpdated
-from stampede_rt_supernode.records import Channel, Endpoint, Group, GroupSpec, Host, Replica, ReplicaKind
+from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
+from stampede_rt_supernode.core.records import Channel, Endpoint, Group, GroupSpec, Host, Replica, ReplicaKind
+from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replica_commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.replication import COMMAND_BYTES_MAX
-from stampede_rt_supernode.snapshot_codec import decode_snapshot
 from tests.unit.supernode.deeds import (
     add_replica,
     begin_tenure,

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from stampede_rt.model import Policy
-from stampede_rt_supernode.command_codec import decode_command, encode_command, encode_result
-from stampede_rt_supernode.commands import (
+from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
+from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.commands import (
     BeginTenure,
     Command,
     Deed,
@@ -21,10 +22,9 @@ from stampede_rt_supernode.commands import (
     Result,
     UpdateChannel,
 )
-from stampede_rt_supernode.directory import Directory
-from stampede_rt_supernode.records import ChangeKind, Channel, Endpoint, Group, GroupSpec, ReplicaKind
-from stampede_rt_supernode.replica_commands import ReplicaAdded, SetReplicaInSync
-from stampede_rt_supernode.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.records import ChangeKind, Channel, Endpoint, Group, GroupSpec, ReplicaKind
+from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, SetReplicaInSync
 from tests.unit.supernode.deeds import add_replica, id_of, open_channel, open_group, register
 from tests.unit.supernode.drawn_records import group_changes, open_groups, replica_deeds
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stampede_rt_supernode.frozen_directory import frozen
-from stampede_rt_supernode.snapshot_codec import encode_snapshot
+from stampede_rt_supernode.codecs.snapshot_codec import encode_snapshot
+from stampede_rt_supernode.core.frozen_directory import frozen
 from tests.unit.supernode.deeds import Log, deregister, open_channel, register
 
 

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from stampede_rt.v1 import directory_command_pb2
-from stampede_rt_supernode import group_transitions
-from stampede_rt_supernode.commands import ChannelOpened, Deed, Refused
-from stampede_rt_supernode.group_commands import GroupOpened, GroupUpdated
-from stampede_rt_supernode.group_queries import group_page, group_view
-from stampede_rt_supernode.records import Group
-from stampede_rt_supernode.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.commands import ChannelOpened, Deed, Refused
+from stampede_rt_supernode.core.groups import transitions as group_transitions
+from stampede_rt_supernode.core.groups.commands import GroupOpened, GroupUpdated
+from stampede_rt_supernode.core.groups.queries import group_page, group_view
+from stampede_rt_supernode.core.records import Group
 from tests.unit.supernode.deeds import (
     Log,
     delete,

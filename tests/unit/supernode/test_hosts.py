@@ -1,7 +1,7 @@
 import pytest
 
-from stampede_rt_supernode import host_transitions
-from stampede_rt_supernode.commands import (
+from stampede_rt_supernode.core import host_transitions
+from stampede_rt_supernode.core.commands import (
     ChannelOpened,
     HostDeregistered,
     HostExpired,
@@ -10,7 +10,7 @@ from stampede_rt_supernode.commands import (
     RegisterHost,
     TenureBegun,
 )
-from stampede_rt_supernode.records import Channel, Endpoint, Host
+from stampede_rt_supernode.core.records import Channel, Endpoint, Host
 from tests.unit.supernode.deeds import Log, begin_tenure, deregister, expire, id_of, open_channel, register
 
 

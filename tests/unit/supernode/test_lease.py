@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from stampede_rt_supernode.lease import LEASE_TTL_NANOS, LeaseTable
-from stampede_rt_supernode.records import Host
+from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
+from stampede_rt_supernode.core.records import Host
 
 SECOND = 10**9
 TTL = LEASE_TTL_NANOS

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 import pytest_asyncio
 
-from stampede_rt_supernode import lease_keeper
+from stampede_rt_supernode.servicers import lease_keeper
 from tests.unit.supernode.memory_log import OTHER, Fate
 from tests.unit.supernode.node import Node, reason_of, running_node
 

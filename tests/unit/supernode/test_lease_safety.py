@@ -10,9 +10,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from stampede_rt_supernode.commands import ExpireHost, HostExpired
-from stampede_rt_supernode.lease import LeaseTable
-from stampede_rt_supernode.records import Host
+from stampede_rt_supernode.core.commands import ExpireHost, HostExpired
+from stampede_rt_supernode.core.lease import LeaseTable
+from stampede_rt_supernode.core.records import Host
 from tests.unit.supernode.deeds import Log, begin_tenure, id_of, register
 
 SECOND = 10**9

@@ -16,9 +16,9 @@ from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode import replication
-from stampede_rt_supernode.founding import Founding, check_unused, note_started, read_founding, write_founding
-from stampede_rt_supernode.join_tokens import VALID_NANOS_MAX, JoinTokens, valid_until
-from stampede_rt_supernode.membership_servicer import MembershipServicer
+from stampede_rt_supernode.joining.founding import Founding, check_unused, note_started, read_founding, write_founding
+from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, valid_until
+from stampede_rt_supernode.servicers.membership_servicer import MembershipServicer
 from stampede_rt_supernode.settings import SupernodeSettings
 from tests.unit.supernode.node import Node, reason_of, running_node
 

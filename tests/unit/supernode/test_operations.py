@@ -1,7 +1,7 @@
 """Repeating a request id repeats the answer, not the deed."""
 
-from stampede_rt_supernode.answered import WINDOW_INDEXES
-from stampede_rt_supernode.commands import ChannelDeleted, ChannelOpened, Command, Refused
+from stampede_rt_supernode.core.answered import WINDOW_INDEXES
+from stampede_rt_supernode.core.commands import ChannelDeleted, ChannelOpened, Command, Refused
 from tests.unit.supernode.deeds import Log, begin_tenure, delete, id_of, open_channel, register
 
 

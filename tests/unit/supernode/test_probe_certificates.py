@@ -13,7 +13,7 @@ from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.server import serving
 from stampede_rt_runtime.tls import load_tls
-from stampede_rt_supernode.probe import Finding, Probe
+from stampede_rt_supernode.joining.probe import Finding, Probe
 from stampede_rt_supernode.replica import DirectoryReplica
 from tests.unit.supernode.memory_log import OTHER, MemoryLog
 

@@ -1,9 +1,9 @@
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_supernode import page_tokens, queries
-from stampede_rt_supernode.glob import matcher
-from stampede_rt_supernode.queries import channel_page, channels_of, host_page
+from stampede_rt_supernode.core import page_tokens, queries
+from stampede_rt_supernode.core.glob import matcher
+from stampede_rt_supernode.core.queries import channel_page, channels_of, host_page
 from tests.unit.supernode.deeds import Log, deregister, id_of, open_channel, register
 
 

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import pytest
 
-from stampede_rt_supernode import replica_transitions
-from stampede_rt_supernode.commands import ChannelOpened, Deed, Refused
-from stampede_rt_supernode.records import Channel, Replica, ReplicaKind
-from stampede_rt_supernode.replica_commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
-from stampede_rt_supernode.replica_loads import LOAD_AGE_NANOS_MAX, ReplicaLoad, ReplicaLoads
+from stampede_rt_supernode.core.commands import ChannelOpened, Deed, Refused
+from stampede_rt_supernode.core.records import Channel, Replica, ReplicaKind
+from stampede_rt_supernode.core.replicas import transitions as replica_transitions
+from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
+from stampede_rt_supernode.core.replicas.loads import LOAD_AGE_NANOS_MAX, ReplicaLoad, ReplicaLoads
 from tests.unit.supernode.deeds import (
     Log,
     add_replica,

@@ -9,8 +9,8 @@ import pytest_asyncio
 
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_supernode import submission
 from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.servicers import submission
 from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.memory_log import Fate
 from tests.unit.supernode.node import Node, reason_of, running_node, spec

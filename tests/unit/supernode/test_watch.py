@@ -8,7 +8,8 @@ import pytest_asyncio
 
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_supernode import change_ring, watch
+from stampede_rt_supernode.core import change_ring
+from stampede_rt_supernode.servicers import watch
 from tests.unit.supernode.node import Node, reason_of, running_node, spec
 
 

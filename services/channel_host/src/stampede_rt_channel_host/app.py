@@ -7,8 +7,8 @@ import gc
 import socket
 from collections.abc import Sequence
 
+from stampede_rt_channel_host.cluster.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
 from stampede_rt_channel_host.host import ChannelHost
-from stampede_rt_channel_host.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role

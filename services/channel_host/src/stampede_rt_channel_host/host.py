@@ -11,16 +11,16 @@ from typing import Any
 import grpc
 
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc
-from stampede_rt_channel_host import refusals
-from stampede_rt_channel_host.channel_servicer import ChannelServicer
-from stampede_rt_channel_host.directory import Directory
-from stampede_rt_channel_host.gatekeeper import GatekeeperServicer
-from stampede_rt_channel_host.identity import HostIdentity
-from stampede_rt_channel_host.registration import START_SECONDS_MAX, Registration
-from stampede_rt_channel_host.store import ChannelStore
-from stampede_rt_channel_host.streams import OpenStreams
-from stampede_rt_channel_host.supernodes import Explain, Supernodes
-from stampede_rt_channel_host.sweep import sweep_forever
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.channels.sweep import sweep_forever
+from stampede_rt_channel_host.cluster.directory import Directory
+from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
+from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_runtime.clock import HostClock
 
 logger = logging.getLogger(__name__)

@@ -19,16 +19,12 @@ from stampede_rt_runtime.listen import check_listen
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.values import Address
-from stampede_rt_supernode.calls import DirectoryCalls
-from stampede_rt_supernode.founding import Founding, note_started, read_founding
-from stampede_rt_supernode.join_tokens import JoinTokens
-from stampede_rt_supernode.lease_keeper import LeaseKeeper
-from stampede_rt_supernode.load_keeper import LoadKeeper
-from stampede_rt_supernode.members import Members
-from stampede_rt_supernode.membership_servicer import MembershipServicer
-from stampede_rt_supernode.preparing import PREPARING, prepare
-from stampede_rt_supernode.probe import Probe
-from stampede_rt_supernode.record_services import register_record_services
+from stampede_rt_supernode.joining.founding import Founding, note_started, read_founding
+from stampede_rt_supernode.joining.join_tokens import JoinTokens
+from stampede_rt_supernode.joining.members import Members
+from stampede_rt_supernode.joining.preparing import PREPARING, prepare
+from stampede_rt_supernode.joining.probe import Probe
+from stampede_rt_supernode.joining.volunteering import volunteer
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
@@ -38,11 +34,15 @@ from stampede_rt_supernode.replication import (
     Unavailable,
     open_replicated_log,
 )
-from stampede_rt_supernode.servicer import DirectoryServicer
+from stampede_rt_supernode.servicers.calls import DirectoryCalls
+from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
+from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
+from stampede_rt_supernode.servicers.membership_servicer import MembershipServicer
+from stampede_rt_supernode.servicers.record_services import register_record_services
+from stampede_rt_supernode.servicers.submission import Submission
+from stampede_rt_supernode.servicers.watch import Watches
 from stampede_rt_supernode.settings import SupernodeSettings
-from stampede_rt_supernode.submission import Submission
-from stampede_rt_supernode.volunteering import volunteer
-from stampede_rt_supernode.watch import Watches
 
 HEALTH_SECONDS = 0.1
 HAND_OVER_SECONDS = 1.2

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_supernode.command_codec import decode_command, encode_result
-from stampede_rt_supernode.commands import Refused
-from stampede_rt_supernode.directory import Directory
-from stampede_rt_supernode.frozen_directory import frozen
-from stampede_rt_supernode.snapshot_codec import SnapshotWriter, decode_snapshot
+from stampede_rt_supernode.codecs.command_codec import decode_command, encode_result
+from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot
+from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.frozen_directory import frozen
 
 T = TypeVar("T")
 

@@ -10,8 +10,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
-from stampede_rt_supernode.founding import Founding, read_founding
-from stampede_rt_supernode.lease import LEASE_TTL_NANOS
+from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS
+from stampede_rt_supernode.joining.founding import Founding, read_founding
 from stampede_rt_supernode.replication import holds_store
 
 DEFAULT_ID = "supernode-1"

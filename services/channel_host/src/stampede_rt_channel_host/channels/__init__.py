@@ -1,0 +1,1 @@
+"""Channels served over gRPC: puts, gets, subscriptions, and the memory they share."""

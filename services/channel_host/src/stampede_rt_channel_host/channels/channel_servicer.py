@@ -1,0 +1,105 @@
+"""ChannelService on the wire. Methods that carry runs take and give bytes, so that a producer's run is stored as it
+came and sent as it is; the others use the generated messages."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import StampedeError, error_for
+from stampede_rt.status import abort
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.get_stream import GetStream
+from stampede_rt_channel_host.channels.put_stream import PutStream
+from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.channels.subscription import Subscription
+
+SERVICE = "stampede_rt.v1.ChannelService"
+
+
+class ChannelServicer:
+    """Each method: find the channel, hand over, let errors rise."""
+
+    def __init__(self, store: ChannelStore, streams: OpenStreams) -> None:
+        self._store = store
+        self._streams = streams
+
+    def add_to(self, server: grpc.aio.Server) -> None:
+        """Serve on `server`."""
+        handlers = {
+            "Put": grpc.stream_stream_rpc_method_handler(self.put),
+            "Get": grpc.stream_stream_rpc_method_handler(self.get),
+            "Subscribe": grpc.unary_stream_rpc_method_handler(self.subscribe),
+            "Advance": _unary(self.advance, pb.AdvanceRequest, pb.AdvanceResponse),
+            "Consume": _unary(self.consume, pb.ConsumeRequest, pb.ConsumeResponse),
+            "GetChannelStatus": _unary(
+                self.get_channel_status, pb.GetChannelStatusRequest, pb.GetChannelStatusResponse
+            ),
+        }
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
+        server.add_registered_method_handlers(SERVICE, handlers)
+
+    async def put(self, requests: AsyncIterator[bytes], context: Any) -> None:
+        """ChannelService.Put."""
+        async with self._streams.serve(context) as stream:
+            await PutStream(self._store, context, stream).run()
+
+    async def get(self, requests: AsyncIterator[bytes], context: Any) -> None:
+        """ChannelService.Get."""
+        async with self._streams.serve(context) as stream:
+            await GetStream(self._store, context, stream).run()
+
+    async def subscribe(self, raw: bytes, context: Any) -> None:
+        """ChannelService.Subscribe."""
+        async with self._streams.serve(context) as stream:
+            request: pb.SubscribeRequest = parse(pb.SubscribeRequest, raw, "SubscribeRequest")
+            hosted = self._store.find(request.channel_id, request.epoch)
+            await Subscription(hosted, self._store, context, stream).run(request)
+
+    async def advance(self, request: pb.AdvanceRequest, context: Any) -> pb.AdvanceResponse:
+        """ChannelService.Advance."""
+        try:
+            hosted = self._store.find(request.channel_id, request.epoch)
+            return pb.AdvanceResponse(advance_unix_nano=hosted.advance(request.time_unix_nano))
+        except StampedeError as error:
+            await abort(context, error)
+
+    async def consume(self, request: pb.ConsumeRequest, context: Any) -> pb.ConsumeResponse:
+        """ChannelService.Consume: no channel of this host counts consumption yet, so every call is refused."""
+        try:
+            hosted = self._store.find(request.channel_id, request.epoch)
+        except StampedeError as error:
+            await abort(context, error)
+        name = hosted.record.name
+        await abort(
+            context,
+            error_for(
+                "INVALID_ARGUMENT",
+                f"channel {name} counts no consumption: this version of the host does not collect items by consumers; "
+                "bound the channel by age, count or bytes",
+                {"channel": name},
+            ),
+        )
+
+    async def get_channel_status(
+        self, request: pb.GetChannelStatusRequest, context: Any
+    ) -> pb.GetChannelStatusResponse:
+        """ChannelService.GetChannelStatus."""
+        try:
+            if request.epoch:
+                hosted = self._store.find(request.channel_id, request.epoch)
+            else:
+                hosted = self._store.find_any_epoch(request.channel_id)
+        except StampedeError as error:
+            await abort(context, error)
+        return pb.GetChannelStatusResponse(status=self._store.status(hosted))
+
+
+def _unary(method: Any, request: Any, response: Any) -> grpc.RpcMethodHandler[Any, Any]:
+    return grpc.unary_unary_rpc_method_handler(
+        method, request_deserializer=request.FromString, response_serializer=response.SerializeToString
+    )

@@ -1,0 +1,45 @@
+"""A channel's counters and bounds in their protobuf form."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import channel_pb2
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+
+
+def channel_status(hosted: HostedChannel, now: int) -> channel_pb2.ChannelStatus:
+    """Everything at the one moment `now`."""
+    counters = _counters(hosted, now)  # first: it brings the bounds up to `now`
+    channel = hosted.channel
+    return channel_pb2.ChannelStatus(
+        record=hosted.record,
+        counters=counters,
+        newest_unix_nano=channel.newest,
+        oldest_unix_nano=channel.oldest,
+        frontier_unix_nano=channel.frontier,
+        advance_unix_nano=channel.advanced_to,
+        subscriptions=len(hosted.listeners),
+        waiting_gets=len(hosted.gets),
+        waiting_puts=len(hosted.puts),
+        host_time_unix_nano=now,
+    )
+
+
+def _counters(hosted: HostedChannel, now: int) -> channel_pb2.ChannelCounters:
+    counted = hosted.channel.counters(now)
+    collected, rejected = counted.collected, counted.rejected
+    return channel_pb2.ChannelCounters(
+        accepted=counted.accepted,
+        held=counted.held,
+        collected_by_age=collected["age"],
+        collected_by_count=collected["count"],
+        collected_by_bytes=collected["bytes"],
+        collected_by_consumption=collected["consumption"],
+        rejected_too_old=rejected["TOO_OLD"],
+        rejected_in_future=rejected["IN_FUTURE"],
+        rejected_too_large=rejected["ITEM_TOO_LARGE"],
+        rejected_full=rejected["CHANNEL_FULL"],
+        rejected_malformed=rejected["MALFORMED_RUN"],
+        accepted_bytes=counted.accepted_bytes,
+        held_bytes=counted.held_bytes,
+        delivered_bytes=hosted.delivered_bytes,
+    )

@@ -1,0 +1,118 @@
+"""Messages that carry runs, framed by hand: the stored bytes are copied once, into the message, and never parsed.
+
+The result is what `raw_run.proto`'s messages would serialize to; the tests hold the two against each other.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import error_pb2
+from stampede_rt.wire.runs import slice_run
+from stampede_rt_channel_host.core.channel import Answer, DeliveredSlice, Slice
+
+MESSAGE_BYTES_MAX = 2**20  # of runs; a single item may be larger
+
+_LENGTH_DELIMITED = 2
+_RUN = bytes((1 << 3 | _LENGTH_DELIMITED,))  # RawDeliveredRun.run
+_NEXT_TIME = struct.Struct("<Bq")
+_NEXT_TIME_TAG = 2 << 3 | 1  # RawDeliveredRun.next_time_unix_nano, sfixed64
+_CALL_ID = bytes((1 << 3,))  # RawGetResponse.call_id, varint
+_GET_RUNS = bytes((2 << 3 | _LENGTH_DELIMITED,))
+_GET_SUMMARY = bytes((3 << 3 | _LENGTH_DELIMITED,))
+_GET_ERROR = bytes((4 << 3 | _LENGTH_DELIMITED,))
+_SUBSCRIBE_RUNS = bytes((3 << 3 | _LENGTH_DELIMITED,))
+
+
+class Message(NamedTuple):
+    """A message of an answer, with the payload bytes it carries; `is_last` ends the answer."""
+
+    encoded: bytes
+    payload_bytes: int
+    is_last: bool
+
+
+def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
+    """The encoded run of a slice: the stored bytes as they are wherever the whole run is meant."""
+    if part.is_whole and not without_payloads:
+        return part.run.body
+    return slice_run(part.run.body, part.lo, part.hi, without_payloads=without_payloads)
+
+
+def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, without_payloads: bool) -> Iterator[Message]:
+    """The messages that answer a call, made one by one; the last one has the summary."""
+    head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves a zero away
+    parts, size, payload_bytes = [head], 0, 0
+    last = len(answer.slices) - 1
+    for place, part in enumerate(answer.slices):
+        body = run_bytes(part, without_payloads=without_payloads)
+        if size and size + len(body) > MESSAGE_BYTES_MAX:
+            yield Message(b"".join(parts), payload_bytes, False)
+            parts, size, payload_bytes = [head], 0, 0
+        _add_run(parts, _GET_RUNS, body, answer.next_time if place == last else None)
+        size += len(body)
+        payload_bytes += 0 if without_payloads else part.payload_bytes
+    encoded = summary.SerializeToString()
+    parts += (_GET_SUMMARY, _varint(len(encoded)), encoded)
+    yield Message(b"".join(parts), payload_bytes, True)
+
+
+def get_error(call_id: int, error: error_pb2.Error) -> Iterator[Message]:
+    """The one message that ends a call with an error."""
+    encoded = error.SerializeToString()
+    head = _CALL_ID + _varint(call_id) if call_id else b""
+    yield Message(b"".join((head, _GET_ERROR, _varint(len(encoded)), encoded)), 0, True)
+
+
+class SharedMessages:
+    """The last message that a channel's subscriptions sent: readers that keep up all send the same one.
+
+    Bounded by one message.
+    """
+
+    def __init__(self) -> None:
+        self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None
+        self._message: Message | None = None
+
+    def encode(
+        self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
+    ) -> Message:
+        """A SubscribeResponse with the fields of `about`, which is encoded, and runs. Kept for other readers."""
+        key = (slices, about, without_payloads)
+        if key == self._key and self._message is not None:  # runs compare by identity
+            return self._message
+        payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)
+        message = Message(_subscribe_response(slices, about, without_payloads), payload_bytes, False)
+        self._key, self._message = (key, message) if readers > 1 else (None, None)
+        return message
+
+
+def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> bytes:
+    """The order of fields on the wire does not matter to protobuf."""
+    parts = [about]
+    for part, next_time in slices:
+        _add_run(parts, _SUBSCRIBE_RUNS, run_bytes(part, without_payloads=without_payloads), next_time)
+    return b"".join(parts)
+
+
+def _add_run(parts: list[bytes], tag: bytes, body: bytes, next_time: int | None) -> None:
+    length = _varint(len(body))
+    end = b"" if next_time is None else _NEXT_TIME.pack(_NEXT_TIME_TAG, next_time)
+    parts += (tag, _varint(1 + len(length) + len(body) + len(end)), _RUN, length, body, end)
+
+
+def _varint(value: int) -> bytes:
+    if value < 0x80:
+        return _SMALL[value]
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+_SMALL = [bytes((value,)) for value in range(0x80)]

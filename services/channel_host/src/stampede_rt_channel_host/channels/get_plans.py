@@ -1,0 +1,86 @@
+"""What the gets of one stream ask for, taken apart once.
+
+Readers ask the same again and again, such as for the newest item of one channel: only the call id differs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.requests import parse, query_of, wait_nanos_of
+from stampede_rt_channel_host.core.channel import Query
+
+PLANS_MAX = 64
+_CALL_ID_TAG = 1 << 3  # GetRequest.call_id, varint
+_VARINT_BYTES_MAX = 10
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GetPlan:
+    """One get without its call id. `wait_nanos` 0: it may not block; below 0: without limit."""
+
+    channel_id: bytes
+    epoch: int
+    query: Query
+    wait_nanos: int
+    without_payloads: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GetCall:
+    """One request on the stream: a plan, a refusal of what cannot be planned, or (both None) a cancellation."""
+
+    call_id: int
+    plan: GetPlan | None
+    refusal: StampedeError | None = None
+
+
+class GetPlans:
+    """Of one stream; a full cache starts anew."""
+
+    def __init__(self) -> None:
+        self._plans: dict[bytes, GetPlan] = {}
+
+    def read(self, raw: bytes) -> GetCall:
+        """The request. Raises InvalidArgument if the bytes are none."""
+        call_id, rest = _split(raw)
+        plan = self._plans.get(rest)
+        return GetCall(call_id, plan) if plan is not None else self._read_new(raw, rest)
+
+    def _read_new(self, raw: bytes, rest: bytes) -> GetCall:
+        request: pb.GetRequest = parse(pb.GetRequest, raw, "GetRequest")
+        if request.cancel:
+            return GetCall(request.call_id, None)
+        try:
+            plan = _plan(request)
+        except StampedeError as error:
+            return GetCall(request.call_id, None, error)
+        if len(self._plans) >= PLANS_MAX:
+            self._plans.clear()
+        if not pb.GetRequest.FromString(rest).call_id:  # nothing of the id is left in what stands for the plan
+            self._plans[rest] = plan
+        return GetCall(request.call_id, plan)
+
+
+def _plan(request: pb.GetRequest) -> GetPlan:
+    return GetPlan(
+        channel_id=request.channel_id,
+        epoch=request.epoch,
+        query=query_of(request),
+        wait_nanos=wait_nanos_of(request),
+        without_payloads=request.without_payloads,
+    )
+
+
+def _split(raw: bytes) -> tuple[int, bytes]:
+    """The call id, if it comes first, as every serializer writes it, and the rest; else 0 and all of it."""
+    if not raw or raw[0] != _CALL_ID_TAG:
+        return 0, raw
+    call_id = 0
+    for place in range(1, min(len(raw), _VARINT_BYTES_MAX + 1)):
+        call_id |= (raw[place] & 0x7F) << 7 * (place - 1)
+        if raw[place] < 0x80:
+            return call_id & 2**64 - 1, raw[place + 1 :]
+    return 0, raw

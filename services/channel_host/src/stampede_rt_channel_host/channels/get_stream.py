@@ -1,0 +1,130 @@
+"""One stream of gets: many calls at once, each answered by itself; what can be answered at once costs no task."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.status import to_error_message
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.reads import reason_to_message, resolved_to_message
+from stampede_rt_channel_host.channels.frames import get_error, get_responses
+from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.outbox import Outbox
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGet
+from stampede_rt_channel_host.core.channel import Answer, WakeAt
+
+CALLS_MAX = 1024
+
+
+class GetStream:
+    """Serves one stream. A call is under way until its last message is written or it is cancelled."""
+
+    def __init__(self, store: ChannelStore, context: Any, stream: OpenStream) -> None:
+        self._store = store
+        self._context = context
+        self._calls: dict[int, WaitingGet | None] = {}  # None: being answered
+        self._plans = GetPlans()
+        self._idle = asyncio.Event()
+        self._outbox = Outbox(context, stream, self._ended)
+
+    async def run(self) -> None:
+        """Until the caller has closed its side and every call is answered. Raises InvalidArgument for garbage."""
+        try:
+            while (raw := await self._context.read()) is not EOF:
+                self._take(self._plans.read(raw))
+                await self._outbox.flush()
+            while self._calls:
+                self._idle.clear()
+                await self._idle.wait()
+            await self._outbox.finish()
+        finally:
+            self._outbox.close()
+            for get in self._calls.values():
+                if get is not None:
+                    get.cancel()
+
+    def _take(self, call: GetCall) -> None:
+        if call.plan is not None:
+            try:
+                self._begin(call.call_id, call.plan)
+            except StampedeError as error:
+                self._refuse(call.call_id, error)
+        elif call.refusal is not None:
+            self._refuse(call.call_id, call.refusal)
+        else:
+            self._cancel(call.call_id)
+
+    def _begin(self, call_id: int, plan: GetPlan) -> None:
+        if call_id in self._calls:
+            raise InvalidArgument(f"call {call_id} is under way on this stream; choose an id that is not")
+        if len(self._calls) >= CALLS_MAX:
+            raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, which is the most; open another stream")
+        hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
+        if not plan.wait_nanos:
+            self._answer(call_id, plan, hosted, hosted.channel.read(plan.query, now), now)
+            return
+        pending = hosted.channel.begin(plan.query, now)
+        found = hosted.channel.poll(pending, now)
+        if isinstance(found, WakeAt):
+            on_outcome = self._releaser(call_id, plan, hosted)
+            self._calls[call_id] = hosted.gets.add(pending, found, plan.wait_nanos, now, on_outcome)
+        else:
+            self._answer(call_id, plan, hosted, found, now)
+
+    def _releaser(self, call_id: int, plan: GetPlan, hosted: HostedChannel) -> Callable[[Outcome], None]:
+        def release(outcome: Outcome) -> None:
+            if isinstance(outcome, StampedeError):
+                self._refuse(call_id, outcome)
+            else:
+                self._answer(call_id, plan, hosted, outcome, self._store.now())
+            self._outbox.kick()
+
+        return release
+
+    def _answer(self, call_id: int, plan: GetPlan, hosted: HostedChannel, answer: Answer, now: int) -> None:
+        self._calls[call_id] = None
+        summary = summary_of(answer, now)
+        messages = get_responses(call_id, answer, summary, without_payloads=plan.without_payloads)
+        self._outbox.add(call_id, messages, hosted.count_delivered)
+
+    def _refuse(self, call_id: int, error: StampedeError) -> None:
+        """Not entered among the calls: a refused id may be one that is under way."""
+        self._outbox.add(call_id, get_error(call_id, to_error_message(error)), _count_nothing)
+
+    def _cancel(self, call_id: int) -> None:
+        get = self._calls.pop(call_id, None)
+        if get is not None:
+            get.cancel()
+        self._outbox.drop(call_id)
+
+    def _ended(self, call_id: int) -> None:
+        if self._calls.get(call_id) is None:  # else the id was used again by a call that waits
+            self._calls.pop(call_id, None)
+        if not self._calls:
+            self._idle.set()
+
+
+def summary_of(answer: Answer, now: int) -> pb.GetSummary:
+    """What the reader is to know beside the items."""
+    return pb.GetSummary(
+        interval=resolved_to_message(answer.interval) if answer.interval else None,
+        complete=answer.complete,
+        truncated=answer.truncated,
+        more=answer.more,
+        reason=reason_to_message(answer.reason),
+        detail=answer.reason.detail if answer.reason else "",
+        incarnation=answer.incarnation,
+        host_time_unix_nano=now,
+    )
+
+
+def _count_nothing(payload_bytes: int) -> None:
+    """An error carries no payload."""

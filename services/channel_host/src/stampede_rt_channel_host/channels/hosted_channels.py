@@ -1,0 +1,86 @@
+"""One channel at its host: the core, the directory's record, and whoever waits for it or listens to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.wire.records import policy_from_spec
+from stampede_rt_channel_host.channels.frames import SharedMessages
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts import ChannelPuts
+from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel
+
+SUBSCRIPTIONS_MAX = 4096
+
+
+class Listener(Protocol):
+    """A subscription, as the channel knows it."""
+
+    def wake(self) -> None:
+        """There may be something to send."""
+
+    def end(self, error: StampedeError) -> None:
+        """The channel is not served any more."""
+
+
+class HostedChannel:
+    """`record` is the directory's, as last told; its epoch fences, its incarnation is the core's."""
+
+    def __init__(self, record: channel_pb2.ChannelRecord, memory: MemoryBudget, now: Callable[[], int]) -> None:
+        """Raises InvalidArgument if the record's policy cannot hold."""
+        self.record = record
+        self.epoch: int = record.epoch
+        self.channel = Channel(policy_from_spec(record.spec), incarnation=record.incarnation, name=record.name)
+        self.gets = WaitingGets(self.channel, now)
+        self.puts = ChannelPuts(self.channel, memory, now, self._announce)
+        self.listeners: dict[Listener, None] = {}
+        self.messages = SharedMessages()
+        self.delivered_bytes = 0
+        self._now = now
+
+    def update(self, record: channel_pb2.ChannelRecord) -> None:
+        """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
+        if record.spec_version != self.record.spec_version:
+            now = self._now()
+            self.channel.configure(policy_from_spec(record.spec), now)
+            self.record, self.epoch = record, record.epoch
+            self.changed(now)
+        self.record, self.epoch = record, record.epoch
+
+    def advance(self, instant: int) -> int:
+        """Promise that nothing earlier than `instant` will come; gives the highest promise. Raises InFuture."""
+        now = self._now()
+        advanced = self.channel.advance(instant, now)
+        self.changed(now)
+        return advanced
+
+    def changed(self, now: int) -> None:
+        """After an advance or another policy: everybody looks again."""
+        self._announce(now)
+        self.puts.changed(now)
+
+    def end(self, error: StampedeError) -> None:
+        """Whoever waits for the channel or listens to it hears `error`."""
+        self.gets.end_all(error)
+        self.puts.end_all(error)
+        for listener in list(self.listeners):
+            listener.end(error)
+
+    def count_delivered(self, payload_bytes: int) -> None:
+        """A message with so many payload bytes was sent to a reader."""
+        self.delivered_bytes += payload_bytes
+
+    def footprint_bytes(self) -> int:
+        """What the items are charged against the host's memory."""
+        counters = self.channel.counters(self._now())
+        return counters.held_bytes + counters.held * ITEM_OVERHEAD_BYTES
+
+    def _announce(self, now: int) -> None:
+        if len(self.gets):
+            self.gets.changed(now)
+        for listener in self.listeners:
+            listener.wake()

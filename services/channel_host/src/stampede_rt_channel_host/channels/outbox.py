@@ -1,0 +1,98 @@
+"""The one writer of a stream on which answers come from two sides: the reader's loop, and calls that are released."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from stampede_rt_channel_host.channels.frames import Message
+from stampede_rt_channel_host.channels.streams import OpenStream
+
+ANSWERS_QUEUED_MAX = 256
+
+
+class _Answer(NamedTuple):
+    """The messages of one call, made as they are written; `on_sent` hears of each one's payload bytes."""
+
+    call_id: int
+    messages: Iterator[Message]
+    on_sent: Callable[[int], None]
+
+
+class Outbox:
+    """Writes answers in turn, one message of each, so that a large one does not hold up the small ones.
+
+    What is queued are references into the store, not copies. `on_end` hears of each call that was answered whole.
+    """
+
+    def __init__(self, context: Any, stream: OpenStream, on_end: Callable[[int], None]) -> None:
+        self._context = context
+        self._stream = stream
+        self._on_end = on_end
+        self._answers: deque[_Answer] = deque()
+        self._writing = False
+        self._task: asyncio.Task[None] | None = None
+        self._room = asyncio.Event()
+
+    def add(self, call_id: int, messages: Iterator[Message], on_sent: Callable[[int], None]) -> None:
+        """Queue an answer; `flush` or `kick` writes it."""
+        self._answers.append(_Answer(call_id, messages, on_sent))
+
+    def drop(self, call_id: int) -> None:
+        """Write no more of a call."""
+        self._answers = deque(answer for answer in self._answers if answer.call_id != call_id)
+        self._on_end(call_id)
+
+    def kick(self) -> None:
+        """Write in the background what is queued."""
+        if self._answers and not self._writing:
+            self._writing = True
+            self._task = self._stream.spawn(self._write_all())
+
+    async def flush(self) -> None:
+        """After the reader's loop has queued something: write a single message right here, which costs no task; leave
+        more to the background, and wait only while too much is queued, so that the caller is held back."""
+        if len(self._answers) == 1 and not self._writing:
+            self._writing = True
+            try:
+                await self._write_one()
+            finally:
+                self._writing = False
+        self.kick()
+        while len(self._answers) > ANSWERS_QUEUED_MAX:
+            self._room.clear()
+            await self._room.wait()
+
+    async def finish(self) -> None:
+        """Return when everything queued is written."""
+        while self._answers or self._writing:
+            self.kick()
+            assert self._task is not None, "the reader's loop, the other writer, is over"
+            await self._task
+
+    def close(self) -> None:
+        """Write no more."""
+        self._answers.clear()
+        if self._task is not None:
+            self._task.cancel()
+
+    async def _write_all(self) -> None:
+        try:
+            while self._answers:
+                await self._write_one()
+                if len(self._answers) <= ANSWERS_QUEUED_MAX:
+                    self._room.set()
+        finally:
+            self._writing = False
+
+    async def _write_one(self) -> None:
+        answer = self._answers.popleft()
+        message = next(answer.messages)
+        if not message.is_last:
+            self._answers.append(answer)  # behind the others
+        await self._context.write(message.encoded)
+        answer.on_sent(message.payload_bytes)
+        if message.is_last:
+            self._on_end(answer.call_id)

@@ -1,0 +1,112 @@
+"""One stream of puts: runs are judged in order and acked in order; acks gather while the last write is in flight."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import raw_run_pb2
+from stampede_rt_channel_host.channels.puts import IncomingRun, check_number, refused
+from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStream
+
+ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
+REQUEST_BYTES_MAX = 4 * 2**20
+_FRAMING_BYTES_MAX = 4096
+
+
+class PutStream:
+    """Serves one stream. While a run waits for room nothing more is read: the caller is held back by flow control."""
+
+    def __init__(self, store: ChannelStore, context: Any, stream: OpenStream) -> None:
+        self._store = store
+        self._context = context
+        self._stream = stream
+        self._channel_id = b""
+        self._epoch = 0
+        self._producer_id = 0
+        self._acks: list[pb.PutAck] = []
+        self._closed = False
+        self._news = asyncio.Event()
+        self._room = asyncio.Event()
+
+    async def run(self) -> None:
+        """Until the caller has closed its side and every run is acked. Raises InvalidArgument for what is no put."""
+        writer = self._stream.spawn(self._write_acks())
+        try:
+            while (raw := await self._context.read()) is not EOF:
+                await self._take(raw)
+            self._closed = True
+            self._news.set()
+            await writer
+        finally:
+            writer.cancel()
+
+    async def _take(self, raw: bytes) -> None:
+        request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
+        if request.channel_id:
+            self._channel_id, self._epoch = request.channel_id, request.epoch
+            self._producer_id = request.producer_id
+        too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
+        for put in request.puts:
+            ack = _refuse_size(put, self._store.now()) if too_much else await self._put(put)
+            while len(self._acks) >= ACKS_QUEUED_MAX:
+                self._news.set()
+                self._room.clear()
+                await self._room.wait()
+            self._acks.append(ack)  # not in one with an await: the writer takes the list meanwhile
+        self._news.set()
+        await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
+
+    async def _put(self, put: raw_run_pb2.RawPutRun) -> pb.PutAck:
+        """The ack of one run. Blocks while the run waits for room."""
+        now = self._store.now()
+        run: IncomingRun | None = None
+        try:
+            check_number(self._producer_id, put.first_number)
+            if not self._channel_id:
+                raise InvalidArgument(
+                    "the put names no channel; set channel_id and epoch in the stream's first request"
+                )
+            hosted = self._store.find(self._channel_id, self._epoch)
+            try:
+                run = self._read(put)
+            except StampedeError as error:
+                raise hosted.puts.refuse_unread(put.run, error, now) from error
+            ack = hosted.puts.put(run, now)
+        except StampedeError as error:
+            return refused(put.first_number, run.items if run else 0, error, now)
+        if ack is not None:
+            return ack
+        self._news.set()  # the acks before it do not wait
+        try:
+            return await run.wait(hosted.puts.give_up)
+        finally:
+            hosted.puts.withdraw(run)
+
+    def _read(self, put: raw_run_pb2.RawPutRun) -> IncomingRun:
+        wait_nanos = put.wait_nanos if put.HasField("wait_nanos") else None
+        return IncomingRun(put.run, producer_id=self._producer_id, first_number=put.first_number, wait_nanos=wait_nanos)
+
+    async def _write_acks(self) -> None:
+        """All that gathered while the last write was in flight go out in one message."""
+        while not (self._closed and not self._acks):
+            if not self._acks:
+                self._news.clear()
+                await self._news.wait()
+                continue
+            acks, self._acks = self._acks, []
+            await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
+            self._room.set()
+
+
+def _refuse_size(put: raw_run_pb2.RawPutRun, now: int) -> pb.PutAck:
+    error = InvalidArgument(
+        f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer runs in one request"
+    )
+    return refused(put.first_number, 0, error, now)

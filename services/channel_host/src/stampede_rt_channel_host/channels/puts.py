@@ -1,0 +1,237 @@
+"""Puts into one channel: judged by the core, recognised when retried, and kept in line while the channel is full."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from stampede_rt.errors import InvalidArgument, ItemTooLarge, Overloaded, StampedeError
+from stampede_rt.status import to_error_message
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.core.channel import Channel, Offer, PutOutcome
+from stampede_rt_channel_host.core.dedup import RetryWindow
+
+WAITING_PUTS_MAX = 10_000
+_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
+
+
+class IncomingRun:
+    """One run on its way into a channel. `wait_nanos` None: it may wait without limit."""
+
+    __slots__ = (
+        "_done", "_encoded", "_first_seq", "_offered", "_rejections", "_stamped", "_timer", "ack", "first_number",
+        "items", "offer", "producer_id", "wait_nanos",
+    )  # fmt: skip
+
+    def __init__(self, encoded: bytes, *, producer_id: int, first_number: int, wait_nanos: int | None) -> None:
+        """Raises MalformedRun, or ItemTooLarge for what no channel can hold."""
+        columns = parse_run(encoded)
+        self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
+        self.items = len(columns.lengths)
+        self.producer_id = producer_id
+        self.first_number = first_number
+        self.wait_nanos = wait_nanos
+        self.ack: pb.PutAck | None = None
+        self._encoded = encoded
+        self._offered = 0  # the place in the run of the present offer's first item: those before it are settled
+        self._first_seq: int | None = None
+        self._stamped: int | None = None
+        self._rejections: list[pb.PutRejection] = []
+        self._done: asyncio.Future[None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+
+    def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+        """The bytes to store, of the items that were accepted (see `core.Seal`)."""
+        rest = range(self._offered, self.items)
+        places = rest if kept is None else [rest[place] for place in kept]
+        encoded = self._encoded if len(places) == self.items else select_items(self._encoded, places)
+        return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
+
+    def settle(self, outcome: PutOutcome, now: int) -> bool:
+        """Take in what became of the offer; True if none of its items has to wait."""
+        if outcome.run is not None and self._first_seq is None:
+            self._first_seq = outcome.run.first_seq
+            self._stamped = outcome.stamped_time
+        for one in outcome.rejections:
+            self._rejections.append(pb.PutRejection(index=self._offered + one.index, error=to_error_message(one.error)))
+        if outcome.waiting is not None:
+            self._offered += outcome.waiting
+            self.offer = self.offer.rest(outcome.waiting, now)
+        return outcome.waiting is None
+
+    def answer(self, now: int, incarnation: int) -> pb.PutAck:
+        """The ack of the settled run."""
+        return pb.PutAck(
+            first_number=self.first_number,
+            items=self.items,
+            first_seq=self._first_seq,
+            stamped_unix_nano=self._stamped,
+            rejections=self._rejections,
+            host_time_unix_nano=now,
+            incarnation=incarnation,
+        )
+
+    def finish(self, ack: pb.PutAck) -> None:
+        """The run is through: whoever waits for it goes on."""
+        self.ack = ack
+        self.forget_time()
+        if self._done is not None and not self._done.done():
+            self._done.set_result(None)
+
+    def forget_time(self) -> None:
+        """Its waiting time does not count any more."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    async def wait(self, give_up: Callable[[IncomingRun], None]) -> pb.PutAck:
+        """Block until the run is through; `give_up`, called when its waiting time is over, must finish it."""
+        loop = asyncio.get_running_loop()
+        if self.wait_nanos is not None:
+            self._timer = loop.call_later(self.wait_nanos / 1e9, give_up, self)
+        if self.ack is None:
+            self._done = loop.create_future()
+            await self._done
+        assert self.ack is not None, "finish sets it"
+        return self.ack
+
+
+class ChannelPuts:
+    """The puts of one channel, in the order of their coming: behind one that waits, all wait.
+
+    `on_accepted` is called after each run of which items were accepted.
+    """
+
+    def __init__(
+        self, channel: Channel, memory: MemoryBudget, now: Callable[[], int], on_accepted: Callable[[int], None]
+    ) -> None:
+        self._channel = channel
+        self._memory = memory
+        self._now = now
+        self._on_accepted = on_accepted
+        self._retries: RetryWindow[pb.PutAck] = RetryWindow()
+        self._line: deque[IncomingRun] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+
+    def __len__(self) -> int:
+        """How many runs wait."""
+        return len(self._line)
+
+    def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
+        """Judge a run. None: it stands in line; await `run.wait(self.give_up)`, and `withdraw` it if that is cut short.
+
+        Raises Overloaded, or InvalidArgument if its numbers overlap another run's.
+        """
+        if not self._line and self._offer(run, now):
+            assert run.ack is not None, "what does not wait is finished"
+            return run.ack
+        if run.wait_nanos is not None and run.wait_nanos <= 0:
+            return self._refuse_rest(run, now)
+        if len(self._line) >= WAITING_PUTS_MAX:
+            raise Overloaded(f"{WAITING_PUTS_MAX} puts wait for room in the channel already; put less at once")
+        self._line.append(run)
+        return None
+
+    def refuse_unread(self, encoded: bytes, error: StampedeError, now: int) -> StampedeError:
+        """Count a run that could not be read; gives the error to answer with."""
+        if isinstance(error, ItemTooLarge):  # the core counts it under its own name
+            self._channel.put(Offer(times=None, durations=None, lengths=(len(encoded),)), now, _seal_nothing)
+        else:
+            self._channel.reject_malformed(1)
+        return error
+
+    def changed(self, now: int) -> None:
+        """Room may have been made: offer those in line again, the first one first."""
+        while self._line:
+            head = self._line[0]
+            if not self._offer_waiting(head, now):
+                return
+            self._line.popleft()
+
+    def give_up(self, run: IncomingRun) -> None:
+        """The run's waiting time is over."""
+        now = self._now()
+        if run in self._line:
+            self._line.remove(run)
+            run.finish(self._refuse_rest(run, now))
+            self.changed(now)
+
+    def withdraw(self, run: IncomingRun) -> None:
+        """Nobody waits for the run any more: what is not accepted yet never will be."""
+        run.forget_time()
+        if run in self._line:
+            self._line.remove(run)
+            self.changed(self._now())
+
+    def end_all(self, error: StampedeError) -> None:
+        """The channel is not served any more."""
+        if self._timer is not None:
+            self._timer.cancel()
+        line, self._line = self._line, deque()
+        for run in line:
+            run.finish(refused(run.first_number, run.items, error, self._now(), self._channel.incarnation))
+
+    def _offer_waiting(self, run: IncomingRun, now: int) -> bool:
+        try:
+            return self._offer(run, now)
+        except StampedeError as error:
+            run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
+            return True
+
+    def _offer(self, run: IncomingRun, now: int) -> bool:
+        """Offer what is left of the run; True if it is through, with its ack."""
+        known = self._retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
+        if known is not None:
+            run.finish(known)
+            return True
+        self._memory.claim(sum(run.offer.lengths), run.items)
+        outcome = self._channel.put(run.offer, now, run.seal)
+        settled = run.settle(outcome, now)
+        if settled:
+            self._finish(run, now)
+        else:
+            self._arm(outcome.retry_at, now)
+        if outcome.run is not None:
+            self._on_accepted(now)
+        return settled
+
+    def _refuse_rest(self, run: IncomingRun, now: int) -> pb.PutAck:
+        run.settle(self._channel.give_up_put(run.offer), now)
+        return self._finish(run, now)
+
+    def _finish(self, run: IncomingRun, now: int) -> pb.PutAck:
+        ack = run.answer(now, self._channel.incarnation)
+        self._retries.record(run.producer_id, run.first_number, run.items, ack, now)
+        run.finish(ack)
+        return ack
+
+    def _arm(self, retry_at: int | None, now: int) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if retry_at is not None:
+            delay_s = max((retry_at - now) / 1e9, _TIMER_SECONDS_MIN)
+            self._timer = asyncio.get_running_loop().call_later(delay_s, lambda: self.changed(self._now()))
+
+
+def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:
+    """The ack of a run that was refused as a whole."""
+    return pb.PutAck(
+        first_number=first_number,
+        items=items,
+        error=to_error_message(error),
+        host_time_unix_nano=now,
+        incarnation=incarnation,
+    )
+
+
+def check_number(producer_id: int, first_number: int) -> None:
+    """Raises InvalidArgument for a producer that wants its retries recognised and does not count."""
+    if producer_id and not first_number:
+        raise InvalidArgument("first_number is 0; a producer with an id numbers its items from 1, or leaves its id out")
+
+
+def _seal_nothing(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+    raise AssertionError("an item larger than every limit was accepted")

@@ -1,0 +1,65 @@
+"""What arrives at ChannelService, checked and turned into the core's values."""
+
+from __future__ import annotations
+
+from typing import Protocol, TypeVar
+
+from google.protobuf.message import DecodeError
+
+from stampede_rt.errors import InvalidArgument, error_for
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.reads import interval_from_message, match_from_message
+from stampede_rt_channel_host.core.channel import Position, Query
+
+M = TypeVar("M", covariant=True)
+
+
+class _Message(Protocol[M]):
+    def FromString(self, data: bytes, /) -> M: ...  # noqa: N802
+
+
+def parse(kind: _Message[M], raw: bytes, name: str) -> M:
+    """The request message. Raises InvalidArgument if the bytes are none."""
+    try:
+        return kind.FromString(raw)
+    except DecodeError as error:
+        raise InvalidArgument(
+            f"the request is no valid {name} message; encode it from channel_service.proto"
+        ) from error
+
+
+def query_of(request: pb.GetRequest) -> Query:
+    """What a get asks for. Raises InvalidArgument, InvalidInterval, or GROUP_NOT_FOUND."""
+    refuse_group(request)
+    if not request.HasField("interval"):
+        raise InvalidArgument("the get has no interval; set its start and end")
+    return Query(
+        interval=interval_from_message(request.interval),
+        match=match_from_message(request.match),
+        limit=request.limit if request.HasField("limit") else None,
+        newest_first=request.newest_first,
+        after=position_of(request.after) if request.HasField("after") else None,
+        newer_than=position_of(request.newer_than) if request.HasField("newer_than") else None,
+        complete=request.complete,
+    )
+
+
+def wait_nanos_of(request: pb.GetRequest) -> int:
+    """How long the get may block: 0 not at all, -1 as long as the stream lives. Raises InvalidArgument."""
+    if request.wait_nanos < -1:
+        raise InvalidArgument(f"wait_nanos is {request.wait_nanos}; it is 0 or more, or -1 for no limit")
+    return request.wait_nanos
+
+
+def position_of(message: item_pb2.ItemPosition) -> Position:
+    """A place in the order of items."""
+    seq = message.seq if message.HasField("seq") else None
+    return Position(message.time_unix_nano, seq, message.incarnation)
+
+
+def refuse_group(request: pb.GetRequest | pb.SubscribeRequest) -> None:
+    """Groups are read at hosts that know them. Raises GROUP_NOT_FOUND."""
+    if request.HasField("group_id"):
+        shown = request.group_id.hex()
+        raise error_for("GROUP_NOT_FOUND", f"this host knows no group {shown}; leave group_id out", {"group_id": shown})

@@ -1,0 +1,229 @@
+"""The channels of this host: made when they are first bound, fenced with the lease, dropped when they went away."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+
+from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.wire.records import policy_from_spec
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.channel_status import channel_status
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.directory import Directory
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.core.channel import Limits
+from stampede_rt_channel_host.core.host_clock import HostTime
+from stampede_rt_runtime.clock import HostClock
+
+logger = logging.getLogger(__name__)
+
+CHANNELS_MAX = 100_000
+DROPS_REMEMBERED_MAX = 1024
+QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
+
+
+class ChannelStore:
+    """Every data request comes through `find`; what is new or in doubt is asked of the directory by `bind`.
+
+    `lease_held` says whether the host may serve at this moment.
+    """
+
+    def __init__(
+        self,
+        identity: HostIdentity,
+        directory: Directory,
+        clock: HostClock,
+        *,
+        lease_held: Callable[[], bool],
+        memory_bytes_max: int,
+    ) -> None:
+        self.lease_held = lease_held
+        self._identity = identity
+        self._directory = directory
+        self._clock = clock
+        self._time = HostTime(clock.boottime_nanos(), clock.time_unix_nano())
+        self._channels: dict[bytes, HostedChannel] = {}
+        self._asking: dict[bytes, asyncio.Lock] = {}
+        self._drops: OrderedDict[bytes, None] = OrderedDict()
+        self._closing: StampedeError | None = None
+        self._registrations = 0
+        self._memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
+
+    def now(self) -> int:
+        """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
+        return self._time.read(self._clock.boottime_nanos(), self._clock.time_unix_nano())
+
+    def find(self, channel_id: bytes, epoch: int) -> HostedChannel:
+        """The channel, for one data request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""
+        self._check_lease()
+        hosted = self._channels.get(channel_id)
+        if hosted is None:
+            raise refusals.not_here(self._identity.name, channel_id)
+        if hosted.epoch != epoch:
+            raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)
+        return hosted
+
+    def find_any_epoch(self, channel_id: bytes) -> HostedChannel:
+        """The channel, for a caller that does not care about its epoch. Raises StaleBinding."""
+        hosted = self._channels.get(channel_id)
+        return self.find(channel_id, hosted.epoch if hosted else 0)
+
+    async def bind(self, channel_id: bytes, epoch: int, spec_version: int = 0) -> HostedChannel:
+        """The channel under that epoch; the directory is asked if it, its epoch or its spec is new here.
+
+        Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), ChannelNotFound, Overloaded, Unavailable.
+        """
+        if not self._knows(channel_id, epoch, spec_version):
+            lock = self._asking.setdefault(channel_id, asyncio.Lock())
+            try:
+                async with lock:  # of many callers at once one asks
+                    if not self._knows(channel_id, epoch, spec_version):
+                        await self._ask(channel_id)
+            finally:
+                if not lock.locked():
+                    self._asking.pop(channel_id, None)
+        return self.find(channel_id, epoch)
+
+    async def drop(self, channel_id: bytes, epoch: int, request_id: bytes) -> None:
+        """Delete the channel in the directory and here; its readers hear CHANNEL_NOT_FOUND. Safe to repeat."""
+        if request_id in self._drops:
+            return
+        hosted = await self.bind(channel_id, epoch)
+        try:
+            await self._directory.delete(channel_id, request_id=request_id)
+        except ChannelNotFound:
+            logger.info("channel was deleted already", extra={"channel": hosted.record.name})
+        self._drops[request_id] = None
+        if len(self._drops) > DROPS_REMEMBERED_MAX:
+            self._drops.popitem(last=False)
+        self._forget(channel_id, refusals.deleted(hosted.record.name))
+
+    async def configure(
+        self, channel_id: bytes, epoch: int, spec: channel_pb2.ChannelSpec, request_id: bytes
+    ) -> HostedChannel:
+        """Change the set-up in the directory, then here. Raises what the directory refuses. Safe to repeat."""
+        hosted = await self.bind(channel_id, epoch)
+        _check_spec(hosted.record.spec, spec)  # before the directory takes what this host could not hold
+        registrations = self._registrations
+        record = await self._directory.update(channel_id, epoch, spec, request_id=request_id)
+        if registrations != self._registrations:
+            return await self.bind(channel_id, record.epoch, record.spec_version)
+        return self._adopt(record)
+
+    def registered(self, records: Iterable[channel_pb2.ChannelRecord], *, all_told: bool) -> None:
+        """The directory's answer to a registration: drop what went elsewhere, take over new epochs.
+
+        `all_told` False: the answer was cut; channels that it does not name are let go, and bound again when asked for.
+        """
+        self._registrations += 1
+        told = {record.channel_id: record for record in records}
+        for channel_id, hosted in list(self._channels.items()):
+            record = told.get(channel_id)
+            if record is not None:
+                self._adopt(record)
+            elif all_told:
+                logger.warning("channel went elsewhere", extra={"channel": hosted.record.name})
+                self._forget(channel_id, refusals.not_here(self._identity.name, channel_id))
+            else:
+                hosted.epoch = 0  # no request can name it: the next bind asks the directory
+
+    def fence(self) -> None:
+        """The lease ran out: whoever waits for a channel or listens to it must look for it elsewhere."""
+        self.end_all(refusals.fenced(self._identity.name))
+
+    def close(self) -> None:
+        """From now on the lease counts as given up, because the host goes."""
+        self._closing = refusals.SHUTTING_DOWN
+
+    def end_all(self, error: StampedeError) -> None:
+        """Whoever waits for a channel or listens to it hears `error`."""
+        for hosted in self.all():
+            hosted.end(error)
+
+    def by_name(self) -> list[HostedChannel]:
+        """All channels that were bound here, in the order of names."""
+        return sorted(self._channels.values(), key=lambda hosted: hosted.record.name)
+
+    def status(self, hosted: HostedChannel) -> channel_pb2.ChannelStatus:
+        """A channel's counters and bounds, at this moment."""
+        return channel_status(hosted, self.now())
+
+    def all(self) -> list[HostedChannel]:
+        """All channels that were bound here."""
+        return list(self._channels.values())
+
+    def _check_lease(self) -> None:
+        if self._closing is not None:
+            raise self._closing
+        if not self.lease_held():
+            raise refusals.fenced(self._identity.name)
+
+    def _knows(self, channel_id: bytes, epoch: int, spec_version: int) -> bool:
+        hosted = self._channels.get(channel_id)
+        return hosted is not None and hosted.epoch == epoch and hosted.record.spec_version >= spec_version
+
+    async def _ask(self, channel_id: bytes) -> None:
+        self._check_lease()
+        held = self._channels.get(channel_id)
+        try:
+            record = await self._resolve(channel_id)
+        except ChannelNotFound:
+            if held is not None:
+                self._forget(channel_id, refusals.deleted(held.record.name))
+            raise
+        if record.host_id != self._identity.host_id:
+            error = refusals.moved(record.name, record.host_id)
+            self._forget(channel_id, error)
+            raise error
+        self._adopt(record)
+
+    async def _resolve(self, channel_id: bytes) -> channel_pb2.ChannelRecord:
+        """The channel, asked for since the last registration.
+
+        An older answer may be out of date: before the host registered again its lease had ended, and the channel may
+        have got a new owner. Raises what the directory answers, or StaleBinding if the host cannot keep a lease.
+        """
+        for _ in range(QUESTIONS_MAX):
+            registrations = self._registrations
+            record = await self._directory.resolve(channel_id)
+            if registrations == self._registrations:
+                return record
+        raise refusals.fenced(self._identity.name)
+
+    def _adopt(self, record: channel_pb2.ChannelRecord) -> HostedChannel:
+        """Serve the channel as the directory describes it. An older description than the one held changes nothing."""
+        held = self._channels.get(record.channel_id)
+        if held is not None and held.record.incarnation == record.incarnation:
+            if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
+                held.update(record)
+            return held
+        if held is not None:
+            if record.epoch < held.record.epoch:
+                return held
+            self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
+        if len(self._channels) >= CHANNELS_MAX:
+            raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
+        hosted = HostedChannel(record, self._memory, self.now)
+        self._channels[record.channel_id] = hosted
+        return hosted
+
+    def _forget(self, channel_id: bytes, error: StampedeError) -> None:
+        hosted = self._channels.pop(channel_id, None)
+        if hosted is not None:
+            hosted.end(error)
+
+    def _footprint_bytes(self) -> int:
+        return sum(hosted.footprint_bytes() for hosted in self._channels.values())
+
+
+def _check_spec(held: channel_pb2.ChannelSpec, change: channel_pb2.ChannelSpec) -> None:
+    """Raises InvalidArgument if the channel could not be set up so."""
+    merged = channel_pb2.ChannelSpec()
+    merged.CopyFrom(held)
+    merged.MergeFrom(change)
+    Limits.of(policy_from_spec(merged))

@@ -1,0 +1,179 @@
+"""One subscription: a cursor into the core and no queue. Its writer takes what gathered while its last write was in
+flight (paper, section 4.1: push), so an idle stream adds no delay and a busy one amortises."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, Protocol
+
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.reads import bound_from_message, reason_to_message
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
+from stampede_rt_channel_host.channels.requests import position_of, refuse_group
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor
+
+PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
+WRITE_SECONDS_MAX = 30.0
+
+
+class Cursor(Protocol):
+    """What differs between the modes."""
+
+    def take(self, now: int) -> Delivery:
+        """The next part; empty if there is nothing new."""
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        """How far the subscription is."""
+
+
+class _All:
+    """SUBSCRIBE_MODE_ALL."""
+
+    def __init__(self, channel: Channel, cursor: AllCursor) -> None:
+        self._channel = channel
+        self._cursor = cursor
+
+    def take(self, now: int) -> Delivery:
+        return self._channel.since(self._cursor, now, MESSAGE_BYTES_MAX)
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, dropped=self._cursor.dropped)
+
+
+class _Newest:
+    """SUBSCRIBE_MODE_NEWEST."""
+
+    def __init__(self, channel: Channel, cursor: NewestCursor) -> None:
+        self._channel = channel
+        self._cursor = cursor
+
+    def take(self, now: int) -> Delivery:
+        latest = self._channel.latest(self._cursor, now)
+        return Delivery(slices=(latest,)) if latest else Delivery()
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        return pb.SubscriptionProgress(next_seq=self._channel.next_seq, skipped=self._cursor.skipped)
+
+
+class Subscription:
+    """Serves one subscription. A `Listener` of its channel: everything happens on the event loop."""
+
+    def __init__(self, hosted: HostedChannel, store: ChannelStore, context: Any, stream: OpenStream) -> None:
+        self._hosted = hosted
+        self._store = store
+        self._context = context
+        self._stream = stream
+        self._news: asyncio.Future[bool] | None = None
+        self._owes_progress = False  # a reader that began in the past is told when it has all that was held
+
+    def wake(self) -> None:
+        """There may be something to send."""
+        if self._news is not None and not self._news.done():
+            self._news.set_result(True)
+
+    def end(self, error: StampedeError) -> None:
+        """The channel is not served any more."""
+        self._stream.end(error)
+
+    async def run(self, request: pb.SubscribeRequest) -> None:
+        """Until the stream ends. Raises InvalidArgument, IncarnationLost, Overloaded."""
+        if len(self._hosted.listeners) >= SUBSCRIPTIONS_MAX:
+            raise Overloaded(
+                f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, which is the most"
+            )
+        channel, now = self._hosted.channel, self._store.now()
+        cursor = open_cursor(channel, request, now)
+        opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
+        self._hosted.listeners[self] = None
+        self._owes_progress = request.HasField("start")
+        try:
+            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString())
+            while True:  # ends with the stream
+                await self._step(cursor, without_payloads=request.without_payloads)
+        finally:
+            del self._hosted.listeners[self]
+
+    async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
+        """Send what there is, or wait for more; after a long silence, say how far it is."""
+        now = self._store.now()
+        part = cursor.take(now)
+        if not part.is_empty:
+            message = self._hosted.messages.encode(
+                part.slices,
+                self._about(part, cursor, now),
+                without_payloads=without_payloads,
+                readers=len(self._hosted.listeners),
+            )
+            await self._write(message.encoded)
+            self._hosted.count_delivered(message.payload_bytes)
+        elif self._owes_progress or not await self._wait_for_news():
+            self._owes_progress = False
+            progress = self._progress(cursor, self._store.now())
+            await self._write(pb.SubscribeResponse(progress=progress).SerializeToString())
+
+    def _about(self, part: Delivery, cursor: Cursor, now: int) -> bytes:
+        """What goes before the runs. Progress follows a gap, so that the reader knows its counters."""
+        if part.gap is None:
+            return b""
+        return pb.SubscribeResponse(gap=_gap(part.gap), progress=self._progress(cursor, now)).SerializeToString()
+
+    def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
+        progress = cursor.progress(now)
+        progress.host_time_unix_nano = now
+        advanced = self._hosted.channel.advanced_to
+        if advanced is not None:
+            progress.advance_unix_nano = advanced
+        return progress
+
+    async def _wait_for_news(self) -> bool:
+        """True: look again; False: nothing came for PROGRESS_SECONDS."""
+        loop = asyncio.get_running_loop()
+        news: asyncio.Future[bool] = loop.create_future()
+        self._news = news
+        timer = loop.call_later(PROGRESS_SECONDS, _set_unless_done, news)
+        try:
+            return await news
+        finally:
+            timer.cancel()
+
+    async def _write(self, message: bytes) -> None:
+        try:
+            async with asyncio.timeout(WRITE_SECONDS_MAX):
+                await self._context.write(message)
+        except TimeoutError:
+            raise Overloaded(
+                f"the reader of channel {self._hosted.record.name} took nothing for {WRITE_SECONDS_MAX:g} s, and its "
+                "subscription is ended; read faster, or subscribe to the newest item only, and subscribe again"
+            ) from None
+
+
+def open_cursor(channel: Channel, request: pb.SubscribeRequest, now: int) -> Cursor:
+    """Begin where the request says. Raises InvalidArgument, IncarnationLost."""
+    refuse_group(request)
+    start = bound_from_message(request.start, "the subscription's start") if request.HasField("start") else None
+    after = position_of(request.after) if request.HasField("after") else None
+    exclusive = request.start.exclusive
+    if request.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
+        return _All(channel, channel.subscribe_all(now, start=start, start_exclusive=exclusive, after=after))
+    if request.mode == pb.SUBSCRIBE_MODE_NEWEST:
+        return _Newest(channel, channel.subscribe_newest(now, start=start, start_exclusive=exclusive, after=after))
+    raise InvalidArgument(f"mode is {request.mode}; use a value of stampede_rt.v1.SubscribeMode")
+
+
+def _gap(gap: Gap) -> pb.SubscriptionGap:
+    return pb.SubscriptionGap(
+        first_seq=gap.first_seq,
+        last_seq=gap.last_seq,
+        items=gap.items,
+        reason=reason_to_message(gap.reason),
+        detail=gap.reason.detail,
+    )
+
+
+def _set_unless_done(news: asyncio.Future[bool]) -> None:
+    if not news.done():
+        news.set_result(False)

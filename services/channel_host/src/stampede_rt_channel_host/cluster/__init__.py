@@ -1,0 +1,1 @@
+"""A host as a member of a cluster: identity, registration, lease, gatekeeper, supernodes."""

@@ -1,0 +1,110 @@
+"""GatekeeperService, the door of the host (paper, section 4.1): checks, asks the store, encodes."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.status import abort
+from stampede_rt.v1 import gatekeeper_service_pb2 as pb
+from stampede_rt.v1 import gatekeeper_service_pb2_grpc
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_runtime.version import software_version
+
+PAGE_SIZE_MAX = 1000
+GLOB_LENGTH_MAX = 256
+
+
+class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
+    """Binds callers to channels, and changes channels here and in the directory."""
+
+    def __init__(self, store: ChannelStore, identity: HostIdentity) -> None:
+        self._store = store
+        self._identity = identity
+        self.target = ""  # where data travels; known once the server listens, before which no lease is held
+
+    async def Ping(  # noqa: N802
+        self, request: pb.GatekeeperServicePingRequest, context: Any
+    ) -> pb.GatekeeperServicePingResponse:
+        """The clock that stamps items, and who answers."""
+        return pb.GatekeeperServicePingResponse(
+            time_unix_nano=self._store.now(),
+            host_id=self._identity.host_id,
+            name=self._identity.name,
+            lease_held=self._store.lease_held(),
+            version=software_version(),
+        )
+
+    async def BindChannel(self, request: pb.BindChannelRequest, context: Any) -> pb.BindChannelResponse:  # noqa: N802
+        """Where the channel's data travels. Asks the directory about what is new here."""
+        try:
+            _check_id(request.channel_id)
+            hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
+        except StampedeError as error:
+            await abort(context, error)
+        endpoint = pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target)
+        return pb.BindChannelResponse(endpoints=[endpoint], channel=hosted.record)
+
+    async def DropChannel(self, request: pb.DropChannelRequest, context: Any) -> pb.DropChannelResponse:  # noqa: N802
+        """Delete the channel in the directory, then here. Readers are told."""
+        try:
+            _check_id(request.channel_id)
+            _check_request_id(request.request_id)
+            await self._store.drop(request.channel_id, request.epoch, request.request_id)
+        except StampedeError as error:
+            await abort(context, error)
+        return pb.DropChannelResponse()
+
+    async def ConfigureChannel(  # noqa: N802
+        self, request: pb.ConfigureChannelRequest, context: Any
+    ) -> pb.ConfigureChannelResponse:
+        """Change the set-up in the directory, then here; it holds when this returns."""
+        try:
+            _check_id(request.channel_id)
+            _check_request_id(request.request_id)
+            hosted = await self._store.configure(request.channel_id, request.epoch, request.spec, request.request_id)
+        except StampedeError as error:
+            await abort(context, error)
+        return pb.ConfigureChannelResponse(channel=hosted.record)
+
+    async def ListHostedChannels(  # noqa: N802
+        self, request: pb.ListHostedChannelsRequest, context: Any
+    ) -> pb.ListHostedChannelsResponse:
+        """A page of the channels that were bound here, in the order of names; a page token is the last page's end."""
+        try:
+            pattern = _glob(request.name_glob)
+        except StampedeError as error:
+            await abort(context, error)
+        size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
+        found = [
+            hosted
+            for hosted in self._store.by_name()
+            if hosted.record.name > request.page_token and pattern.fullmatch(hosted.record.name)
+        ]
+        page = found[:size]
+        return pb.ListHostedChannelsResponse(
+            channels=[self._store.status(hosted) for hosted in page],
+            next_page_token=page[-1].record.name if len(found) > size else "",
+        )
+
+
+def _check_id(channel_id: bytes) -> None:
+    if len(channel_id) != ID_BYTES:
+        raise InvalidArgument(f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} that the directory told")
+
+
+def _check_request_id(request_id: bytes) -> None:
+    if len(request_id) != ID_BYTES:
+        raise InvalidArgument(
+            f"request_id has {len(request_id)} bytes; choose {ID_BYTES} random ones, kept for retries"
+        )
+
+
+def _glob(text: str) -> re.Pattern[str]:
+    """`*` stands for any run of characters, `?` for one; empty text for all names."""
+    if len(text) > GLOB_LENGTH_MAX:
+        raise InvalidArgument(f"name_glob has {len(text)} characters; {GLOB_LENGTH_MAX} are the most")
+    collapsed = re.sub(r"\*+", "*", text or "*")  # several stars in a row would only cost time
+    return re.compile("".join({"*": ".*", "?": "."}.get(letter) or re.escape(letter) for letter in collapsed))

@@ -1,0 +1,176 @@
+"""Keeps this host in the directory: enters, renews its lease, stops serving in time, enters again.
+
+Paper, section 4.3.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+import secrets
+import time
+from collections.abc import Callable
+from typing import NoReturn
+
+from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, VersionMismatch
+from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.lease_keeper import RENEWALS_PER_TTL, LeaseKeeper
+from stampede_rt_channel_host.cluster.supernodes import Supernodes, may_pass
+from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
+
+logger = logging.getLogger(__name__)
+
+START_SECONDS_MAX = 60.0
+LEAVE_SECONDS_MAX = 1.5
+REGISTER_SECONDS_MAX = 4.0
+_PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.05, 1.0
+
+RegisterHostResponse = directory_service_pb2.RegisterHostResponse
+
+
+class Registration:
+    """One host's place in the directory.
+
+    `on_registered` hears of every registration with the directory's answer, before anything is served under it;
+    `on_lease` hears True when the lease begins to hold, and False when it ran out. Order: `enter`, `keep`, `leave`.
+    """
+
+    def __init__(
+        self,
+        identity: HostIdentity,
+        supernodes: Supernodes,
+        clock: HostClock,
+        *,
+        on_registered: Callable[[RegisterHostResponse], None],
+        on_lease: Callable[[bool], None],
+    ) -> None:
+        self._identity = identity
+        self._supernodes = supernodes
+        self._clock = clock
+        self._on_registered = on_registered
+        self._on_lease = on_lease
+        self._lease = LeaseKeeper()
+        self._told_held = False  # what on_lease heard last
+        self._target = ""
+        self._fence: asyncio.TimerHandle | None = None
+
+    def lease_held(self) -> bool:
+        """Whether the host may serve its channels now."""
+        return self._lease.is_held(self._clock.boottime_nanos())
+
+    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
+        """Register for the first time, with a gatekeeper at `target`.
+
+        Tries for `timeout_s`, also while another live host has the name: that may be this one's predecessor, whose
+        lease ends by itself. Raises the last failure, or at once one that stays.
+        """
+        self._target = target
+        deadline_s = time.monotonic() + timeout_s
+        pause_s = _PAUSE_SECONDS_MIN
+        while True:  # ends with the deadline
+            try:
+                return await self._register(max(0.1, min(REGISTER_SECONDS_MAX, deadline_s - time.monotonic())))
+            except StampedeError as error:
+                if not (may_pass(error) or isinstance(error, HostExists)) or time.monotonic() + pause_s > deadline_s:
+                    raise
+                logger.warning("cannot register yet", extra={"host": self._identity.name, "why": str(error)})
+            pause_s = await _pause(pause_s)
+
+    async def keep(self) -> NoReturn:
+        """Renew the lease for as long as the host lives; register again when the directory has ended it."""
+        pause_s = _PAUSE_SECONDS_MIN
+        while True:  # paced by the lease, or by the pause after failures
+            await asyncio.sleep(self._lease.renewal_in_nanos(self._clock.boottime_nanos()) / 1e9)
+            try:
+                await self._renew_or_register()
+                pause_s = _PAUSE_SECONDS_MIN
+            except StampedeError as error:
+                logger.warning("lease not renewed", extra={"host": self._identity.name, "why": str(error)})
+                pause_s = await _pause(pause_s)
+
+    async def leave(self) -> None:
+        """Deregister, so that the channels are free at once. Failing that, the lease ends by itself."""
+        if self._fence is not None:
+            self._fence.cancel()
+        self._lease.give_up()
+        request = directory_service_pb2.DeregisterHostRequest(
+            request_id=secrets.token_bytes(16),
+            host_id=self._identity.host_id,
+            boot_incarnation=self._identity.boot_incarnation,
+        )
+        try:
+            await self._supernodes.call("DeregisterHost", request, LEAVE_SECONDS_MAX)
+        except StampedeError as error:
+            logger.warning("left without deregistering", extra={"host": self._identity.name, "why": str(error)})
+
+    async def _renew_or_register(self) -> None:
+        try:
+            await self._renew()
+        except (LeaseExpired, HostNotFound) as error:
+            logger.warning("the lease has ended", extra={"host": self._identity.name, "why": str(error)})
+            self._lease.give_up()
+            self._check_fence()
+            await self._register()
+
+    async def _renew(self) -> None:
+        request = directory_service_pb2.RenewHostLeaseRequest(
+            host_id=self._identity.host_id, boot_incarnation=self._identity.boot_incarnation
+        )
+        sent = self._clock.boottime_nanos()
+        timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9
+        response = await self._supernodes.call("RenewHostLease", request, timeout_s)
+        self._grant(sent, response.lease_ttl_nanos)
+
+    async def _register(self, timeout_s: float = REGISTER_SECONDS_MAX) -> None:
+        """The same boot incarnation each time: what is held stays valid for the channels that nobody took meanwhile."""
+        one = self._identity
+        request = directory_service_pb2.RegisterHostRequest(
+            request_id=secrets.token_bytes(16),
+            host_id=one.host_id,
+            name=one.name,
+            gatekeepers=[directory_pb2.Endpoint(target=self._target, zone=one.zone)],
+            boot_incarnation=one.boot_incarnation,
+            version=software_version(),
+            protocol_version=PROTOCOL_VERSION,
+        )
+        sent = self._clock.boottime_nanos()
+        response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)
+        if response.protocol_version not in (0, PROTOCOL_VERSION):
+            raise VersionMismatch(
+                f"the directory speaks protocol {response.protocol_version}, this host {PROTOCOL_VERSION} (version "
+                f"{software_version()}); install the same release on both"
+            )
+        self._on_registered(response)  # before the grant: nothing is served that went elsewhere
+        self._grant(sent, response.lease_ttl_nanos)
+        logger.info("registered", extra={"host": one.name, "channels": len(response.channels)})
+
+    def _grant(self, sent: int, ttl_nanos: int) -> None:
+        self._lease.granted(sent_nanos=sent, ttl_nanos=ttl_nanos)
+        self._check_fence()
+
+    def _check_fence(self) -> None:
+        """Called at every grant and when the fence may have been reached."""
+        if self._fence is not None:
+            self._fence.cancel()
+            self._fence = None
+        left = self._lease.fenced_in_nanos(self._clock.boottime_nanos())
+        if left:
+            # A little late, so that the clock has passed the fence; every request looks at the clock itself.
+            self._fence = asyncio.get_running_loop().call_later(left / 1e9 + 0.001, self._check_fence)
+        self._tell(held=left > 0)
+
+    def _tell(self, *, held: bool) -> None:
+        if held is not self._told_held:
+            self._told_held = held
+            if not held:
+                logger.warning("fenced: the lease was not renewed in time", extra={"host": self._identity.name})
+            self._on_lease(held)
+
+
+async def _pause(pause_s: float) -> float:
+    """Wait about `pause_s`, jittered over its upper half; returns the next, longer one."""
+    await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
+    return min(2 * pause_s, _PAUSE_SECONDS_MAX)

@@ -1,0 +1,60 @@
+"""The channel core: values and `now` in, values out (paper, sections 3.1 to 3.4).
+
+Nothing here reads a clock, waits, locks, or knows the wire. The shell around it:
+
+- makes one `Channel` per channel from its Policy and incarnation, and passes `now` from one `HostTime` to every call;
+- puts: `channel.put(Offer(...), now, seal) -> PutOutcome`, `seal` giving the stored bytes once the first seq is known;
+  where `outcome.waiting` is set, it offers `offer.rest(waiting, now)` again after each change and at `outcome.retry_at`
+  (keeping later puts behind it), or calls `give_up_put`; a retried put is recognised by `RetryWindow` before;
+- reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (at once, after each change and at
+  the instant of `WakeAt`), `give_up`;
+- subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
+- housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
+- counts: `counters(now)`; `reject_malformed` for what never became an offer.
+
+"After each change" means after every put that accepted something, every advance and every configure.
+"""
+
+from stampede_rt_channel_host.core.channel.channel import Channel
+from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.reading import Pending
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
+from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
+from stampede_rt_channel_host.core.channel.values import (
+    Answer,
+    Counters,
+    DeliveredSlice,
+    Delivery,
+    Gap,
+    Offer,
+    Position,
+    PutOutcome,
+    Query,
+    Rejection,
+    Seal,
+    WakeAt,
+)
+
+__all__ = [
+    "ABSENT",
+    "ITEM_OVERHEAD_BYTES",
+    "AllCursor",
+    "Answer",
+    "Channel",
+    "Counters",
+    "DeliveredSlice",
+    "Delivery",
+    "Gap",
+    "Limits",
+    "NewestCursor",
+    "Offer",
+    "Pending",
+    "Position",
+    "PutOutcome",
+    "Query",
+    "Rejection",
+    "Run",
+    "Seal",
+    "Slice",
+    "WakeAt",
+]

@@ -1,0 +1,238 @@
+"""Which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
+
+A run is so many puts at one instant: each item is judged with those before it in, and retention follows each. Nearly
+every run can be taken in at a stroke with the same result; `Acceptance` does so where that is certain, and goes item by
+item otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt.errors import ChannelFull, InFuture, ItemTooLarge, StampedeError, TooOld
+from stampede_rt.timeline import MAX_INSTANT, format_duration
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.limits import BLOCK
+from stampede_rt_channel_host.core.channel.retention import Retention, oldest_bytes, oldest_items
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, make_run, pack
+from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Rejection, Seal
+
+
+class Acceptance:
+    """Takes offers into holdings and counts refusals. `advance` is the highest promise, `rejected` is by reason."""
+
+    def __init__(self, held: Holdings, retention: Retention, name: str) -> None:
+        self._held = held
+        self._retention = retention
+        self._channel = f"channel {name!r}" if name else "the channel"
+        self.advance: int | None = None
+        self.rejected = {"TOO_OLD": 0, "IN_FUTURE": 0, "ITEM_TOO_LARGE": 0, "CHANNEL_FULL": 0, "MALFORMED_RUN": 0}
+
+    def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
+        """Accept or refuse each item. Age is settled where it matters; a whole run leaves the excess to the caller."""
+        stamp, times = None, offer.times
+        if times is None:
+            stamp = self.stamp(clock)
+            times = (stamp,) * len(offer.lengths)
+        if self._fits_at_a_stroke(times, offer.lengths, clock):
+            return self._take_whole(offer, times, stamp, clock, seal)
+        return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
+
+    def stamp(self, clock: int) -> int:
+        """The time of items that come without one: what `now` resolves to."""
+        return clock if self._held.newest is None else max(clock, self._held.newest)
+
+    def _fits_at_a_stroke(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
+        """Every item is accepted, and retention after the last one does the same as retention after each.
+
+        Later than the age's cutoff no item is outdated, and no bucket's end moves to or below it. For the excess see
+        `_sheds_alike`.
+        """
+        held, limits = self._held, self._retention.limits
+        low, high = min(times), max(times)
+        largest, cutoff = max(lengths), self._retention.cutoff(clock)
+        if high > clock + limits.max_future_nanos or (cutoff is not None and low <= cutoff):
+            return False
+        if largest > limits.max_item_bytes or largest + ITEM_OVERHEAD_BYTES > limits.max_bytes:
+            return False
+        if low < self._least_time():
+            return False
+        payload_bytes = sum(lengths)
+        if self._retention.has_room(len(times), payload_bytes):
+            return True
+        self._retention.age_out(clock)
+        if self._retention.has_room(len(times), payload_bytes):
+            return True
+        return limits.drops_oldest and held.items > 0 and self._sheds_alike(len(times), payload_bytes, low)
+
+    def _least_time(self) -> int:
+        """Nothing below it is accepted."""
+        collected, advance = self._held.newest_collected, self.advance
+        least = -MAX_INSTANT - 1 if collected is None else collected
+        return least if advance is None else max(least, advance)
+
+    def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
+        """Only one limit sheds, and only items whose spans were bounded before and end before the new ones begin."""
+        held, limits = self._held, self._retention.limits
+        excess_items = 0 if limits.max_items is None else held.items + items - limits.max_items
+        excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
+        if excess_items > 0 and excess_bytes > 0:
+            return False
+        front = held.front(oldest_items(excess_items) if excess_items > 0 else oldest_bytes(excess_bytes))
+        bound = held.time_behind(front)
+        return bound is not None and bound <= low
+
+    def _take_whole(self, offer: Offer, times: Sequence[int], stamp: int | None, clock: int, seal: Seal) -> PutOutcome:
+        first_seq = self._held.next_seq
+        body = seal(first_seq, None, stamp)
+        run = make_run(first_seq, times, offer.durations, offer.lengths, body)
+        self._held.store(run, sum(offer.lengths), min(times), max(times))
+        return PutOutcome(run=run, stamped_time=stamp)
+
+    def refuse(self, index: int, error: StampedeError) -> Rejection:
+        """Count a refused item."""
+        self.rejected[error.reason] += 1
+        return Rejection(index, error)
+
+    def full(self) -> ChannelFull:
+        """The error of an item for which there is no room."""
+        limits, held = self._retention.limits, self._held
+        return ChannelFull(
+            f"{self._channel} is full: it holds {held.items} items charged with {held.charged_bytes} bytes, of at most "
+            f"{limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; put later, or raise its limits"
+        )
+
+    def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
+        """Why an item can never be accepted as the channel is now; None if it can."""
+        limits = self._retention.limits
+        if length > limits.max_item_bytes or length + ITEM_OVERHEAD_BYTES > limits.max_bytes:
+            return ItemTooLarge(
+                f"an item of {length} bytes is too large for {self._channel}, which takes at most "
+                f"{min(limits.max_item_bytes, limits.max_bytes - ITEM_OVERHEAD_BYTES)}; split it, or raise the limits"
+            )
+        if time > clock + limits.max_future_nanos:
+            return InFuture(
+                f"an item is {format_duration(time - clock)} ahead of the host's clock; {self._channel} takes at most "
+                f"{format_duration(limits.max_future_nanos)} (max_future): set the producer's clock",
+                metadata=_offset(time, clock),
+            )
+        return self._too_old(time, duration, length, clock)
+
+    def _too_old(self, time: int, duration: int, length: int, clock: int) -> TooOld | None:
+        why = self._below_promises(time) or self._outdated(time, duration, length, clock)
+        if why is None:
+            return None
+        age = format_duration(clock - time)
+        return TooOld(
+            f"an item is {age} behind the host's clock and too old for {self._channel}: {why}; put sooner, set the "
+            "producer's clock, or widen the channel's limits",
+            metadata=_offset(time, clock),
+        )
+
+    def _below_promises(self, time: int) -> str | None:
+        if self.advance is not None and time < self.advance:
+            return f"an advance has promised that nothing before {self.advance} comes"
+        collected = self._held.newest_collected
+        if collected is not None and time < collected:
+            return f"items up to {collected} are collected already"
+        return None
+
+    def _outdated(self, time: int, duration: int, length: int, clock: int) -> str | None:
+        """Which policy would collect the item as soon as it were in."""
+        held, limits, cutoff = self._held, self._retention.limits, self._retention.cutoff(clock)
+        following = held.next_time(time) if held.oldest is None or time >= held.oldest else held.oldest
+        if cutoff is not None and following is not None:
+            own_end = following if duration == ABSENT else min(time + duration, following)
+            if max(own_end, held.bucket_end(time, following)) <= cutoff:
+                return f"its span ended before the last {format_duration(limits.max_age_nanos or 0)} (max_age)"
+        if limits.drops_oldest and limits.max_items is not None:
+            excess_items = held.items + 1 - limits.max_items
+            if excess_items > 0 and (held.oldest is None or time < held.oldest):
+                return f"{limits.max_items} later items are held (max_items)"
+        excess_bytes = held.charged_bytes + length + ITEM_OVERHEAD_BYTES - limits.max_bytes
+        if limits.drops_oldest and excess_bytes > 0 and not self._precede(time, excess_bytes):
+            return f"later items fill its {limits.max_bytes} bytes (max_bytes)"
+        return None
+
+    def _precede(self, time: int, charged_bytes: int) -> bool:
+        """Held items at or before `time` are charged with at least so many bytes."""
+        tail = self._held.front(oldest_bytes(charged_bytes)).tail
+        return bool(tail) and tail[-1].last_time <= time
+
+
+def _offset(time: int, clock: int) -> dict[str, str]:
+    return {"offset_nanos": str(time - clock), "host_time_unix_nano": str(clock)}
+
+
+class _ItemByItem:
+    """One offer, taken in item by item into one run."""
+
+    def __init__(
+        self, to: Acceptance, held: Holdings, retention: Retention, offer: Offer, times: Sequence[int], clock: int
+    ) -> None:
+        self._to, self._held, self._retention = to, held, retention
+        self._offer, self._times, self._clock = offer, times, clock
+        self._columns: tuple[list[int], list[int], list[int]] = ([], [], [])
+        times_in, durations_in, lengths_in = self._columns
+        self._run = ColumnRun(
+            held.next_seq, times_in, None if offer.durations is None else durations_in, lengths_in, b""
+        )
+        self._kept: list[int] = []
+
+    def run(self, stamp: int | None, seal: Seal) -> PutOutcome:
+        """Judge and take in one after the other, until one has to wait."""
+        rejections: list[Rejection] = []
+        waiting = retry_at = None
+        for index, time in enumerate(self._times):
+            duration = ABSENT if self._offer.durations is None else self._offer.durations[index]
+            length = self._offer.lengths[index]
+            self._retention.age_out(self._clock)
+            fault = self._to.fault(time, duration, length, self._clock)
+            as_if = self._as_if_put_at(time)
+            if fault is None and not self._has_room(as_if, length):
+                if self._retention.limits.on_full == BLOCK:
+                    waiting = index
+                    retry_at = self._retention.retry_at(as_if, None if duration == ABSENT else as_if + duration)
+                    break
+                fault = self._to.full()
+            if fault is None:
+                self._take(index, time, duration, length)
+            else:
+                rejections.append(self._to.refuse(index, fault))
+        return PutOutcome(
+            run=self._finish(stamp, seal), stamped_time=stamp, rejections=rejections, waiting=waiting, retry_at=retry_at
+        )
+
+    def _as_if_put_at(self, time: int) -> int:
+        """When an item counts as put while it waits for room: one without a time of its own, since it waits."""
+        if self._offer.times is not None or self._offer.since is None:
+            return time
+        newest = self._held.newest
+        return self._offer.since if newest is None else max(self._offer.since, newest)
+
+    def _has_room(self, time: int, length: int) -> bool:
+        limits = self._retention.limits
+        return limits.drops_oldest or self._retention.has_room_as_if_put(time, length, self._clock)
+
+    def _take(self, index: int, time: int, duration: int, length: int) -> None:
+        for column, value in zip(self._columns, (time, duration, length), strict=True):
+            column.append(value)
+        self._kept.append(index)
+        self._held.index.insert_item(self._run, len(self._kept) - 1)
+        self._held.count_in(1, length, time, time)
+        self._retention.age_out(self._clock)
+        self._retention.drop_excess(self._clock)
+        if self._offer.since is not None and not (
+            self._retention.limits.drops_oldest or self._retention.has_room(0, 0)
+        ):
+            self._retention.release_oldest(self._clock)
+
+    def _finish(self, stamp: int | None, seal: Seal) -> Run | None:
+        if not self._kept:
+            return None
+        run = self._run
+        run.times, run.lengths = pack(run.times), pack(run.lengths)
+        run.durations = None if run.durations is None else pack(run.durations)
+        all_kept = len(self._kept) == len(self._times)
+        run.body = seal(run.first_seq, None if all_kept else self._kept, stamp)
+        return run

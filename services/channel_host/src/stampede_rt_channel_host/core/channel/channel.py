@@ -1,0 +1,275 @@
+"""One channel: puts, reads, retention and subscriptions over values and `now` (paper, sections 3.1 to 3.4). Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InFuture, InvalidArgument
+from stampede_rt.model import Policy
+from stampede_rt.timeline import Bound, format_duration
+from stampede_rt_channel_host.core.channel.acceptance import Acceptance
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
+from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.reading import Pending, Reading
+from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor, open_all, open_newest, since
+from stampede_rt_channel_host.core.channel.values import (
+    Answer,
+    Counters,
+    DeliveredSlice,
+    Delivery,
+    Offer,
+    Position,
+    PutOutcome,
+    Query,
+    Rejection,
+    Seal,
+    WakeAt,
+)
+
+FREED_ENTRIES_PER_CALL = 32
+"""How much memory of outdated items one put or read frees beside its own work."""
+
+ENTRIES_PER_ITEM_MAX = 3
+"""A late item makes at most so many entries of the index: its own, and the two ends of the one that it splits."""
+
+PUTS_PER_SETTLING = 16
+"""Puts that change nothing but the newest end leave ageing to the next read, or to every so many puts."""
+
+
+class Channel:
+    """The items of one channel, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
+
+    Every call takes `now`, the host's clock (`HostTime`), in nanoseconds since the epoch; an earlier one than before
+    counts as the latest seen. After each put, advance and configure the owner polls its blocked gets, offers waiting
+    puts again and looks after its subscriptions. Seqs start at 1.
+    """
+
+    def __init__(self, policy: Policy, *, incarnation: int, name: str = "") -> None:
+        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `Limits.of`)."""
+        self._policy = policy
+        self._incarnation = incarnation
+        self._held = Holdings()
+        self._retention = Retention(Limits.of(policy), self._held)
+        self._acceptance = Acceptance(self._held, self._retention, name)
+        self._reading = Reading(self._held, self._retention, incarnation)
+        self._clock: int | None = None
+        self._puts_unsettled = 0
+        self._entries_to_free = 0  # what puts may have brought in since they last freed
+
+    def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
+        """Accept or refuse each item of `offer`, in order, as so many puts at one instant; store the accepted as a run.
+
+        `seal` is called once if any item was accepted. Nothing of the offer is changed or kept. See PutOutcome for
+        items that have to wait. Puts that arrive while one waits are to wait behind it, so that a run's seqs follow
+        each other.
+        """
+        clock = self._tick(now)
+        outcome = self._acceptance.put(offer, clock, seal)
+        self._puts_unsettled += 1
+        self._entries_to_free += ENTRIES_PER_ITEM_MAX * len(offer.lengths)
+        if self._puts_unsettled >= PUTS_PER_SETTLING or not self._retention.has_room(0, 0):
+            self._settle_puts(clock)
+        return outcome
+
+    def give_up_put(self, offer: Offer) -> PutOutcome:
+        """Refuse the items that waited in vain, each with ChannelFull, and count them."""
+        full = self._acceptance.full()
+        rejections: list[Rejection] = [self._acceptance.refuse(index, full) for index in range(len(offer.lengths))]
+        return PutOutcome(rejections=rejections)
+
+    def reject_malformed(self, items: int) -> None:
+        """Count items that the shell refused before they became an offer."""
+        self._acceptance.rejected["MALFORMED_RUN"] += items
+
+    def read(self, query: Query, now: int) -> Answer:
+        """What the channel holds of the query, at once. Changes nothing that another reader could see.
+
+        Raises IncarnationLost if a position comes from another incarnation.
+        """
+        self._check_positions(query)
+        clock = self._settle(self._tick(now))
+        return self._reading.answer(query, self._reading.resolve(query, clock), clock)
+
+    def begin(self, query: Query, now: int) -> Pending:
+        """Begin a blocking get: anchors are resolved now, or at the first poll when they can be. Then poll at once.
+
+        Raises IncarnationLost if a position comes from another incarnation.
+        """
+        self._check_positions(query)
+        clock = self._settle(self._tick(now))
+        return Pending(query, self._reading.resolve(query, clock))
+
+    def poll(self, pending: Pending, now: int) -> Answer | WakeAt:
+        """The blocking get's answer, or when to poll again.
+
+        Released by the first matching item, with `complete` when the interval is finished, and in any case once
+        nothing can come: the interval lies below the frontier, is empty, or is finished.
+        """
+        return self._reading.poll(pending, self._settle(self._tick(now)))
+
+    def give_up(self, pending: Pending, now: int) -> Answer:
+        """What there is when the get's time is over, with its reason."""
+        clock = self._settle(self._tick(now))
+        return self._reading.answer(pending.query, pending.interval, clock)
+
+    def subscribe_all(
+        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None
+    ) -> AllCursor:
+        """Begin a subscription in seq order: held items from `start` on, or all accepted behind `after`, then new ones.
+
+        Neither: only new ones. Both: InvalidArgument. `after` needs its seq. Raises IncarnationLost.
+        """
+        after_place = self._resume_place(start, after)
+        low = self._start_place(start, start_exclusive, now)
+        return open_all(self._held, low, None if after_place is None else after_place[1])
+
+    def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> Delivery:
+        """Take the next part, about `limit_bytes` (payload and overhead; at least one slice). Moves the cursor.
+
+        What retention collected before it was taken is reported once, as a gap. Empty: wait for the next put.
+        """
+        self._settle(self._tick(now))
+        return since(self._held, self._retention.limits, cursor, limit_bytes)
+
+    def subscribe_newest(
+        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None
+    ) -> NewestCursor:
+        """Begin a subscription to the latest item. With `start` the present newest comes first, if it is not earlier.
+
+        Raises like `subscribe_all`.
+        """
+        after_place = self._resume_place(start, after)
+        return open_newest(self._held, self._start_place(start, start_exclusive, now), after_place)
+
+    def latest(self, cursor: NewestCursor, now: int) -> DeliveredSlice | None:
+        """Take the newest item if it is later than the last one taken. Moves the cursor and counts what it skipped."""
+        self._settle(self._tick(now))
+        return cursor.take(self._held)
+
+    def advance(self, instant: int, now: int) -> int:
+        """Promise that nothing earlier than `instant` will come; gives the highest promise. Raises InFuture."""
+        clock = self._tick(now)
+        if instant > clock + self._retention.limits.max_future_nanos:
+            raise InFuture(
+                f"the advance is {format_duration(instant - clock)} ahead of the host's clock; at most "
+                f"{format_duration(self._retention.limits.max_future_nanos)} (max_future) is taken: set the clock"
+            )
+        highest = instant if self.advanced_to is None else max(self.advanced_to, instant)
+        self._acceptance.advance = self._reading.advance = highest
+        return highest
+
+    def configure(self, policy: Policy, now: int) -> None:
+        """Set another policy, whole; what it outdates goes at once. Raises InvalidArgument and changes nothing.
+
+        Walks the index once if it outdates much.
+        """
+        limits = Limits.of(policy)
+        clock = self._settle(self._tick(now))
+        self._policy = policy
+        self._retention.limits = limits
+        self._settle(clock)
+        self._retention.drop_excess(clock)
+
+    def collect(self, now: int, entries_max: int = 1024) -> bool:
+        """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
+        self._settle(self._tick(now))
+        return self._held.free(entries_max)
+
+    def next_deadline(self, now: int) -> int | None:
+        """When `collect` is next useful: now, if memory is left to free; else when age outdates items; None: never."""
+        clock = self._settle(self._tick(now))
+        return clock if self._held.has_backlog else self._retention.next_age_out()
+
+    def counters(self, now: int) -> Counters:
+        """What became of all items, at this moment."""
+        self._settle(self._tick(now))
+        held = self._held
+        return Counters(
+            accepted=held.accepted,
+            held=held.items,
+            collected=dict(held.collected),
+            rejected=dict(self._acceptance.rejected),
+            accepted_bytes=held.accepted_bytes,
+            held_bytes=held.payload_bytes,
+        )
+
+    @property
+    def policy(self) -> Policy:
+        """The policy as stated."""
+        return self._policy
+
+    @property
+    def incarnation(self) -> int:
+        """Which life of the channel the seqs belong to."""
+        return self._incarnation
+
+    @property
+    def next_seq(self) -> int:
+        """The seq that the next accepted item gets."""
+        return self._held.next_seq
+
+    @property
+    def newest(self) -> int | None:
+        """The newest item's time, as of the last call that took `now`."""
+        return self._held.newest
+
+    @property
+    def oldest(self) -> int | None:
+        """The oldest held item's time, as of the last call that took `now`."""
+        self._age()
+        return self._held.oldest
+
+    @property
+    def frontier(self) -> int | None:
+        """The latest span end that age, count or bytes have collected, not above the oldest held item's time."""
+        self._age()
+        return self._held.frontier
+
+    @property
+    def advanced_to(self) -> int | None:
+        """The highest promise that nothing earlier will come."""
+        return self._acceptance.advance
+
+    def _tick(self, now: int) -> int:
+        self._clock = now if self._clock is None else max(self._clock, now)
+        return self._clock
+
+    def _age(self) -> None:
+        if self._clock is not None:
+            self._retention.age_out(self._clock)
+
+    def _settle(self, clock: int) -> int:
+        """Age the holdings, and free a little."""
+        self._puts_unsettled = 0
+        self._retention.age_out(clock)
+        self._held.free(FREED_ENTRIES_PER_CALL)
+        return clock
+
+    def _settle_puts(self, clock: int) -> None:
+        """Keep the limits after puts. Freeing keeps pace with them, and outdated items never exceed max_bytes."""
+        self._settle(clock)
+        self._retention.drop_excess(clock)
+        self._held.free(self._entries_to_free, self._retention.limits.max_bytes)
+        self._entries_to_free = 0
+
+    def _check_positions(self, query: Query) -> None:
+        self._reading.check_position(query.after)
+        self._reading.check_position(query.newer_than)
+
+    def _resume_place(self, start: Bound | None, after: Position | None) -> Place | None:
+        if after is None:
+            return None
+        self._reading.check_position(after)
+        if start is not None:
+            raise InvalidArgument("a subscription has both start and after; give start to begin, after to resume")
+        if after.seq is None:
+            raise InvalidArgument(
+                "a subscription resumes after an item, but the position has no seq; use start instead"
+            )
+        return after.time, after.seq
+
+    def _start_place(self, start: Bound | None, exclusive: bool, now: int) -> Place | None:
+        """Where a subscription's held items begin; None if it wants none, or an empty channel cannot tell."""
+        clock = self._settle(self._tick(now))
+        time = None if start is None else self._reading.resolve_bound(start, clock)
+        return None if time is None else (time, SEQ_END if exclusive else 0)

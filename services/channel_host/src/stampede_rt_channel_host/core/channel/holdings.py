@@ -1,0 +1,222 @@
+"""What a channel holds and what became of the rest: the state under retention, acceptance and reading. Pure.
+
+What lies below `floor` is outdated: collected in every count and never returned, though its memory may be freed later.
+So a policy that outdates a million items at once stalls nobody.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
+
+AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+
+
+class Front(NamedTuple):
+    """The oldest held items: how many, and their payload bytes; the slices that reach into their last bucket; and the
+    first slice behind them, None if they are all that is held."""
+
+    items: int
+    payload_bytes: int
+    tail: list[Slice]
+    rest: Slice | None
+
+
+Going = Callable[[Slice], int]
+
+
+class Holdings:
+    """Held items and counts. Invariant: `accepted == items + sum(collected.values())`.
+
+    `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
+    or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
+    """
+
+    __slots__ = (
+        "_following",
+        "_stored_bytes", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index",
+        "items", "newest", "newest_collected", "oldest", "payload_bytes",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.index = ChannelIndex()
+        self.floor: Place = FIRST_PLACE
+        self.items = 0
+        self.payload_bytes = 0
+        self.newest: int | None = None
+        self.oldest: int | None = None
+        self.accepted = 0
+        self.accepted_bytes = 0
+        self.collected = {AGE: 0, COUNT: 0, BYTES: 0, CONSUMPTION: 0}
+        self.newest_collected: int | None = None
+        self.collected_end: int | None = None
+        self.collected_by = AGE
+        self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
+        self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
+
+    @property
+    def next_seq(self) -> int:
+        """The seq of the next accepted item."""
+        return self.accepted + 1
+
+    @property
+    def charged_bytes(self) -> int:
+        """What the held items count against max_bytes."""
+        return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
+
+    @property
+    def backlog_bytes(self) -> int:
+        """Charged bytes of outdated items whose memory is not freed."""
+        return self._stored_bytes - self.charged_bytes
+
+    @property
+    def has_backlog(self) -> bool:
+        """There are entries to free."""
+        return self.index.has_below(self.floor)
+
+    @property
+    def frontier(self) -> int | None:
+        """The latest span end that was collected, but not above the oldest held item's time."""
+        if self.collected_end is None or self.oldest is None:
+            return self.collected_end
+        return min(self.collected_end, self.oldest)
+
+    def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
+        """Add a run whose times lie between `low` and `high`."""
+        self.index.insert(run)
+        self.count_in(len(run), payload_bytes, low, high)
+
+    def count_in(self, items: int, payload_bytes: int, low: int, high: int) -> None:
+        """Count items that were added to the index, with times between `low` and `high`."""
+        self._following = (None, None)
+        self.items += items
+        self.payload_bytes += payload_bytes
+        self.accepted += items
+        self.accepted_bytes += payload_bytes
+        self._stored_bytes += payload_bytes + items * ITEM_OVERHEAD_BYTES
+        if self.newest is None or high > self.newest:
+            self.newest = high
+        if self.oldest is None or low < self.oldest:
+            self.oldest = low
+
+    def slices(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
+        """Held items at or above `low` and below `high`, ascending."""
+        return self.index.slices(max(low, self.floor), high)
+
+    def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
+        """The same, the last slice first."""
+        return self.index.slices_down(max(low, self.floor), high)
+
+    def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
+        """Held items with seqs from `low` up to, not including, `high`, in seq order."""
+        return self.index.slices_by_seq(low, high, self.floor)
+
+    def next_time(self, time: int) -> int | None:
+        """The time of the next later bucket than `time`."""
+        if self.newest is None or time >= self.newest:
+            return None
+        known, following = self._following
+        if known != time:
+            following = self.index.next_time(time)
+            self._following = time, following
+        return following
+
+    def floor_time(self, time: int) -> int | None:
+        """The time of the bucket at or before `time`."""
+        if self.oldest is None or time < self.oldest:
+            return None
+        return self.index.floor_time(time)
+
+    def bucket_end(self, time: int, bound: int) -> int:
+        """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
+        return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
+
+    def front(self, going: Going) -> Front:
+        """The oldest held items, as far as `going` takes them: it tells of each slice in turn how many items go."""
+        items = payload_bytes = 0
+        tail: list[Slice] = []
+        for part in self.index.slices_from(self.floor):
+            taken = going(part)
+            if taken:
+                gone = part if taken == part.items else Slice(part.run, part.lo, part.lo + taken)
+                items += taken
+                payload_bytes += gone.payload_bytes
+                if not tail or tail[-1].last_time < gone.last_time:
+                    tail.clear()
+                tail.append(gone)
+            if taken < part.items:
+                return Front(items, payload_bytes, tail, Slice(part.run, part.lo + taken, part.hi))
+        return Front(items, payload_bytes, tail, None)
+
+    def time_behind(self, front: Front) -> int | None:
+        """The time of the bucket behind the last one that a front, which is not empty, takes of."""
+        if front.rest is None:
+            return None
+        last_time, first_held = front.tail[-1].last_time, front.rest.first_time
+        return first_held if first_held > last_time else self.next_time(last_time)
+
+    def outdate(self, front: Front, cause: str, now: int) -> None:
+        """Collect a front. `now` ends the open spans of the newest bucket, if they are among it."""
+        if not front.items:
+            return
+        self._note_end(front, cause, now)
+        last = front.tail[-1]
+        # Not where the next held item begins: another may yet come between the two.
+        self.floor = last.last_time, last.end_seq
+        self.items -= front.items
+        self.payload_bytes -= front.payload_bytes
+        self.collected[cause] += front.items
+        self.oldest = None if front.rest is None else front.rest.first_time
+        self.newest = None if front.rest is None else self.newest
+
+    def _note_end(self, front: Front, cause: str, now: int) -> None:
+        """Earlier buckets end at or before the last one's time, so only that one's items count."""
+        time = front.tail[-1].last_time
+        following = self.time_behind(front)
+        bucket = (Slice(part.run, bisect_left(part.run.times, time, part.lo, part.hi), part.hi) for part in front.tail)
+        end = _end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
+        if self.collected_end is None or end >= self.collected_end:
+            self.collected_end = end
+            self.collected_by = cause
+        if self.newest_collected is None or time > self.newest_collected:
+            self.newest_collected = time
+
+    def free(self, entries_max: int, backlog_bytes_max: int | None = None) -> bool:
+        """Free up to `entries_max` entries of outdated items, and more while these are charged with more than
+        `backlog_bytes_max`. True if any are left."""
+        while entries_max > 0 or (backlog_bytes_max is not None and self.backlog_bytes > backlog_bytes_max):
+            entry = self.index.pop_below(self.floor)
+            if entry is None:
+                return False
+            items = entry.hi - entry.lo
+            self._stored_bytes -= entry.run.payload_bytes(entry.lo, entry.hi) + items * ITEM_OVERHEAD_BYTES
+            entries_max -= 1
+        return self.has_backlog
+
+
+def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
+    """The latest span end of items at `time` that the next bucket's time `bound` bounds."""
+    longest = 0
+    for part in bucket:
+        durations = part.run.durations
+        if durations is None:
+            return bound
+        for duration in durations[part.lo : part.hi]:
+            if duration == ABSENT:
+                return bound
+            longest = max(longest, duration)
+    return min(time + longest, bound)
+
+
+def _end_of_newest(bucket: Iterator[Slice], time: int, now: int) -> int:
+    """The latest span end of items in the newest bucket: nothing bounds durations, open items hold until `now`."""
+    ends = [time]
+    for part in bucket:
+        durations = part.run.durations
+        for duration in (ABSENT,) if durations is None else durations[part.lo : part.hi]:
+            ends.append(max(now, time) if duration == ABSENT else time + duration)
+    return max(ends)

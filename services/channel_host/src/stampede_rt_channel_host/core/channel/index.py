@@ -1,0 +1,228 @@
+"""The two indexes of a channel's runs: by (time, seq) and by seq. Pure.
+
+An entry is a stretch of one run whose items ascend in time, with no other item between them. Where items come in order
+there is one entry for each run; a late item splits the entry that it falls into. Both indexes hold the same entries.
+
+Invariant: an entry that begins at some time is the first to hold an item of that time, apart from other entries that
+begin at it. So the first time alone is the key, entries of equal keys stand in seq order, and keys need no memory of
+their own.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from operator import attrgetter
+from typing import Any
+
+from sortedcontainers import SortedKeyList
+
+from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
+
+Place = tuple[int, int]
+"""A place in the order (time, seq)."""
+
+SEQ_END = 1 << 64
+"""Above every seq."""
+
+FIRST_PLACE: Place = (-(1 << 64), 0)
+LAST_PLACE: Place = (1 << 64, 0)
+
+
+class Part:
+    """An entry of a run of several items: places `lo` to `hi` of it. Only `hi` ever changes, when it is split."""
+
+    __slots__ = ("first_seq", "first_time", "hi", "lo", "run")
+
+    def __init__(self, run: Run, lo: int, hi: int) -> None:
+        self.run = run
+        self.lo = lo
+        self.hi = hi
+        self.first_time = run.times[lo]
+        self.first_seq = run.first_seq + lo
+
+    @property
+    def last_time(self) -> int:
+        """The last item's time."""
+        return self.run.times[self.hi - 1]
+
+
+Entry = Part | OneRun
+
+
+def index_of(entry: Entry, place: Place) -> int:
+    """Where in the entry's run its first item at or above `place` stands; `entry.hi` if there is none."""
+    time, seq = place
+    if entry.first_time > time:
+        return entry.lo
+    times = entry.run.times
+    bucket = bisect_left(times, time, entry.lo, entry.hi)
+    bucket_end = bisect_right(times, time, bucket, entry.hi)
+    return min(max(bucket, seq - entry.run.first_seq), bucket_end)
+
+
+class ChannelIndex:
+    """Entries by time and by seq. Places below some floor are the caller's to leave out."""
+
+    __slots__ = ("_by_seq", "_by_time")
+
+    def __init__(self) -> None:
+        self._by_time: Any = SortedKeyList(key=attrgetter("first_time"))
+        self._by_seq: Any = SortedKeyList(key=attrgetter("first_seq"))
+
+    def __len__(self) -> int:
+        """How many entries there are."""
+        return len(self._by_time)
+
+    def insert(self, run: Run) -> None:
+        """Add all items of a run whose seqs are above all that are there."""
+        if isinstance(run, OneRun):
+            self._open(run.first_time)
+            self._add(run)
+            return
+        times, lo, items = run.times, 0, len(run)
+        while lo < items:
+            hi = lo + 1
+            while hi < items and times[hi - 1] <= times[hi]:
+                hi += 1
+            self._insert_ascending(run, lo, hi)
+            lo = hi
+
+    def insert_item(self, run: Run, at: int) -> None:
+        """Add the item at place `at` of a run of which exactly those before it are in; its seq is above all others."""
+        time = run.times[at]
+        before = self._floor(time)
+        if before is not None and before.run is run and before.hi == at and before.last_time <= time:
+            before.hi = at + 1
+        else:
+            self._insert_ascending(run, at, at + 1)
+
+    def _insert_ascending(self, run: Run, lo: int, hi: int) -> None:
+        while lo < hi:
+            self._open(run.times[lo])
+            follower = self._first_later(run.times[lo])
+            end = hi if follower is None else bisect_left(run.times, follower.first_time, lo, hi)
+            self._add(Part(run, lo, end))
+            lo = end
+
+    def _add(self, entry: Entry) -> None:
+        self._by_time.add(entry)
+        self._by_seq.add(entry)
+
+    def _open(self, time: int) -> None:
+        """Make room behind the last item of `time`: no entry goes on past it, none holds it without beginning at it."""
+        entry = self._floor(time)
+        if entry is None or isinstance(entry, OneRun):
+            return
+        if entry.last_time > time:
+            self._split(entry, bisect_right(entry.run.times, time, entry.lo, entry.hi))
+        if entry.first_time < time == entry.last_time:
+            self._split(entry, bisect_left(entry.run.times, time, entry.lo, entry.hi))
+
+    def _split(self, entry: Part, at: int) -> None:
+        rest = Part(entry.run, at, entry.hi)
+        entry.hi = at
+        self._add(rest)
+
+    def _floor(self, time: int) -> Entry | None:
+        """The last entry that begins at or before `time`."""
+        if self._by_time and self._by_time[-1].first_time <= time:
+            return self._by_time[-1]  # type: ignore[no-any-return]
+        return next(self._by_time.irange_key(None, time, reverse=True), None)
+
+    def _first_later(self, time: int) -> Entry | None:
+        """The first entry that begins after `time`."""
+        if not self._by_time or self._by_time[-1].first_time <= time:
+            return None
+        return next(self._by_time.irange_key(time, None, (False, True)), None)
+
+    def slices(self, low: Place, high: Place) -> Iterator[Slice]:
+        """The items at or above `low` and below `high`, ascending. The index must not change meanwhile."""
+        if low >= high:
+            return
+        before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
+        if before is not None and before.last_time >= low[0]:
+            yield from _clipped(before, low, high)
+        for entry in self._by_time.irange_key(low[0], high[0]):
+            yield from _clipped(entry, low, high)
+
+    def slices_from(self, floor: Place) -> Iterator[Slice]:
+        """The items at or above `floor`, ascending; the quickest way where hardly an entry lies below it."""
+        if self._by_time and self._by_time[0].last_time < floor[0]:
+            yield from self.slices(floor, LAST_PLACE)
+            return
+        for entry in self._by_time:
+            lo = entry.lo if entry.first_time > floor[0] else index_of(entry, floor)
+            if lo < entry.hi:
+                yield Slice(entry.run, lo, entry.hi)
+
+    def slices_down(self, low: Place, high: Place) -> Iterator[Slice]:
+        """The same items, the last slice first."""
+        if low >= high:
+            return
+        for entry in self._by_time.irange_key(low[0], high[0], reverse=True):
+            yield from _clipped(entry, low, high)
+        before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
+        if before is not None and before.last_time >= low[0]:
+            yield from _clipped(before, low, high)
+
+    def slices_by_seq(self, low: int, high: int, floor: Place) -> Iterator[Slice]:
+        """The items with seqs from `low` up to, not including, `high` and places at or above `floor`, in seq order."""
+        before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
+        if before is not None:
+            yield from _clipped_by_seq(before, low, high, floor)
+        for entry in self._by_seq.irange_key(low, high, (True, False)):
+            yield from _clipped_by_seq(entry, low, high, floor)
+
+    def next_time(self, time: int) -> int | None:
+        """The earliest item time after `time`."""
+        entry = self._floor(time)
+        if entry is not None and entry.last_time > time:
+            times = entry.run.times
+            return times[bisect_right(times, time, entry.lo, entry.hi)]
+        later = self._first_later(time)
+        return None if later is None else later.first_time
+
+    def floor_time(self, time: int) -> int | None:
+        """The latest item time at or before `time`."""
+        entry = self._floor(time)
+        if entry is None or entry.last_time <= time:
+            return None if entry is None else entry.last_time
+        times = entry.run.times
+        return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
+
+    def has_below(self, floor: Place) -> bool:
+        """All items of the first entry are below `floor`."""
+        if not self._by_time:
+            return False
+        entry: Entry = self._by_time[0]
+        return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
+
+    def pop_below(self, floor: Place) -> Entry | None:
+        """Take out the first entry if all of its items are below `floor`."""
+        if not self.has_below(floor):
+            return None
+        entry: Entry = self._by_time[0]
+        del self._by_time[0]
+        if self._by_seq[0] is entry:
+            del self._by_seq[0]
+        else:
+            self._by_seq.remove(entry)
+        return entry
+
+
+def _clipped(entry: Entry, low: Place, high: Place) -> Iterator[Slice]:
+    lo = entry.lo if entry.first_time > low[0] else index_of(entry, low)
+    hi = entry.hi if entry.last_time < high[0] else index_of(entry, high)
+    if lo < hi:
+        yield Slice(entry.run, lo, hi)
+
+
+def _clipped_by_seq(entry: Entry, low: int, high: int, floor: Place) -> Iterator[Slice]:
+    first = entry.run.first_seq
+    lo = max(entry.lo, low - first)
+    hi = min(entry.hi, high - first)
+    if entry.first_time <= floor[0]:
+        lo = max(lo, index_of(entry, floor))
+    if lo < hi:
+        yield Slice(entry.run, lo, hi)

@@ -1,0 +1,86 @@
+"""A policy with its defaults filled in and checked (paper, section 3.4). Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import Policy
+from stampede_rt.timeline import MAX_INSTANT, format_duration
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
+
+DEFAULT_MAX_AGE_NANOS = 10_000_000_000
+DEFAULT_MAX_BYTES = 256 * 1024 * 1024
+DEFAULT_MAX_FUTURE_NANOS = 1_000_000_000
+ITEM_BYTES_MAX = 16 * 1024 * 1024
+
+DROP_OLDEST = "drop_oldest"
+BLOCK = "block"
+REJECT = "reject"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Limits:
+    """What a channel holds to. None: no such limit."""
+
+    max_age_nanos: int | None
+    max_items: int | None
+    max_bytes: int
+    max_item_bytes: int
+    max_future_nanos: int
+    on_full: str
+
+    @classmethod
+    def of(cls, policy: Policy) -> Limits:
+        """The policy with defaults: max_age 10 s if no limit at all is stated, max_bytes 256 MiB if it is not stated.
+
+        Raises InvalidArgument, naming the value, the reason and the way out.
+        """
+        _check(policy)
+        stated = (policy.max_age_nanos, policy.max_items, policy.max_bytes)
+        unlimited = all(limit is None for limit in stated)
+        return cls(
+            max_age_nanos=DEFAULT_MAX_AGE_NANOS if unlimited else policy.max_age_nanos,
+            max_items=policy.max_items,
+            max_bytes=DEFAULT_MAX_BYTES if policy.max_bytes is None else policy.max_bytes,
+            max_item_bytes=ITEM_BYTES_MAX if policy.max_item_bytes is None else policy.max_item_bytes,
+            max_future_nanos=DEFAULT_MAX_FUTURE_NANOS if policy.max_future_nanos is None else policy.max_future_nanos,
+            on_full=policy.on_full or DROP_OLDEST,
+        )
+
+    @property
+    def drops_oldest(self) -> bool:
+        """The oldest items make room for new ones."""
+        return self.on_full == DROP_OLDEST
+
+    def describe(self, cause: str) -> str:
+        """The limit behind a cause of collection, as people write it: `max_age (10 s)`."""
+        if cause == "age" and self.max_age_nanos is not None:
+            return f"max_age ({format_duration(self.max_age_nanos)})"
+        if cause == "count":
+            return f"max_items ({self.max_items})"
+        return f"max_bytes ({self.max_bytes})" if cause == "bytes" else f"an earlier max_{cause}"
+
+
+def _check(policy: Policy) -> None:
+    if policy.consumers is not None:
+        raise InvalidArgument(
+            f"consumers is {policy.consumers}, but this host does not count consumers; "
+            "use max_age, max_items or max_bytes"
+        )
+    _check_range("max_age", policy.max_age_nanos, 1, MAX_INSTANT, "nanoseconds")
+    _check_range("max_items", policy.max_items, 1, MAX_INSTANT, "items")
+    _check_range("max_bytes", policy.max_bytes, ITEM_OVERHEAD_BYTES, MAX_INSTANT, "bytes (64 of them for each item)")
+    _check_range("max_future", policy.max_future_nanos, 0, MAX_INSTANT, "nanoseconds")
+    _check_range("max_item_bytes", policy.max_item_bytes, 0, ITEM_BYTES_MAX, "bytes")
+    if policy.on_full not in (None, DROP_OLDEST, BLOCK, REJECT):
+        raise InvalidArgument(f'on_full is {policy.on_full!r}; write "drop_oldest", "block" or "reject"')
+    if policy.on_full == BLOCK and policy.max_age_nanos is None and (policy.max_items or policy.max_bytes):
+        raise InvalidArgument(
+            'on_full is "block" without max_age: a full channel would block for ever; state max_age, or use "reject"'
+        )
+
+
+def _check_range(name: str, value: int | None, least: int, most: int, unit: str) -> None:
+    if value is not None and not least <= value <= most:
+        raise InvalidArgument(f"{name} is {value}; it is between {least} and {most} {unit}, or left out")

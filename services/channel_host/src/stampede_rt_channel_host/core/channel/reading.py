@@ -1,0 +1,168 @@
+"""Reads, blocking and not, and why they are empty or partial (paper, section 3.2). Pure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import IncarnationLost
+from stampede_rt.model import Reason
+from stampede_rt.timeline import Bound, Interval, ResolvedInterval, format_instant
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.selection import select
+from stampede_rt_channel_host.core.channel.values import Answer, Position, Query, WakeAt
+
+
+class Pending:
+    """A blocking get under way. Made by `Channel.begin`; `interval` is set once its anchors are resolved."""
+
+    __slots__ = ("interval", "query")
+
+    def __init__(self, query: Query, interval: ResolvedInterval | None) -> None:
+        self.query = query
+        self.interval = interval
+
+
+class Reading:
+    """Answers queries from holdings. `clock` is the host's clock, at which age has been settled."""
+
+    def __init__(self, held: Holdings, retention: Retention, incarnation: int) -> None:
+        self._held = held
+        self._retention = retention
+        self._incarnation = incarnation
+        self.advance: int | None = None
+
+    def now(self, clock: int) -> int:
+        """What the meta-time `now` resolves to: the later of the clock and the newest item's time."""
+        return clock if self._held.newest is None else max(clock, self._held.newest)
+
+    def resolve(self, query: Query, clock: int) -> ResolvedInterval | None:
+        """All anchors together; None if they hang on items and there are none."""
+        return self.resolve_interval(query.interval, clock)
+
+    def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
+        """An interval's two ends together; None if they hang on items and there are none."""
+        return interval.resolve(now=self.now(clock), newest=self._held.newest, oldest=self._held.oldest)
+
+    def resolve_bound(self, bound: Bound, clock: int) -> int | None:
+        """One bound; None if it hangs on items and there are none."""
+        resolved = self.resolve_interval(Interval(bound, bound), clock)
+        return None if resolved is None else resolved.start
+
+    def check_position(self, position: Position | None) -> None:
+        """Raises IncarnationLost if the position's seq comes from another life of the channel."""
+        if position is not None and position.incarnation not in (0, self._incarnation):
+            raise IncarnationLost(
+                f"the position comes from incarnation {position.incarnation:x}, the channel is {self._incarnation:x} "
+                "now: its host was lost and items with it; start again from a time or the newest item"
+            )
+
+    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Answer:
+        """What is held of the query."""
+        if within is None:
+            return self._unresolved()
+        slices, more = select(self._held, query, within, self.now(clock))
+        region = _region(query, within)
+        truncated = not region.is_empty and self._is_truncated(region)
+        complete = self._is_over(region)
+        return Answer(
+            slices=slices,
+            next_time=self._held.next_time(slices[-1].last_time) if slices else None,
+            interval=within,
+            complete=complete,
+            truncated=truncated,
+            more=more,
+            reason=self._reason(query, region, complete, truncated, more) if slices else self._absence(region),
+            incarnation=self._incarnation,
+        )
+
+    def poll(self, pending: Pending, clock: int) -> Answer | WakeAt:
+        """The answer if the get is released, or when to look again."""
+        query = pending.query
+        if pending.interval is None:
+            pending.interval = self.resolve(query, clock)
+        within = pending.interval
+        if within is None:
+            return WakeAt(None)
+        over = self._is_over(_region(query, within))
+        if over or not query.complete:
+            answer = self.answer(query, within, clock)
+            if over or answer.slices:
+                return answer
+        first_instant = within.start + within.start_exclusive
+        return WakeAt(first_instant if self.now(clock) < first_instant else None)
+
+    def _unresolved(self) -> Answer:
+        reason = Reason("NOT_YET", "the channel holds no item that the interval's newest or oldest could stand for")
+        return Answer(
+            slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False, reason=reason,
+            incarnation=self._incarnation,
+        )  # fmt: skip
+
+    def _is_over(self, region: ResolvedInterval) -> bool:
+        """Nothing more can come: an item or an advance is past its end, or it is empty, or below the frontier."""
+        if region.is_empty or self._is_below_frontier(region):
+            return True
+        marks = [mark for mark in (self._held.newest, self.advance) if mark is not None]
+        return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
+
+    def _is_below_frontier(self, region: ResolvedInterval) -> bool:
+        frontier = self._held.frontier
+        return frontier is not None and region.end + (not region.end_exclusive) <= frontier
+
+    def _is_truncated(self, region: ResolvedInterval) -> bool:
+        frontier = self._held.frontier
+        return frontier is not None and region.start < frontier
+
+    def _reason(
+        self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
+    ) -> Reason | None:
+        """Why an answer with items is partial; what the limit cut off is no part of it."""
+        if truncated and not (more and query.newest_first):
+            return self._collected()
+        if query.complete and not complete:
+            return self._not_yet(region)
+        return None
+
+    def _absence(self, region: ResolvedInterval) -> Reason:
+        if region.is_empty:
+            return Reason("NEVER", "no instant lies in the interval, as it was resolved and where it was to continue")
+        if self._is_below_frontier(region):
+            return self._collected()
+        if not self._is_over(region):
+            return self._not_yet(region)
+        if self._is_truncated(region):
+            return self._collected()
+        return Reason("NEVER", "the channel is past the interval and nothing was put that matches")
+
+    def _collected(self) -> Reason:
+        held = self._held
+        policy = self._retention.limits.describe(held.collected_by)
+        before = format_instant(held.frontier or 0)
+        return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
+
+    def _not_yet(self, region: ResolvedInterval) -> Reason:
+        newest = "holds nothing" if self._held.newest is None else f"is at {format_instant(self._held.newest)}"
+        return Reason("NOT_YET", f"the channel {newest}; items up to {format_instant(region.end)} may still come")
+
+
+def _region(query: Query, within: ResolvedInterval) -> ResolvedInterval:
+    """The part of the interval that `after` and `newer_than` leave: what the answer's reason speaks of."""
+    region = within
+    if query.newer_than is not None:
+        region = _from(region, query.newer_than)
+    if query.after is not None and query.newest_first:
+        return _up_to(region, query.after.time)
+    return region if query.after is None else _from(region, query.after)
+
+
+def _from(region: ResolvedInterval, position: Position) -> ResolvedInterval:
+    if position.time < region.start:
+        return region
+    exclusive = position.seq is None or (region.start_exclusive and position.time == region.start)
+    return replace(region, start=position.time, start_exclusive=exclusive)
+
+
+def _up_to(region: ResolvedInterval, time: int) -> ResolvedInterval:
+    """Without the bucket at `time`: whatever comes into it has a higher seq, so it comes before in reading order."""
+    return replace(region, end=time, end_exclusive=True) if time <= region.end else region

@@ -1,0 +1,167 @@
+"""Where subscriptions stand and what comes next (paper, section 4.1: push). Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+from stampede_rt.model import Reason
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
+from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Delivery, Gap
+
+
+class AllCursor:
+    """Where a subscription in seq order stands. Made by `Channel.subscribe_all`, moved by `Channel.since`.
+
+    `delivered`, `dropped`: items given, and items reported in gaps, up to now.
+    """
+
+    __slots__ = ("_live_seq", "_owed", "delivered", "dropped")
+
+    def __init__(self, owed: deque[tuple[int, int]], live_seq: int) -> None:
+        self._owed = owed  # ranges of seqs, ascending, the end excluded: held when it began, and not dealt with yet
+        self._live_seq = live_seq  # every seq from here on is owed too
+        self.delivered = 0
+        self.dropped = 0
+
+    @property
+    def next_seq(self) -> int:
+        """Everything below it was delivered, reported in a gap, or is none of this subscription's."""
+        return self._owed[0][0] if self._owed else self._live_seq
+
+    def owe_up_to(self, next_seq: int) -> None:
+        """Take note that all seqs below `next_seq` were given out."""
+        if next_seq == self._live_seq:
+            return
+        if self._owed and self._owed[-1][1] == self._live_seq:
+            self._owed[-1] = (self._owed[-1][0], next_seq)
+        else:
+            self._owed.append((self._live_seq, next_seq))
+        self._live_seq = next_seq
+
+    def owed(self) -> tuple[int, int] | None:
+        """The first range that is owed."""
+        return self._owed[0] if self._owed else None
+
+    def settle(self, seq: int) -> None:
+        """Everything below `seq`, which lies in or behind the first range, is dealt with."""
+        _, end = self._owed.popleft()
+        if seq < end:
+            self._owed.appendleft((seq, end))
+
+
+def open_all(held: Holdings, low: Place | None, after_seq: int | None) -> AllCursor:
+    """Held items from the place `low` on; or everything accepted behind `after_seq`; or, with neither, nothing yet."""
+    owed: list[tuple[int, int]] = []
+    if after_seq is not None and after_seq + 1 < held.next_seq:
+        owed = [(after_seq + 1, held.next_seq)]
+    elif low is not None:
+        owed = _merged(_seq_ranges(held, low))
+    return AllCursor(deque(owed), held.next_seq)
+
+
+def _seq_ranges(held: Holdings, low: Place) -> list[tuple[int, int]]:
+    ranges: list[tuple[int, int]] = []
+    for part in held.slices(low):
+        if ranges and ranges[-1][1] == part.first_seq:
+            ranges[-1] = (ranges[-1][0], part.end_seq)
+        else:
+            ranges.append((part.first_seq, part.end_seq))
+    return ranges
+
+
+def _merged(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    ranges.sort()
+    merged: list[tuple[int, int]] = []
+    for first, end in ranges:
+        if merged and merged[-1][1] == first:
+            merged[-1] = (merged[-1][0], end)
+        else:
+            merged.append((first, end))
+    return merged
+
+
+def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -> Delivery:
+    """The next part: a gap at the very front, if there is one, then slices up to the next gap or the byte limit."""
+    cursor.owe_up_to(held.next_seq)
+    gap: Gap | None = None
+    slices: list[DeliveredSlice] = []
+    while (owed := cursor.owed()) is not None and limit_bytes > 0:
+        missing = _first_missing(held, *owed)
+        if missing is not None:
+            if slices or gap is not None:
+                break
+            gap = _gap(limits, held, *missing)
+            cursor.dropped += gap.items
+            cursor.settle(gap.last_seq + 1)
+            continue
+        for part in _contiguous(held, *owed):
+            slices.append(DeliveredSlice(part, held.next_time(part.last_time)))
+            cursor.delivered += part.items
+            cursor.settle(part.end_seq)
+            limit_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
+            if limit_bytes <= 0:
+                break
+    return Delivery(slices=slices, gap=gap)
+
+
+def _first_missing(held: Holdings, low: int, high: int) -> tuple[int, int] | None:
+    """The first and last seq of the gap at `low`; None if `low` is held."""
+    part = next(held.slices_by_seq(low, high), None)
+    if part is None:
+        return low, high - 1
+    return (low, part.first_seq - 1) if part.first_seq > low else None
+
+
+def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
+    for part in held.slices_by_seq(low, high):
+        if part.first_seq > low:
+            return
+        yield part
+        low = part.end_seq
+
+
+def _gap(limits: Limits, held: Holdings, first: int, last: int) -> Gap:
+    policy = limits.describe(held.collected_by)
+    detail = f"the reader was slower than the channel's retention: {policy} collected the items before they were sent"
+    return Gap(first_seq=first, last_seq=last, items=last - first + 1, reason=Reason("COLLECTED", detail))
+
+
+class NewestCursor:
+    """Where a subscription to the newest item stands. Made by `Channel.subscribe_newest`, moved by `Channel.latest`.
+
+    `delivered`: items given; `skipped`: items meant for it that it was not given, as of the last `latest`.
+    """
+
+    __slots__ = ("_base_seq", "_low", "_owed_items", "delivered", "skipped")
+
+    def __init__(self, low: Place, base_seq: int, owed_items: int) -> None:
+        self._low = low  # only items at or above this place
+        self._base_seq = base_seq  # items with this seq or a later one are meant for it
+        self._owed_items = owed_items  # and so many held ones with an earlier seq
+        self.delivered = 0
+        self.skipped = 0
+
+    def take(self, held: Holdings) -> DeliveredSlice | None:
+        """The newest item, if it is later than the last one taken."""
+        part = next(held.slices_down(self._low), None)
+        newest = None if part is None else Slice(part.run, part.hi - 1, part.hi)
+        if newest is not None:
+            self._low = newest.last_time, newest.end_seq
+            self.delivered += 1
+        # Resumed behind a late item, the newest may have been accepted before it: then it is none of those counted.
+        self.skipped = max(0, held.next_seq - self._base_seq + self._owed_items - self.delivered)
+        return None if newest is None else DeliveredSlice(newest, None)
+
+
+def open_newest(held: Holdings, low: Place | None, after: Place | None) -> NewestCursor:
+    """The present newest if it is at or above `low`, then later ones; or those later than the place of item `after`."""
+    if after is not None:
+        return NewestCursor((after[0], after[1] + 1), after[1] + 1, 0)
+    if low is not None:
+        return NewestCursor(low, held.next_seq, sum(part.items for part in held.slices(low)))
+    last = next(held.slices_down(), None)
+    return NewestCursor(FIRST_PLACE if last is None else (last.last_time, last.end_seq), held.next_seq, 0)

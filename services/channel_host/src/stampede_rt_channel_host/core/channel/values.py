@@ -1,0 +1,177 @@
+"""What callers give a channel and get back from it. Pure.
+
+Every instant is int nanoseconds since the epoch, every duration int nanoseconds, every size bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
+from stampede_rt.model import Reason
+from stampede_rt.timeline import Interval, Match, ResolvedInterval
+from stampede_rt_channel_host.core.channel.run import Run, Slice
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Offer:
+    """A run that asks to be put. All columns have the same length, at least 1; -1 marks an absent duration.
+
+    `times` None: the channel stamps all items with one time when it accepts them. `since`: since when such items wait
+    (the host's clock); room is judged as if they had been put then, or else a channel of one item never had any.
+    """
+
+    times: Sequence[int] | None
+    durations: Sequence[int] | None
+    lengths: Sequence[int]
+    since: int | None = None
+
+    def __post_init__(self) -> None:
+        items = len(self.lengths)
+        if not items:
+            raise MalformedRun("the run holds no items; give at least one length")
+        for column, values in (("times", self.times), ("durations", self.durations)):
+            if values is not None and len(values) != items:
+                raise MalformedRun(f"the run has {items} lengths and {len(values)} {column}; give one for each item")
+
+    def rest(self, index: int, now: int) -> Offer:
+        """The items from place `index` on, which wait from `now` on, unless they did before: what is offered again."""
+        return Offer(
+            times=None if self.times is None else self.times[index:],
+            durations=None if self.durations is None else self.durations[index:],
+            lengths=self.lengths[index:],
+            since=now if self.since is None or index else self.since,
+        )
+
+
+class Seal(Protocol):
+    """Makes the bytes of a run that is about to be stored; called once, at the most, by a put. Must not raise."""
+
+    def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+        """`kept`: the places in the offer that were accepted, None for all; `stamped_time`: set if it had no times."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """An item that was refused: its place in the offer and why (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
+
+    index: int
+    error: StampedeError
+
+
+class PutOutcome(NamedTuple):
+    """What became of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
+
+    `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
+    place `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of the
+    channel and at `retry_at`, if there is such an instant; to stop waiting, `Channel.give_up_put`.
+    """
+
+    run: Run | None = None
+    stamped_time: int | None = None
+    rejections: Sequence[Rejection] = ()
+    waiting: int | None = None
+    retry_at: int | None = None
+
+
+class Position(NamedTuple):
+    """A place in the order (time, seq); `seq` None: behind every item of that time. `incarnation` 0: not compared."""
+
+    time: int
+    seq: int | None = None
+    incarnation: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Query:
+    """A read (paper, section 3.2). `limit` keeps the earliest, or with `newest_first` the latest.
+
+    `after` continues behind a position in reading order: later items, or with `newest_first` earlier ones.
+    `newer_than` selects only items later than a position, whatever the order. `complete` makes a blocking get wait
+    until the interval is finished.
+    """
+
+    interval: Interval
+    match: Match = Match.SPAN
+    limit: int | None = None
+    newest_first: bool = False
+    after: Position | None = None
+    newer_than: Position | None = None
+    complete: bool = False
+
+    def __post_init__(self) -> None:
+        if self.limit is not None and self.limit < 1:
+            raise InvalidArgument(f"limit is {self.limit}; it is at least 1, or left out for all items")
+
+
+class Answer(NamedTuple):
+    """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`.
+
+    `next_time` is the time of the bucket behind the last item, None if that one is in the newest: with it a reader
+    derives every span's end. `interval` is None if a meta-time could not be resolved. `complete`: nothing more can
+    come; `truncated`: the lower bound lies below the frontier; `more`: the limit cut it. `reason` (with its `detail`)
+    says why the answer is empty or partial.
+    """
+
+    slices: Sequence[Slice]
+    next_time: int | None
+    interval: ResolvedInterval | None
+    complete: bool
+    truncated: bool
+    more: bool
+    reason: Reason | None
+    incarnation: int
+
+
+class WakeAt(NamedTuple):
+    """Nothing to answer yet: poll again after the next change of the channel, and at `instant` if it is set."""
+
+    instant: int | None
+
+
+class DeliveredSlice(NamedTuple):
+    """A slice for a subscriber, with the time of the bucket behind its last item as known now (None: the newest)."""
+
+    slice: Slice
+    next_time: int | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Gap:
+    """Seqs `first_seq` to `last_seq` will not be sent; `items` of them were for this subscription."""
+
+    first_seq: int
+    last_seq: int
+    items: int
+    reason: Reason
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Delivery:
+    """The next part of a subscription: first the gap, if any, then the slices in seq order."""
+
+    slices: Sequence[DeliveredSlice] = ()
+    gap: Gap | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """There is nothing to send; wait for the next put."""
+        return not self.slices and self.gap is None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Counters:
+    """What became of a channel's items, at one moment: `accepted == held + sum(collected.values())`, always.
+
+    `collected` has the keys age, count, bytes, consumption; `rejected` TOO_OLD, IN_FUTURE, ITEM_TOO_LARGE,
+    CHANNEL_FULL, MALFORMED_RUN. Bytes are payload bytes.
+    """
+
+    accepted: int
+    held: int
+    collected: Mapping[str, int]
+    rejected: Mapping[str, int]
+    accepted_bytes: int
+    held_bytes: int

@@ -1,0 +1,1 @@
+"""Commands, records and snapshots of the directory, to protobuf and back."""

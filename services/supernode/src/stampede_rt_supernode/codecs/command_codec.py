@@ -1,0 +1,290 @@
+"""Commands and results, to and from the bytes that the replicated log carries. Thin: no decision is made here."""
+
+from __future__ import annotations
+
+from google.protobuf.message import DecodeError
+
+from stampede_rt.errors import InvalidArgument, StampedeError, VersionMismatch
+from stampede_rt.v1 import directory_command_pb2 as pb
+from stampede_rt_supernode.codecs.group_codec import (
+    GROUP_DEEDS,
+    GROUP_OUTCOMES,
+    group_result_message,
+    read_group_deed,
+    read_group_result,
+    write_group_deed,
+)
+from stampede_rt_supernode.codecs.record_codec import (
+    channel_from,
+    channel_record,
+    endpoint_message,
+    endpoints_from,
+    host_entry,
+    host_from,
+    policy_from,
+    spec_of,
+)
+from stampede_rt_supernode.codecs.replica_codec import (
+    REPLICA_DEEDS,
+    REPLICA_OUTCOMES,
+    read_replica_deed,
+    read_replica_result,
+    replica_result_message,
+    write_replica_deed,
+)
+from stampede_rt_supernode.core.commands import (
+    BeginTenure,
+    ChannelDeleted,
+    ChannelOpened,
+    ChannelUpdated,
+    Command,
+    Deed,
+    DeleteChannel,
+    DeregisterHost,
+    ExpireHost,
+    HostDeregistered,
+    HostExpired,
+    HostRegistered,
+    OpenChannel,
+    Refused,
+    RegisterHost,
+    Result,
+    TenureBegun,
+    UpdateChannel,
+)
+from stampede_rt_supernode.core.groups.commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
+from stampede_rt_supernode.core.replicas.commands import (
+    AddReplica,
+    RemoveReplica,
+    ReplicaAdded,
+    ReplicaInSyncSet,
+    ReplicaRemoved,
+    SetReplicaInSync,
+)
+
+
+def encode_command(command: Command) -> bytes:
+    """The bytes to propose."""
+    message = pb.DirectoryCommand(op_id=command.op_id, time_unix_nano=command.time_unix_nano)
+    _write_deed(message, command.deed)
+    return message.SerializeToString()
+
+
+def _write_deed(message: pb.DirectoryCommand, deed: Deed) -> None:
+    match deed:
+        case OpenChannel():
+            message.open_channel.CopyFrom(_open_message(deed))
+        case UpdateChannel(channel_id=channel_id, epoch=epoch, policy=policy):
+            update = pb.UpdateChannelCommand(channel_id=channel_id, epoch=epoch, spec=spec_of(policy))
+            message.update_channel.CopyFrom(update)
+        case DeleteChannel(channel_id=channel_id):
+            message.delete_channel.CopyFrom(pb.DeleteChannelCommand(channel_id=channel_id))
+        case RegisterHost():
+            message.register_host.CopyFrom(_register_message(deed))
+        case DeregisterHost(host_id=host_id, boot_incarnation=boot):
+            leave = pb.DeregisterHostCommand(host_id=host_id, boot_incarnation=boot)
+            message.deregister_host.CopyFrom(leave)
+        case ExpireHost():
+            message.expire_host.CopyFrom(_expire_message(deed))
+        case BeginTenure():
+            message.begin_tenure.CopyFrom(_tenure_message(deed))
+        case OpenGroup() | UpdateGroup() | DeleteGroup():
+            write_group_deed(message, deed)
+        case AddReplica() | RemoveReplica() | SetReplicaInSync():
+            write_replica_deed(message, deed)
+
+
+def _open_message(deed: OpenChannel) -> pb.OpenChannelCommand:
+    return pb.OpenChannelCommand(
+        name=deed.name,
+        spec=spec_of(deed.policy),
+        create=deed.create,
+        host_name=deed.host_name,
+        new_channel_id=deed.new_channel_id,
+        new_incarnation=deed.new_incarnation,
+    )
+
+
+def _register_message(deed: RegisterHost) -> pb.RegisterHostCommand:
+    return pb.RegisterHostCommand(
+        host_id=deed.host_id,
+        name=deed.name,
+        gatekeepers=[endpoint_message(endpoint) for endpoint in deed.gatekeepers],
+        boot_incarnation=deed.boot_incarnation,
+        version=deed.version,
+        new_incarnation=deed.new_incarnation,
+    )
+
+
+def _expire_message(deed: ExpireHost) -> pb.ExpireHostCommand:
+    return pb.ExpireHostCommand(
+        host_id=deed.host_id,
+        boot_incarnation=deed.boot_incarnation,
+        registered_index=deed.registered_index,
+        tenure=deed.tenure,
+    )
+
+
+def _tenure_message(deed: BeginTenure) -> pb.BeginTenureCommand:
+    return pb.BeginTenureCommand(
+        tenure=deed.tenure,
+        supernode_id=deed.supernode_id,
+        new_cluster_id=deed.new_cluster_id,
+        new_lease_ttl_nanos=deed.new_lease_ttl_nanos,
+    )
+
+
+def decode_command(encoded: bytes) -> Command:
+    """The command. Raises InvalidArgument for bytes that are none, VersionMismatch for a kind that is not known."""
+    try:
+        message = pb.DirectoryCommand.FromString(encoded)
+    except DecodeError:
+        raise InvalidArgument(
+            "the log entry is no directory command; a supernode of another version wrote it"
+        ) from None
+    return Command(op_id=message.op_id, time_unix_nano=message.time_unix_nano, deed=_read_deed(message))
+
+
+def _read_deed(message: pb.DirectoryCommand) -> Deed:
+    match message.WhichOneof("kind"):
+        case "open_channel":
+            return _read_open(message.open_channel)
+        case "update_channel":
+            m = message.update_channel
+            return UpdateChannel(channel_id=m.channel_id, epoch=m.epoch, policy=policy_from(m.spec))
+        case "delete_channel":
+            return DeleteChannel(channel_id=message.delete_channel.channel_id)
+        case "register_host":
+            return _read_register(message.register_host)
+        case "deregister_host":
+            leave = message.deregister_host
+            return DeregisterHost(host_id=leave.host_id, boot_incarnation=leave.boot_incarnation)
+        case "expire_host":
+            return _read_expire(message.expire_host)
+        case "begin_tenure":
+            return _read_tenure(message.begin_tenure)
+        case kind if kind in GROUP_DEEDS:
+            return read_group_deed(message)
+        case kind if kind in REPLICA_DEEDS:
+            return read_replica_deed(message)
+        case _:
+            raise VersionMismatch(
+                "this supernode does not know that kind of directory command; bring all supernodes to one version"
+            )
+
+
+def _read_open(message: pb.OpenChannelCommand) -> OpenChannel:
+    return OpenChannel(
+        name=message.name,
+        policy=policy_from(message.spec),
+        create=message.create,
+        host_name=message.host_name,
+        new_channel_id=message.new_channel_id,
+        new_incarnation=message.new_incarnation,
+    )
+
+
+def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
+    return RegisterHost(
+        host_id=message.host_id,
+        name=message.name,
+        gatekeepers=endpoints_from(message.gatekeepers),
+        boot_incarnation=message.boot_incarnation,
+        version=message.version,
+        new_incarnation=message.new_incarnation,
+    )
+
+
+def _read_expire(message: pb.ExpireHostCommand) -> ExpireHost:
+    return ExpireHost(
+        host_id=message.host_id,
+        boot_incarnation=message.boot_incarnation,
+        registered_index=message.registered_index,
+        tenure=message.tenure,
+    )
+
+
+def _read_tenure(message: pb.BeginTenureCommand) -> BeginTenure:
+    return BeginTenure(
+        tenure=message.tenure,
+        supernode_id=message.supernode_id,
+        new_cluster_id=message.new_cluster_id,
+        new_lease_ttl_nanos=message.new_lease_ttl_nanos,
+    )
+
+
+def result_message(result: Result) -> pb.DirectoryResult:
+    """A result as it travels."""
+    match result:
+        case Refused(reason=reason, message=message, metadata=metadata):
+            refused = pb.RefusedResult(reason=reason, message=message, metadata=dict(metadata))
+            return pb.DirectoryResult(refused=refused)
+        case ChannelOpened(channel=channel, host=host, created=created):
+            opened = pb.ChannelOpenedResult(channel=channel_record(channel), host=host_entry(host), created=created)
+            return pb.DirectoryResult(channel_opened=opened)
+        case ChannelUpdated(channel=channel):
+            return pb.DirectoryResult(channel_updated=pb.ChannelUpdatedResult(channel=channel_record(channel)))
+        case ChannelDeleted(channel=channel):
+            return pb.DirectoryResult(channel_deleted=pb.ChannelDeletedResult(channel=channel_record(channel)))
+        case HostRegistered(host=host, cluster_id=cluster_id):
+            registered = pb.HostRegisteredResult(host=host_entry(host), cluster_id=cluster_id)
+            return pb.DirectoryResult(host_registered=registered)
+        case HostDeregistered():
+            return pb.DirectoryResult(host_deregistered=pb.HostDeregisteredResult())
+        case HostExpired(expired=expired):
+            return pb.DirectoryResult(host_expired=pb.HostExpiredResult(expired=expired))
+        case TenureBegun(tenure=tenure, cluster_id=cluster_id):
+            return pb.DirectoryResult(tenure_begun=pb.TenureBegunResult(tenure=tenure, cluster_id=cluster_id))
+        case GroupOpened() | GroupUpdated() | GroupDeleted():
+            return group_result_message(result)
+        case ReplicaAdded() | ReplicaRemoved() | ReplicaInSyncSet():
+            return replica_result_message(result)
+
+
+def encode_result(result: Result) -> bytes:
+    """The bytes that `apply` returns."""
+    return result_message(result).SerializeToString()
+
+
+def read_result(message: pb.DirectoryResult) -> Result:
+    """The result. Raises StampedeError for an outcome that is not known."""
+    match message.WhichOneof("outcome"):
+        case "refused":
+            refused = message.refused
+            return Refused(reason=refused.reason, message=refused.message, metadata=dict(refused.metadata))
+        case "channel_opened":
+            opened = message.channel_opened
+            return ChannelOpened(
+                channel=channel_from(opened.channel), host=host_from(opened.host), created=opened.created
+            )
+        case "channel_updated":
+            return ChannelUpdated(channel=channel_from(message.channel_updated.channel))
+        case "channel_deleted":
+            return ChannelDeleted(channel=channel_from(message.channel_deleted.channel))
+        case "host_registered":
+            registered = message.host_registered
+            return HostRegistered(host=host_from(registered.host), cluster_id=registered.cluster_id)
+        case "host_deregistered":
+            return HostDeregistered()
+        case "host_expired":
+            return HostExpired(expired=message.host_expired.expired)
+        case "tenure_begun":
+            return TenureBegun(tenure=message.tenure_begun.tenure, cluster_id=message.tenure_begun.cluster_id)
+        case outcome if outcome in GROUP_OUTCOMES:
+            return read_group_result(message)
+        case outcome if outcome in REPLICA_OUTCOMES:
+            return read_replica_result(message)
+        case _:
+            raise StampedeError("the replicated log gave a result that this supernode does not know; report this")
+
+
+def decode_result(encoded: bytes) -> Result:
+    """The result that `encode_result` wrote."""
+    return read_result(pb.DirectoryResult.FromString(encoded))

@@ -1,0 +1,132 @@
+"""Hosts, channels and their changes, to and from the messages that carry them. Thin: no decision is made here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import Policy
+from stampede_rt.v1 import channel_pb2, directory_command_pb2, directory_pb2
+from stampede_rt_supernode.codecs.group_codec import group_record
+from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Endpoint, Host
+
+_ON_FULL_TO_WIRE = {
+    None: channel_pb2.ON_FULL_UNSPECIFIED,
+    "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
+    "block": channel_pb2.ON_FULL_BLOCK,
+    "reject": channel_pb2.ON_FULL_REJECT,
+}
+_ON_FULL_FROM_WIRE = {wire: name for name, wire in _ON_FULL_TO_WIRE.items()}
+_CHANGE_KINDS = {
+    ChangeKind.ADDED: directory_pb2.CHANGE_KIND_ADDED,
+    ChangeKind.UPDATED: directory_pb2.CHANGE_KIND_UPDATED,
+    ChangeKind.REMOVED: directory_pb2.CHANGE_KIND_REMOVED,
+}
+_LIMIT_FIELDS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
+_SPEC_FIELDS = ("max_future_nanos", "content_type", "max_item_bytes")
+
+
+def policy_from(spec: channel_pb2.ChannelSpec) -> Policy:
+    """Raises InvalidArgument for a way to be full that this version does not know."""
+    if spec.on_full not in _ON_FULL_FROM_WIRE:
+        raise InvalidArgument(f"on_full is {spec.on_full}, which this version does not know; see OnFull for the values")
+    limits = {name: _optional(spec.retention, name) for name in _LIMIT_FIELDS}
+    others = {name: _optional(spec, name) for name in _SPEC_FIELDS}
+    return Policy(on_full=_ON_FULL_FROM_WIRE[spec.on_full], **limits, **others)
+
+
+def _optional(message: channel_pb2.ChannelSpec | channel_pb2.RetentionPolicy, name: str) -> Any:
+    return getattr(message, name) if message.HasField(name) else None
+
+
+def spec_of(policy: Policy) -> channel_pb2.ChannelSpec:
+    """The stated fields; None leaves a field out."""
+    return channel_pb2.ChannelSpec(
+        retention=channel_pb2.RetentionPolicy(**{name: getattr(policy, name) for name in _LIMIT_FIELDS}),
+        on_full=_ON_FULL_TO_WIRE[policy.on_full],
+        **{name: getattr(policy, name) for name in _SPEC_FIELDS},
+    )
+
+
+def channel_from(record: channel_pb2.ChannelRecord) -> Channel:
+    """The channel of a record that this codec wrote."""
+    return Channel(
+        channel_id=record.channel_id,
+        name=record.name,
+        host_id=record.host_id,
+        epoch=record.epoch,
+        incarnation=record.incarnation,
+        policy=policy_from(record.spec),
+        policy_version=record.spec_version,
+        proxy_host_ids=tuple(record.proxy_host_ids),
+    )
+
+
+def channel_record(channel: Channel) -> channel_pb2.ChannelRecord:
+    """The channel as it travels."""
+    return channel_pb2.ChannelRecord(
+        channel_id=channel.channel_id,
+        name=channel.name,
+        host_id=channel.host_id,
+        epoch=channel.epoch,
+        incarnation=channel.incarnation,
+        spec=spec_of(channel.policy),
+        spec_version=channel.policy_version,
+        proxy_host_ids=channel.proxy_host_ids,
+    )
+
+
+def endpoints_from(endpoints: Iterable[directory_pb2.Endpoint]) -> tuple[Endpoint, ...]:
+    """From a repeated Endpoint."""
+    return tuple(Endpoint(target=one.target, zone=one.zone) for one in endpoints)
+
+
+def endpoint_message(endpoint: Endpoint) -> directory_pb2.Endpoint:
+    """An endpoint as it travels."""
+    return directory_pb2.Endpoint(target=endpoint.target, zone=endpoint.zone)
+
+
+def host_record(host: Host) -> directory_pb2.HostRecord:
+    """The host as clients see it."""
+    return directory_pb2.HostRecord(
+        host_id=host.host_id,
+        name=host.name,
+        gatekeepers=[endpoint_message(endpoint) for endpoint in host.gatekeepers],
+        boot_incarnation=host.boot_incarnation,
+        alive=host.alive,
+        channels=host.channels,
+        version=host.version,
+    )
+
+
+def host_entry(host: Host) -> directory_command_pb2.HostEntry:
+    """The host as supernodes keep it."""
+    return directory_command_pb2.HostEntry(record=host_record(host), registered_index=host.registered_index)
+
+
+def host_from(entry: directory_command_pb2.HostEntry) -> Host:
+    """The host of an entry that this codec wrote."""
+    record = entry.record
+    return Host(
+        host_id=record.host_id,
+        name=record.name,
+        gatekeepers=endpoints_from(record.gatekeepers),
+        boot_incarnation=record.boot_incarnation,
+        version=record.version,
+        alive=record.alive,
+        channels=record.channels,
+        registered_index=entry.registered_index,
+    )
+
+
+def change_message(change: Change) -> directory_pb2.DirectoryChange:
+    """The change as watchers see it."""
+    message = directory_pb2.DirectoryChange(index=change.index, kind=_CHANGE_KINDS[change.kind])
+    if isinstance(change.subject, Channel):
+        message.channel.CopyFrom(channel_record(change.subject))
+    elif isinstance(change.subject, Host):
+        message.host.CopyFrom(host_record(change.subject))
+    else:
+        message.group.CopyFrom(group_record(change.subject))
+    return message

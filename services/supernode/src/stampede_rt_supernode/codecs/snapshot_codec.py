@@ -1,0 +1,126 @@
+"""The whole directory, to and from the bytes of a snapshot.
+
+Snapshots are written on the log's own thread, which must not stand still. The values are immutable, so what was written
+for one is kept and used again: a snapshot costs time for what changed, and a copy of the rest. Each part is an encoded
+message of its own, since to parse joined messages is to merge them (protobuf.dev, "Encoding", "Last One Wins").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Generic, TypeVar
+
+from stampede_rt.errors import StampedeError, VersionMismatch
+from stampede_rt.v1 import directory_command_pb2 as pb
+from stampede_rt_supernode.codecs.command_codec import read_result, result_message
+from stampede_rt_supernode.codecs.group_codec import group_entry, group_entry_from
+from stampede_rt_supernode.codecs.record_codec import channel_from, channel_record, host_entry, host_from
+from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_record
+from stampede_rt_supernode.core.answered import Answer
+from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
+from stampede_rt_supernode.core.records import Channel, Replica
+
+FORMAT_VERSION = 1
+FORMAT_VERSION_WITH_GROUPS = 2  # or copies of channels, which a reader of form 1 would lose without a word
+
+T = TypeVar("T")
+
+
+class SnapshotWriter:
+    """Writes one snapshot after the other of one directory. Holds the encoded form of everything but the hosts."""
+
+    def __init__(self) -> None:
+        self._channels: _Parts[Channel] = _Parts(lambda one: pb.DirectorySnapshot(channels=[channel_record(one)]))
+        self._groups: _Parts[GroupWithWitnesses] = _Parts(lambda one: pb.DirectorySnapshot(groups=[group_entry(*one)]))
+        self._replicas: _Parts[tuple[Replica, ...]] = _Parts(
+            lambda copies: pb.DirectorySnapshot(replicas=[replica_record(one) for one in copies])
+        )
+        self._answers: _Parts[Answer] = _Parts(
+            lambda answer: pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
+        )
+
+    def write(self, directory: Directory) -> bytes:
+        """The state as of its applied index. The same state gives the same bytes on every replica."""
+        tables = directory.tables
+        ids = tables.channel_ids.values()
+        return b"".join(
+            [
+                _head(directory),
+                *self._channels.encode((one, tables.channels[one]) for one in ids),
+                *self._groups.encode(tables.groups.entries()),
+                *self._replicas.encode((one, copies) for one in ids if (copies := tables.replicas.of(one))),
+                *self._answers.encode((answer.op_id, answer) for answer in directory.answered),
+            ]
+        )
+
+
+class _Parts(Generic[T]):
+    """The encoded forms of values by id; a value that is still the same one is not encoded again."""
+
+    def __init__(self, message: Callable[[T], pb.DirectorySnapshot]) -> None:
+        self._message = message
+        self._held: dict[bytes, tuple[T, bytes]] = {}
+
+    def encode(self, values: Iterable[tuple[bytes, T]]) -> list[bytes]:
+        """A part for each (id, value), in their order; what is not among them is forgotten."""
+        self._held = {one: self._part(one, value) for one, value in values}
+        return [part for _, part in self._held.values()]
+
+    def _part(self, one: bytes, value: T) -> tuple[T, bytes]:
+        held = self._held.get(one)
+        if held is not None and held[0] is value:
+            return held
+        return value, self._message(value).SerializeToString(deterministic=True)
+
+
+def _head(directory: Directory) -> bytes:
+    tables, hosts = directory.tables, directory.tables.hosts
+    return pb.DirectorySnapshot(
+        format_version=FORMAT_VERSION_WITH_GROUPS if tables.groups or tables.replicas else FORMAT_VERSION,
+        applied_index=directory.applied_index,
+        tenure=directory.tenure,
+        cluster_id=directory.cluster_id,
+        lease_ttl_nanos=directory.lease_ttl_nanos,
+        hosts=[host_entry(hosts[host_id]) for host_id in sorted(hosts)],
+    ).SerializeToString()
+
+
+def _remembered(answer: Answer) -> pb.RememberedOperation:
+    return pb.RememberedOperation(
+        op_id=answer.op_id, log_index=answer.index, subject=answer.subject, result=result_message(answer.result)
+    )
+
+
+def encode_snapshot(directory: Directory) -> bytes:
+    """One snapshot, with nothing kept."""
+    return SnapshotWriter().write(directory)
+
+
+def decode_snapshot(encoded: bytes) -> Directory:
+    """The directory that was written. Raises DecodeError or VersionMismatch: do not go on without it."""
+    message = pb.DirectorySnapshot.FromString(encoded)
+    if message.format_version not in (FORMAT_VERSION, FORMAT_VERSION_WITH_GROUPS):
+        raise VersionMismatch(
+            f"the snapshot has format {message.format_version}, this supernode reads {FORMAT_VERSION} and "
+            f"{FORMAT_VERSION_WITH_GROUPS}; run the version that wrote it"
+        )
+    return Directory(
+        index=message.applied_index,
+        tenure=message.tenure,
+        cluster_id=message.cluster_id,
+        lease_ttl_nanos=message.lease_ttl_nanos,
+        hosts=[host_from(entry) for entry in message.hosts],
+        channels=[channel_from(record) for record in message.channels],
+        groups=[group_entry_from(entry) for entry in message.groups],
+        replicas=[replica_from(record) for record in message.replicas],
+        answers=[_answer(operation) for operation in message.remembered_operations],
+    )
+
+
+def _answer(operation: pb.RememberedOperation) -> Answer:
+    result = read_result(operation.result)
+    if isinstance(result, Refused):
+        raise StampedeError("the snapshot remembers a refusal, which no supernode writes; it is damaged")
+    return Answer(operation.op_id, operation.log_index, operation.subject, result)

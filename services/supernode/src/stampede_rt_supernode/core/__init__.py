@@ -1,0 +1,1 @@
+"""The directory as a pure state machine: records, commands, transitions, queries and leases."""

@@ -1,0 +1,151 @@
+"""What opening, changing and forgetting a channel does to the tables (paper, sections 4.2 and 4.3). Pure.
+
+Each function checks everything first and edits then: it either raises a StampedeError and has changed nothing, or it
+is done.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import Overloaded, Unavailable
+from stampede_rt_supernode.core.commands import (
+    ChannelDeleted,
+    ChannelOpened,
+    ChannelUpdated,
+    DeleteChannel,
+    OpenChannel,
+    UpdateChannel,
+)
+from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
+from stampede_rt_supernode.core.lookups import channel_by_id, host_by_name, no_such_channel
+from stampede_rt_supernode.core.policies import agree, check_policy, check_ranges, merge
+from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.replicas.transitions import check_epoch
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.takeover import forget_channel, give_owner
+from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
+
+CHANNELS_MAX = 200_000
+
+
+def check_open(deed: OpenChannel) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    check_name(deed.name, "channel")
+    if deed.host_name:
+        check_name(deed.host_name, "host")
+    check_ranges(deed.name, deed.policy)
+    check_id(deed.new_channel_id, "new_channel_id")
+    check_incarnation(deed.new_incarnation, "new_incarnation")
+
+
+def check_update(deed: UpdateChannel) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.channel_id, "channel_id")
+    check_ranges(deed.channel_id.hex(), deed.policy)
+
+
+def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
+    """Get or create; a channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
+    check_open(deed)
+    channel = tables.channel_named(deed.name)
+    if channel is None:
+        return _create(tables, deed)
+    policy = agree(channel.name, channel.policy, deed.policy)
+    opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
+    if not tables.hosts[channel.host_id].alive:
+        give_owner(tables, channel, _place_anew(tables, opened, deed))
+        note_lost_cuts(tables, [channel.channel_id])
+    elif opened != channel:
+        tables.replace_channel(opened)
+    opened = tables.channels[channel.channel_id]
+    return ChannelOpened(channel=opened, host=tables.hosts[opened.host_id], created=False)
+
+
+def open_unchanged(tables: Tables, deed: OpenChannel) -> ChannelOpened | None:
+    """The answer to `deed` if it changes nothing, else None. Raises as `open_channel` does where that is certain."""
+    check_open(deed)
+    channel = tables.channel_named(deed.name)
+    if channel is None:
+        if not deed.create:
+            raise no_such_channel(deed.name)
+        check_policy(deed.name, deed.policy)
+        return None
+    unchanged = agree(channel.name, channel.policy, deed.policy) == channel.policy
+    host = tables.hosts[channel.host_id]
+    return ChannelOpened(channel=channel, host=host, created=False) if unchanged and host.alive else None
+
+
+def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
+    """Change the stated fields; others stay."""
+    check_update(deed)
+    channel = channel_by_id(tables, deed.channel_id)
+    check_epoch(channel, deed.epoch)
+    policy = merge(channel.policy, deed.policy)
+    check_policy(channel.name, policy)
+    if policy != channel.policy:
+        channel = replace(channel, policy=policy, policy_version=channel.policy_version + 1)
+        tables.replace_channel(channel)
+    return ChannelUpdated(channel=channel)
+
+
+def delete_channel(tables: Tables, deed: DeleteChannel) -> ChannelDeleted:
+    """Forget it; its name is free again."""
+    channel = channel_by_id(tables, deed.channel_id)
+    forget_channel(tables, channel)
+    return ChannelDeleted(channel=channel)
+
+
+def _create(tables: Tables, deed: OpenChannel) -> ChannelOpened:
+    if not deed.create:
+        raise no_such_channel(deed.name)
+    check_policy(deed.name, deed.policy)
+    if len(tables.channels) >= CHANNELS_MAX:
+        raise Overloaded(
+            f"channel {deed.name} cannot be made: the directory holds {CHANNELS_MAX} channels, which is the most; "
+            "delete some",
+            metadata={"channel": deed.name},
+        )
+    host = _choose_host(tables, deed)
+    channel = Channel(
+        channel_id=deed.new_channel_id,
+        name=deed.name,
+        host_id=host.host_id,
+        epoch=1,
+        incarnation=deed.new_incarnation,
+        policy=deed.policy,
+        policy_version=1,
+    )
+    tables.add_channel(channel)
+    return ChannelOpened(channel=channel, host=tables.hosts[host.host_id], created=True)
+
+
+def _place_anew(tables: Tables, channel: Channel, deed: OpenChannel) -> Channel:
+    host = _choose_host(tables, deed, former=tables.hosts[channel.host_id].name)
+    return replace(
+        channel,
+        host_id=host.host_id,
+        epoch=channel.epoch + 1,
+        incarnation=fresh_incarnation(channel, deed.new_incarnation),
+    )
+
+
+def fresh_incarnation(channel: Channel, proposed: int) -> int:
+    """`proposed`, or its neighbour in the one case in 2**64 that the channel had it already."""
+    return proposed if proposed != channel.incarnation else (proposed ^ 1) or 2
+
+
+def _choose_host(tables: Tables, deed: OpenChannel, former: str | None = None) -> Host:
+    """The host asked for; else the live one that bears the `former` owner's name, which is that host restarted without
+    its data folder; else the live one with the fewest channels, the first by name of several."""
+    if deed.host_name:
+        return host_by_name(tables, deed.host_name)
+    successor = tables.live_host_named(former) if former is not None else None
+    least = successor or min(tables.live_hosts(), key=lambda host: host.channels, default=None)
+    if least is None:
+        raise Unavailable(
+            f"no live host is there to take channel {deed.name}; start one with `stampede host`, or wait for it",
+            reason="NO_HOST",
+            metadata={"channel": deed.name},
+        )
+    return least

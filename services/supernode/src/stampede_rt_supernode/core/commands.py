@@ -1,0 +1,219 @@
+"""What can be done to the directory, and what comes of it. Pure, immutable values.
+
+All that is random or read from a clock is stamped into a command by its proposer, so that every replica computes the
+same from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TypeAlias
+
+from stampede_rt.errors import StampedeError, error_for
+from stampede_rt.model import Policy
+from stampede_rt_supernode.core.groups.commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
+from stampede_rt_supernode.core.records import Channel, Endpoint, Host
+from stampede_rt_supernode.core.replicas.commands import (
+    AddReplica,
+    RemoveReplica,
+    ReplicaAdded,
+    ReplicaInSyncSet,
+    ReplicaRemoved,
+    SetReplicaInSync,
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OpenChannel:
+    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
+
+    name: str
+    policy: Policy = field(default_factory=Policy)
+    create: bool = True
+    host_name: str = ""
+    new_channel_id: bytes
+    new_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UpdateChannel:
+    """Change the stated fields of a channel's set-up."""
+
+    channel_id: bytes
+    epoch: int
+    policy: Policy
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeleteChannel:
+    """Forget a channel."""
+
+    channel_id: bytes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RegisterHost:
+    """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one."""
+
+    host_id: bytes
+    name: str
+    gatekeepers: tuple[Endpoint, ...]
+    boot_incarnation: int
+    version: str = ""
+    new_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeregisterHost:
+    """A host leaves of its own accord."""
+
+    host_id: bytes
+    boot_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExpireHost:
+    """The lease of one registration has ended, says the leader of `tenure`."""
+
+    host_id: bytes
+    boot_incarnation: int
+    registered_index: int
+    tenure: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BeginTenure:
+    """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL."""
+
+    tenure: int
+    supernode_id: str
+    new_cluster_id: str
+    new_lease_ttl_nanos: int
+
+
+ChannelDeed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
+HostDeed: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure
+GroupDeed: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
+ReplicaDeed: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
+Deed: TypeAlias = ChannelDeed | HostDeed | GroupDeed | ReplicaDeed
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Command:
+    """One entry of the log. Repeating `op_id` repeats the result; `time_unix_nano` is for whoever reads the log."""
+
+    op_id: bytes
+    time_unix_nano: int
+    deed: Deed
+
+
+def subject_of(deed: Deed) -> str:
+    """What a deed is about, kind and thing: an operation id that comes back with another subject is a mistake."""
+    kind = type(deed).__name__
+    match deed:
+        case OpenChannel(name=name) | OpenGroup(name=name):
+            return f"{kind} {name}"
+        case UpdateChannel(channel_id=thing) | DeleteChannel(channel_id=thing):
+            return f"{kind} {thing.hex()}"
+        case RegisterHost(host_id=thing) | DeregisterHost(host_id=thing) | ExpireHost(host_id=thing):
+            return f"{kind} {thing.hex()}"
+        case BeginTenure(tenure=tenure):
+            return f"{kind} {tenure}"
+        case UpdateGroup(group_id=thing) | DeleteGroup(group_id=thing):
+            return f"{kind} {thing.hex()}"
+        case AddReplica() | RemoveReplica() | SetReplicaInSync():
+            return f"{kind} {deed.channel_id.hex()} {deed.host_id.hex()}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Refused:
+    """Nothing was changed, and why: the particulars of a StampedeError."""
+
+    reason: str
+    message: str
+    metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    @classmethod
+    def because(cls, error: StampedeError) -> Refused:
+        """The refusal that `error` stands for."""
+        return cls(reason=error.reason, message=error.message, metadata=MappingProxyType(error.metadata))
+
+    def error(self) -> StampedeError:
+        """The exception to raise to the caller."""
+        return error_for(self.reason, self.message, self.metadata)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelOpened:
+    """The channel and its owner; `created` by this very command."""
+
+    channel: Channel
+    host: Host
+    created: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelUpdated:
+    """The channel after the change."""
+
+    channel: Channel
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelDeleted:
+    """The channel as it was last."""
+
+    channel: Channel
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostRegistered:
+    """The host is in."""
+
+    host: Host
+    cluster_id: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostDeregistered:
+    """The host has left."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostExpired:
+    """Whether the command ended a lease; False: it came too late and changed nothing."""
+
+    expired: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TenureBegun:
+    """The tenure now in force, and the cluster's id."""
+
+    tenure: int
+    cluster_id: str
+
+
+GroupSuccess: TypeAlias = GroupOpened | GroupUpdated | GroupDeleted
+ReplicaSuccess: TypeAlias = ReplicaAdded | ReplicaRemoved | ReplicaInSyncSet
+Success: TypeAlias = (
+    ChannelOpened
+    | ChannelUpdated
+    | ChannelDeleted
+    | HostRegistered
+    | HostDeregistered
+    | HostExpired
+    | TenureBegun
+    | GroupSuccess
+    | ReplicaSuccess
+)
+Result: TypeAlias = Refused | Success

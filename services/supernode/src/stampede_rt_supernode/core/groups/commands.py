@@ -1,0 +1,55 @@
+"""What can be done to groups, and what comes of it (paper, section 3.3). Pure, immutable values; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt_supernode.core.records import Group, GroupSpec
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OpenGroup:
+    """Get or create a group; `spec` None takes it as it is. The new ones are used if it is made."""
+
+    name: str
+    spec: GroupSpec | None
+    create: bool
+    new_group_id: bytes
+    new_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UpdateGroup:
+    """Change the members of a group; `spec_version` None: whatever it is."""
+
+    group_id: bytes
+    add_channel_ids: tuple[bytes, ...] = ()
+    remove_channel_ids: tuple[bytes, ...] = ()
+    spec_version: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeleteGroup:
+    """Forget a group."""
+
+    group_id: bytes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupOpened:
+    """The group; `created` by this very command."""
+
+    group: Group
+    created: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupUpdated:
+    """The group after the change."""
+
+    group: Group
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupDeleted:
+    """The group is forgotten."""

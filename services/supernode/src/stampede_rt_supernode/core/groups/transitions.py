@@ -1,0 +1,174 @@
+"""What opening, changing and forgetting a group does to the tables, and what channels and hosts do to it. Pure.
+
+As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. Groups come
+and go while their channels stay as they are (paper, section 3.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from stampede_rt.errors import GroupExists, InvalidArgument, Overloaded
+from stampede_rt_supernode.core.groups.commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
+from stampede_rt_supernode.core.groups.specs import MEMBERS_MAX, check_spec, same_spec
+from stampede_rt_supernode.core.lookups import channel_by_id, group_by_id, no_such_group
+from stampede_rt_supernode.core.records import Group
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
+
+GROUPS_MAX = 10_000
+GROUPS_PER_CHANNEL_MAX = 1_000  # all of them change at once when the channel is deleted
+
+
+def check_open_group(deed: OpenGroup) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    check_name(deed.name, "group")
+    check_id(deed.new_group_id, "new_group_id")
+    check_incarnation(deed.new_incarnation, "new_incarnation")
+    if deed.spec is not None:
+        check_spec(deed.name, deed.spec)
+    elif deed.create:
+        raise InvalidArgument(
+            f"group {deed.name} cannot be made without a set-up; state its members in spec, or open it with "
+            "create=False to take it as it is",
+            metadata={"group": deed.name, "field": "spec"},
+        )
+
+
+def check_update_group(deed: UpdateGroup) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.group_id, "group_id")
+    for field, ids in (("add_channel_ids", deed.add_channel_ids), ("remove_channel_ids", deed.remove_channel_ids)):
+        if len(ids) > MEMBERS_MAX:
+            text = f"{field} has {len(ids)} channels; {MEMBERS_MAX} at most, which is all that a group can have"
+            raise InvalidArgument(text, metadata={"field": field})
+        for one in ids:
+            check_id(one, field)
+    both = set(deed.add_channel_ids) & set(deed.remove_channel_ids)
+    if both:
+        text = f"channel {min(both).hex()} is both to come in and to go; leave it out of one of the two"
+        raise InvalidArgument(text, metadata={"channel_id": min(both).hex()})
+
+
+def open_group(tables: Tables, deed: OpenGroup) -> GroupOpened:
+    """Get or create. The name belongs to whoever is first in the log."""
+    check_open_group(deed)
+    opened = open_group_unchanged(tables, deed)
+    return opened if opened is not None else _create(tables, deed)
+
+
+def open_group_unchanged(tables: Tables, deed: OpenGroup) -> GroupOpened | None:
+    """The answer to `deed` if the group is there; None: it is to be made. Raises as `open_group` does."""
+    check_open_group(deed)
+    group = tables.groups.named(deed.name)
+    if group is None:
+        if not deed.create:
+            raise no_such_group(deed.name)
+        return None
+    if deed.spec is not None and not same_spec(group.spec, deed.spec):
+        raise GroupExists(
+            f"group {deed.name} is there with another set-up; leave the set-up out to take it as it is, change its "
+            "members with UpdateGroup, or choose another name",
+            metadata={"group": deed.name, "group_id": group.group_id.hex()},
+        )
+    return GroupOpened(group=group, created=False)
+
+
+def _create(tables: Tables, deed: OpenGroup) -> GroupOpened:
+    spec = deed.spec
+    assert spec is not None  # check_open_group refuses to create without one
+    _check_members(tables, deed.name, spec.channel_ids)
+    if len(tables.groups) >= GROUPS_MAX:
+        text = f"group {deed.name} cannot be made: the directory holds {GROUPS_MAX} groups, which is the most"
+        raise Overloaded(f"{text}; delete some", metadata={"group": deed.name})
+    group = Group(
+        group_id=deed.new_group_id, name=deed.name, spec=spec, spec_version=1, incarnation=deed.new_incarnation
+    )
+    tables.groups.add(group, _hosts_of(tables, group))
+    return GroupOpened(group=group, created=True)
+
+
+def _check_members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> None:
+    for channel_id in channel_ids:
+        channel = channel_by_id(tables, channel_id)
+        if tables.groups.count_with(channel_id) >= GROUPS_PER_CHANNEL_MAX:
+            raise Overloaded(
+                f"channel {channel.name} cannot come into group {name}: it is in {GROUPS_PER_CHANNEL_MAX} groups, "
+                "which is the most; delete some",
+                metadata={"group": name, "channel": channel.name},
+            )
+
+
+def update_group(tables: Tables, deed: UpdateGroup) -> GroupUpdated:
+    """Add and remove members; the cut stays where it is."""
+    check_update_group(deed)
+    group = group_by_id(tables, deed.group_id)
+    if deed.spec_version is not None and deed.spec_version != group.spec_version:
+        raise GroupExists(
+            f"group {group.name} has version {group.spec_version} of its set-up, not {deed.spec_version}: somebody "
+            "changed it; resolve it again and decide anew",
+            metadata={"group": group.name, "spec_version": str(group.spec_version)},
+        )
+    coming = [one for one in dict.fromkeys(deed.add_channel_ids) if one not in group.spec.channel_ids]
+    _check_members(tables, group.name, coming)
+    staying = [one for one in group.spec.channel_ids if one not in deed.remove_channel_ids]
+    return GroupUpdated(group=_with_members(tables, group, (*staying, *coming)))
+
+
+def _with_members(tables: Tables, group: Group, channel_ids: tuple[bytes, ...]) -> Group:
+    if channel_ids == group.spec.channel_ids:
+        return group
+    spec = replace(group.spec, channel_ids=channel_ids)
+    check_spec(group.name, spec)
+    changed = replace(group, spec=spec, spec_version=group.spec_version + 1)
+    return _witnessed(tables, changed)
+
+
+def delete_group(tables: Tables, deed: DeleteGroup) -> GroupDeleted:
+    """Forget it; its name is free again."""
+    tables.groups.remove(group_by_id(tables, deed.group_id))
+    return GroupDeleted()
+
+
+def leave_groups(tables: Tables, channel_id: bytes) -> None:
+    """A channel that is about to be forgotten leaves its groups; one whose reference or last member it is goes with it,
+    since its cut could never move again."""
+    for group in tables.groups.with_channel(channel_id):
+        staying = tuple(one for one in group.spec.channel_ids if one != channel_id)
+        if not staying or group.spec.reference_channel_id == channel_id:
+            tables.groups.remove(group)
+        else:
+            _with_members(tables, group, staying)
+
+
+def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: bytes | None = None) -> None:
+    """The owners of these channels are others now, or host `restarted` has started anew and remembers no cut.
+
+    A group that no host remembers the cut of gets a new incarnation: it may begin anew (GroupRecord.incarnation).
+    """
+    found = {group.group_id for one in channel_ids for group in tables.groups.with_channel(one)}
+    for group_id in sorted(found):
+        _witnessed(tables, tables.groups.by_id[group_id], restarted)
+
+
+def _witnessed(tables: Tables, group: Group, restarted: bytes | None = None) -> Group:
+    """Store `group` with those of its witnesses that still are; without any, under a new incarnation with all hosts."""
+    hosts = _hosts_of(tables, group)
+    left = tuple(one for one in tables.groups.witnesses_of(group) if one in hosts and one != restarted)
+    if not left:
+        # Random at first and counted on, so it is none that the group had before.
+        group, left = replace(group, incarnation=(group.incarnation + 1) % 2**64 or 1), hosts
+    tables.groups.replace(group, left)
+    return group
+
+
+def _hosts_of(tables: Tables, group: Group) -> tuple[bytes, ...]:
+    return tuple(sorted({tables.channels[one].host_id for one in group.spec.channel_ids}))

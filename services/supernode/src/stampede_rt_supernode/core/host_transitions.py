@@ -1,0 +1,120 @@
+"""What a host's coming, going and vanishing does to the tables, and who may say so. Pure.
+
+A lease belongs to one registration. Its end is an entry of the log that names the boot incarnation, the registration
+and the leader's tenure: one that arrives late, after any of them has changed, is without effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
+from stampede_rt_supernode.core.channel_transitions import fresh_incarnation
+from stampede_rt_supernode.core.commands import DeregisterHost, ExpireHost, RegisterHost
+from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
+from stampede_rt_supernode.core.records import Host
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.takeover import end_registration, give_owner
+from stampede_rt_supernode.core.validation import (
+    check_gatekeepers,
+    check_id,
+    check_incarnation,
+    check_name,
+    check_version,
+)
+
+HOSTS_MAX = 10_000
+
+
+def register_host(tables: Tables, deed: RegisterHost) -> Host:
+    """A host enters, or enters again. A new boot incarnation means that it lost its items: in this one step all its
+    channels get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where they are."""
+    check_register(deed)
+    _check_name_is_free(tables, deed)
+    before = tables.hosts.get(deed.host_id)
+    if before is None and len(tables.hosts) >= HOSTS_MAX:
+        text = f"host {deed.name} cannot register: the directory holds {HOSTS_MAX} hosts, which is the most"
+        raise Overloaded(text, metadata={"host": deed.name})
+    tables.put_host(
+        Host(
+            host_id=deed.host_id,
+            name=deed.name,
+            gatekeepers=deed.gatekeepers,
+            boot_incarnation=deed.boot_incarnation,
+            version=deed.version,
+            alive=True,
+            channels=before.channels if before is not None else 0,
+            registered_index=tables.index,
+        )
+    )
+    if before is not None and before.boot_incarnation != deed.boot_incarnation:
+        end_registration(tables, deed.host_id)
+        _renew_channels(tables, deed)
+    return tables.hosts[deed.host_id]
+
+
+def check_register(deed: RegisterHost) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    check_id(deed.host_id, "host_id")
+    check_name(deed.name, "host")
+    check_gatekeepers(deed.gatekeepers, deed.name)
+    check_version(deed.version, deed.name)
+    check_incarnation(deed.boot_incarnation, "boot_incarnation")
+    check_incarnation(deed.new_incarnation, "new_incarnation")
+
+
+def _check_name_is_free(tables: Tables, deed: RegisterHost) -> None:
+    holder = tables.live_host_named(deed.name)
+    if holder is not None and holder.host_id != deed.host_id:
+        raise HostExists(
+            f"another live host has the name {deed.name}; choose another name, or wait until that host has left or its "
+            "lease has ended",
+            metadata={"host": deed.name, "host_id": holder.host_id.hex()},
+        )
+
+
+def _renew_channels(tables: Tables, deed: RegisterHost) -> None:
+    left = tables.channels_at(deed.host_id)
+    for channel in left:
+        incarnation = fresh_incarnation(channel, deed.new_incarnation)
+        give_owner(tables, channel, replace(channel, epoch=channel.epoch + 1, incarnation=incarnation))
+    note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=deed.host_id)
+
+
+def deregister_host(tables: Tables, deed: DeregisterHost) -> None:
+    """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes.
+
+    Who is not there has left already. Raises LeaseExpired for another boot.
+    """
+    check_id(deed.host_id, "host_id")
+    host = tables.hosts.get(deed.host_id)
+    if host is None or not host.alive:
+        return
+    check_boot(host, deed.boot_incarnation)
+    _end(tables, host)
+
+
+def check_boot(host: Host, boot_incarnation: int) -> None:
+    """Raises LeaseExpired if the lease belongs to another start of the host's process."""
+    if host.boot_incarnation != boot_incarnation:
+        raise LeaseExpired(
+            f"the lease of host {host.name} belongs to another process, started with another boot incarnation; "
+            "register again, and see that two processes do not share one data folder",
+            metadata={"host": host.name},
+        )
+
+
+def expire_host(tables: Tables, deed: ExpireHost, tenure: int) -> bool:
+    """End a lease, unless the words come too late: `tenure` is the one in force. Returns whether it ended."""
+    host = tables.hosts.get(deed.host_id)
+    if host is None or not host.alive or deed.tenure != tenure:
+        return False
+    if (host.boot_incarnation, host.registered_index) != (deed.boot_incarnation, deed.registered_index):
+        return False
+    _end(tables, host)
+    return True
+
+
+def _end(tables: Tables, host: Host) -> None:
+    tables.put_host(replace(host, alive=False))
+    end_registration(tables, host.host_id)

@@ -1,0 +1,81 @@
+"""Finding channels, hosts and groups by what callers know of them. Pure; each function says what is not there."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import ChannelNotFound, HostNotFound, StampedeError
+from stampede_rt_supernode.core.records import Channel, Group, Host
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id, check_name
+
+
+def channel_by_id(tables: Tables, channel_id: bytes) -> Channel:
+    """Raises InvalidArgument or ChannelNotFound."""
+    check_id(channel_id, "channel_id")
+    channel = tables.channels.get(channel_id)
+    if channel is None:
+        shown = channel_id.hex()
+        text = f"there is no channel with the id {shown}; it may have been deleted: resolve it by name"
+        raise ChannelNotFound(text, metadata={"channel_id": shown})
+    return channel
+
+
+def channel_by_name(tables: Tables, name: str) -> Channel:
+    """Raises InvalidName or ChannelNotFound."""
+    check_name(name, "channel")
+    channel = tables.channel_named(name)
+    if channel is None:
+        raise no_such_channel(name)
+    return channel
+
+
+def host_by_id(tables: Tables, host_id: bytes) -> Host:
+    """The host, alive or not. Raises InvalidArgument or HostNotFound."""
+    check_id(host_id, "host_id")
+    host = tables.hosts.get(host_id)
+    if host is None:
+        shown = host_id.hex()
+        text = f"there is no host with the id {shown}; it never registered, or it left: register it again"
+        raise HostNotFound(text, metadata={"host_id": shown})
+    return host
+
+
+def host_by_name(tables: Tables, name: str) -> Host:
+    """The live host of that name. Raises InvalidName or HostNotFound."""
+    check_name(name, "host")
+    host = tables.live_host_named(name)
+    if host is None:
+        text = f"there is no live host {name}; it never registered, or its lease has ended: list the hosts for others"
+        raise HostNotFound(text, metadata={"host": name})
+    return host
+
+
+def no_such_channel(name: str) -> ChannelNotFound:
+    """The error for a name that no channel has."""
+    text = f"there is no channel {name}; open it with create=True to make it, or list the channels for its right name"
+    return ChannelNotFound(text, metadata={"channel": name})
+
+
+def group_by_id(tables: Tables, group_id: bytes) -> Group:
+    """Raises InvalidArgument, or the error of `no_such_group`."""
+    check_id(group_id, "group_id")
+    group = tables.groups.by_id.get(group_id)
+    if group is None:
+        shown = group_id.hex()
+        text = f"there is no group with the id {shown}; it may have been deleted: resolve it by name"
+        raise StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group_id": shown})
+    return group
+
+
+def group_by_name(tables: Tables, name: str) -> Group:
+    """Raises InvalidName, or the error of `no_such_group`."""
+    check_name(name, "group")
+    group = tables.groups.named(name)
+    if group is None:
+        raise no_such_group(name)
+    return group
+
+
+def no_such_group(name: str) -> StampedeError:
+    """The error for a name that no group has."""
+    text = f"there is no group {name}; open it with create=True to make it, or list the groups for its right name"
+    return StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group": name})

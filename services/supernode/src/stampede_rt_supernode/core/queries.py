@@ -1,0 +1,79 @@
+"""Questions to the directory's tables: pages of channels and hosts. Pure; O(page), and bounded whatever the pattern."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+from sortedcontainers import SortedDict
+
+from stampede_rt_supernode.core.glob import fixed_prefix, matcher
+from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.tables import Tables
+
+PAGE_SIZE_MAX = 1000
+NAMES_EXAMINED_MAX = 5_000  # for one page: a pattern that matches little must not hold the log up
+HOST_CHANNELS_MAX = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelPage:
+    """Channels in the order of names. `last_name`: the next page begins behind it; None: this was the last."""
+
+    channels: tuple[Channel, ...]
+    hosts: tuple[Host, ...]
+    last_name: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class HostPage:
+    """Hosts in the order of (name, id). `last_key`: the next page begins behind it; None: this was the last."""
+
+    hosts: tuple[Host, ...]
+    last_key: tuple[str, bytes] | None
+
+
+def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) -> ChannelPage:
+    """Up to `channels_max` (0: the most) channels behind `after_name` whose names match, and their owners, each once.
+
+    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
+    """
+    matches, limit = matcher(glob), min(channels_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
+    found: list[Channel] = []
+    last_name = None
+    names = names_from(tables.channel_ids, fixed_prefix(glob), after_name)
+    for examined, name in enumerate(names, start=1):
+        if len(found) == limit or examined > NAMES_EXAMINED_MAX:
+            return ChannelPage(tuple(found), _owners(tables, found), last_name)
+        last_name = name
+        if matches(name):
+            found.append(tables.channels[tables.channel_ids[name]])
+    return ChannelPage(tuple(found), _owners(tables, found), None)
+
+
+def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Iterator[str]:
+    """The names of a map that begin with `prefix` and lie behind `after_name`, in order."""
+    first = max(prefix, after_name)
+    for name in ids.irange(minimum=first, inclusive=(first != after_name, True)):
+        if not name.startswith(prefix):
+            return
+        yield name
+
+
+def _owners(tables: Tables, channels: list[Channel]) -> tuple[Host, ...]:
+    return tuple(tables.hosts[host_id] for host_id in dict.fromkeys(channel.host_id for channel in channels))
+
+
+def host_page(tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, include_dead: bool) -> HostPage:
+    """Up to `hosts_max` (0: the most) hosts behind `after_key`. O(hosts)."""
+    limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
+    asked = tables.hosts.values() if include_dead else tables.live_hosts()
+    keys = sorted(key for host in asked if (key := (host.name, host.host_id)) > after_key)
+    page = tuple(tables.hosts[host_id] for _, host_id in keys[:limit])
+    return HostPage(page, keys[limit - 1] if len(keys) > limit else None)
+
+
+def channels_of(tables: Tables, host_id: bytes) -> tuple[Channel, ...]:
+    """The channels that a host owns, 1000 at most."""
+    return tuple(islice(tables.channels_at(host_id), HOST_CHANNELS_MAX))

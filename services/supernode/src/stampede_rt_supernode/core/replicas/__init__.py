@@ -1,0 +1,1 @@
+"""Copies of channels in the directory: pure."""

@@ -1,0 +1,59 @@
+"""What can be done to copies of channels, and what comes of it (paper, section 4.1). Pure, immutable values; see
+`commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt_supernode.core.records import Host, Replica, ReplicaKind
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AddReplica:
+    """Put a copy at a host. `host_id` empty: the directory chooses; `source_host_id` empty: the owner feeds it."""
+
+    channel_id: bytes
+    epoch: int
+    host_id: bytes = b""
+    kind: ReplicaKind
+    source_host_id: bytes = b""
+    acknowledged: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RemoveReplica:
+    """Take a copy away."""
+
+    channel_id: bytes
+    host_id: bytes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SetReplicaInSync:
+    """The owner of `epoch` says whether the warm replica of that host and boot is in sync."""
+
+    channel_id: bytes
+    epoch: int
+    host_id: bytes
+    boot_incarnation: int
+    in_sync: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplicaAdded:
+    """The copy, and the host that is to hold it."""
+
+    replica: Replica
+    host: Host
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplicaRemoved:
+    """The copy is gone."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReplicaInSyncSet:
+    """The copy after the change."""
+
+    replica: Replica

@@ -1,0 +1,49 @@
+"""The copies of channels at other hosts, by channel and by host (paper, section 4.1). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt_supernode.core.records import Replica
+
+
+class ReplicaTable:
+    """One copy of a channel at a host, never at its owner. Whoever edits it keeps `Channel.proxy_host_ids` in step;
+    see `replica_transitions.store`."""
+
+    def __init__(self, replicas: Iterable[Replica] = ()) -> None:
+        self._by_channel: dict[bytes, tuple[Replica, ...]] = {}  # never an empty tuple; as they were added
+        self._channel_ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that hold a copy
+        for replica in replicas:
+            self.store(replica.channel_id, (*self.of(replica.channel_id), replica))
+
+    def of(self, channel_id: bytes) -> tuple[Replica, ...]:
+        """The copies of a channel, as they were added."""
+        return self._by_channel.get(channel_id, ())
+
+    def at(self, channel_id: bytes, host_id: bytes) -> Replica | None:
+        """The copy of a channel at a host, if there is one."""
+        return next((one for one in self.of(channel_id) if one.host_id == host_id), None)
+
+    def channel_ids_at(self, host_id: bytes) -> list[bytes]:
+        """The channels of which a host holds a copy, ascending."""
+        return sorted(self._channel_ids_at.get(host_id, ()))
+
+    def count_at(self, host_id: bytes) -> int:
+        """How many copies a host holds."""
+        return len(self._channel_ids_at.get(host_id, ()))
+
+    def store(self, channel_id: bytes, replicas: tuple[Replica, ...]) -> None:
+        """These are the copies of the channel now; perhaps none."""
+        for gone in self._by_channel.pop(channel_id, ()):
+            held = self._channel_ids_at[gone.host_id]
+            held.discard(channel_id)
+            if not held:
+                del self._channel_ids_at[gone.host_id]
+        if replicas:
+            self._by_channel[channel_id] = replicas
+        for replica in replicas:
+            self._channel_ids_at.setdefault(replica.host_id, set()).add(channel_id)
+
+    def __bool__(self) -> bool:
+        return bool(self._by_channel)

@@ -1,0 +1,196 @@
+"""What adding, judging and removing copies of channels does to the tables (paper, section 4.1). Pure.
+
+As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. What
+becomes of copies when hosts and owners go is in `takeover`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import ChannelExists, HostNotFound, InvalidArgument, StaleBinding, Unavailable
+from stampede_rt_supernode.core.lookups import channel_by_id
+from stampede_rt_supernode.core.records import Channel, Host, Replica, ReplicaKind
+from stampede_rt_supernode.core.replicas.commands import (
+    AddReplica,
+    RemoveReplica,
+    ReplicaAdded,
+    ReplicaInSyncSet,
+    ReplicaRemoved,
+    SetReplicaInSync,
+)
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id, check_incarnation
+
+REPLICAS_MAX = 16  # of one channel
+
+
+def check_add_replica(deed: AddReplica) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.channel_id, "subject")
+    if deed.host_id:
+        check_id(deed.host_id, "host_id")
+    if deed.source_host_id:
+        check_id(deed.source_host_id, "source_host_id")
+    if deed.acknowledged and deed.kind is not ReplicaKind.WARM:
+        text = "acknowledged is stated for a proxy; puts can wait for a warm replica only: leave it out, or ask for one"
+        raise InvalidArgument(text, metadata={"field": "acknowledged"})
+
+
+def check_remove_replica(deed: RemoveReplica) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.channel_id, "subject")
+    check_id(deed.host_id, "host_id")
+
+
+def check_set_in_sync(deed: SetReplicaInSync) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.channel_id, "subject")
+    check_id(deed.host_id, "host_id")
+    check_incarnation(deed.boot_incarnation, "boot_incarnation")
+
+
+def check_epoch(channel: Channel, epoch: int) -> None:
+    """Raises StaleBinding with reason WRONG_EPOCH."""
+    if epoch != channel.epoch:
+        raise StaleBinding(
+            f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: it moved or was placed anew; "
+            "resolve it again",
+            reason="WRONG_EPOCH",
+            metadata={"channel": channel.name, "epoch": str(channel.epoch)},
+        )
+
+
+def add_replica(tables: Tables, deed: AddReplica) -> ReplicaAdded:
+    """Note a copy; one of the same kind that is there already is the answer."""
+    check_add_replica(deed)
+    channel = channel_by_id(tables, deed.channel_id)
+    check_epoch(channel, deed.epoch)
+    held = tables.replicas.of(channel.channel_id)
+    host = _choose_host(tables, channel, deed.host_id)
+    there = tables.replicas.at(channel.channel_id, host.host_id)
+    if there is not None or host.host_id == channel.host_id:
+        return ReplicaAdded(replica=_same_kind(channel, host, there, deed.kind), host=host)
+    if len(held) >= REPLICAS_MAX:
+        text = f"channel {channel.name} has {REPLICAS_MAX} copies, which is the most; remove one first"
+        raise InvalidArgument(text, metadata={"channel": channel.name})
+    replica = Replica(
+        channel_id=channel.channel_id,
+        host_id=host.host_id,
+        boot_incarnation=host.boot_incarnation,
+        kind=deed.kind,
+        source_host_id=_source(tables, channel, deed),
+        acknowledged=deed.acknowledged,
+        epoch=channel.epoch,
+    )
+    store(tables, channel, (*held, replica))
+    return ReplicaAdded(replica=replica, host=host)
+
+
+def _choose_host(tables: Tables, channel: Channel, host_id: bytes) -> Host:
+    """The live host asked for; else the live one with the fewest channels and copies that has none of this channel."""
+    if host_id:
+        host = tables.hosts.get(host_id)
+        if host is None or not host.alive:
+            raise HostNotFound(
+                f"host {host_id.hex()} cannot hold a copy of channel {channel.name}: it never registered, or its lease "
+                "has ended; list the hosts for others",
+                metadata={"host_id": host_id.hex()},
+            )
+        return host
+    holders = {channel.host_id, *(one.host_id for one in tables.replicas.of(channel.channel_id))}
+    free = (host for host in tables.live_hosts() if host.host_id not in holders)
+    least = min(free, key=lambda host: host.channels + tables.replicas.count_at(host.host_id), default=None)
+    if least is None:
+        raise Unavailable(
+            f"no live host is without channel {channel.name} to take a copy of it; start one more with `stampede host`",
+            reason="NO_HOST",
+            metadata={"channel": channel.name},
+        )
+    return least
+
+
+def _same_kind(channel: Channel, host: Host, there: Replica | None, kind: ReplicaKind) -> Replica:
+    if there is not None and there.kind is kind:
+        return there
+    holds = "owns it" if there is None else f"holds a {there.kind.value} copy of it"
+    raise ChannelExists(
+        f"host {host.name} cannot hold a {kind.value} copy of channel {channel.name}: it {holds}; choose another host, "
+        "or remove that copy first",
+        metadata={"channel": channel.name, "host": host.name},
+    )
+
+
+def _source(tables: Tables, channel: Channel, deed: AddReplica) -> bytes:
+    source = deed.source_host_id or channel.host_id
+    if source == channel.host_id:
+        return source
+    if deed.kind is ReplicaKind.WARM:
+        text = f"a warm replica of channel {channel.name} is fed by the owner only; leave source_host_id out"
+    elif tables.replicas.at(channel.channel_id, source) is None:
+        text = f"host {source.hex()} holds no copy of channel {channel.name} to feed another; leave source_host_id out"
+    else:
+        return source
+    raise InvalidArgument(text, metadata={"channel": channel.name, "field": "source_host_id"})
+
+
+def remove_replica(tables: Tables, deed: RemoveReplica) -> ReplicaRemoved:
+    """Take a copy away, if it is there; what it fed is fed by the owner from now on."""
+    check_remove_replica(deed)
+    channel = channel_by_id(tables, deed.channel_id)
+    drop_copy(tables, channel, deed.host_id)
+    return ReplicaRemoved()
+
+
+def drop_copy(tables: Tables, channel: Channel, host_id: bytes) -> None:
+    """Forget the copy of `channel` at a host, if there is one."""
+    held = tables.replicas.of(channel.channel_id)
+    left = tuple(one for one in held if one.host_id != host_id)
+    if left != held:
+        store(tables, channel, tuple(_fed(one, {host_id}, channel.host_id) for one in left))
+
+
+def _fed(replica: Replica, gone: set[bytes], owner: bytes) -> Replica:
+    """`replica`, fed by the owner if its source is gone."""
+    return replace(replica, source_host_id=owner) if replica.source_host_id in gone else replica
+
+
+def adopted(tables: Tables, before: Channel, after: Channel) -> tuple[Replica, ...]:
+    """The copies of a channel that gets another owner or begins anew, as `after` has them: the owner's own is none any
+    more, what the former one fed is fed by the new one, and nobody is in sync with an owner that has just begun."""
+    left = (one for one in tables.replicas.of(before.channel_id) if one.host_id != after.host_id)
+    moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
+    return tuple(replace(one, in_sync=False, epoch=after.epoch) for one in moved)
+
+
+def store(tables: Tables, channel: Channel, replicas: tuple[Replica, ...]) -> None:
+    """`channel` is now like this, with these copies; watchers hear of it if its record is another."""
+    tables.replicas.store(channel.channel_id, replicas)
+    told = replace(channel, proxy_host_ids=tuple(one.host_id for one in replicas))
+    if told != tables.channels[channel.channel_id]:
+        tables.replace_channel(told)
+
+
+def set_in_sync(tables: Tables, deed: SetReplicaInSync) -> ReplicaInSyncSet:
+    """Compare epoch and boot, and set. Clearing it is in the log before a put is acknowledged without the replica, and
+    a late word of a former owner has another epoch: a replica that takes over has everything that was acknowledged."""
+    check_set_in_sync(deed)
+    channel = channel_by_id(tables, deed.channel_id)
+    check_epoch(channel, deed.epoch)
+    replica = tables.replicas.at(channel.channel_id, deed.host_id)
+    if replica is None or replica.boot_incarnation != deed.boot_incarnation:
+        raise _no_copy(channel, deed.host_id, "holds no copy of it since its last start; add the replica again")
+    if replica.kind is not ReplicaKind.WARM:
+        text = f"the copy of channel {channel.name} at host {deed.host_id.hex()} is a proxy, which is never in sync"
+        raise InvalidArgument(f"{text}; add a warm replica", metadata={"channel": channel.name})
+    if deed.in_sync and not tables.hosts[channel.host_id].alive:
+        raise _no_copy(channel, channel.host_id, "owns it without a lease, and can say nothing of it; register again")
+    changed = replace(replica, in_sync=deed.in_sync, epoch=channel.epoch)
+    held = tables.replicas.of(channel.channel_id)
+    store(tables, channel, tuple(changed if one is replica else one for one in held))
+    return ReplicaInSyncSet(replica=changed)
+
+
+def _no_copy(channel: Channel, host_id: bytes, what: str) -> HostNotFound:
+    text = f"channel {channel.name}: host {host_id.hex()} {what}"
+    return HostNotFound(text, metadata={"channel": channel.name, "host_id": host_id.hex()})

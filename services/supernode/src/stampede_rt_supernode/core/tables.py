@@ -1,0 +1,123 @@
+"""The four maps of the directory, and the indexes derived from them (paper, section 4.3). Pure.
+
+Host id -> gatekeepers and channel id -> host id are in the records; the names have maps of their own. Every edit keeps
+the invariants stated beside the attributes, and notes the change for watchers. The values are immutable, so whoever
+copies a map has a snapshot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from sortedcontainers import SortedDict
+
+from stampede_rt_supernode.core.change_ring import ChangeRing
+from stampede_rt_supernode.core.groups.table import GroupTable
+from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Replica
+from stampede_rt_supernode.core.replicas.table import ReplicaTable
+
+
+class Tables:
+    """Edits are atomic: they check nothing that could fail half-way. O(log n) each."""
+
+    def __init__(
+        self,
+        hosts: Iterable[Host] = (),
+        channels: Iterable[Channel] = (),
+        *,
+        groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
+        replicas: Iterable[Replica] = (),
+        index: int = 0,
+    ) -> None:
+        self.index = index  # the log position that is being applied, or was last
+        self.changes = ChangeRing(index)
+        self.hosts: dict[bytes, Host] = {host.host_id: host for host in hosts}
+        self.channels: dict[bytes, Channel] = {}
+        self.channel_ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the channels
+        self.host_ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live hosts
+        self._channel_ids_at: dict[bytes, set[bytes]] = {host_id: set() for host_id in self.hosts}
+        for host in self.hosts.values():
+            if host.alive:
+                self.host_ids[host.name] = host.host_id
+        for channel in channels:
+            self._link(channel)
+        self.groups = GroupTable(groups, self._note)
+        self.replicas = ReplicaTable(replicas)
+
+    def channels_at(self, host_id: bytes) -> list[Channel]:
+        """The channels that a host owns, in the order of their ids."""
+        return [self.channels[one] for one in sorted(self._channel_ids_at.get(host_id, ()))]
+
+    def channel_named(self, name: str) -> Channel | None:
+        """The channel of that name, if there is one."""
+        found = self.channel_ids.get(name)
+        return None if found is None else self.channels[found]
+
+    def live_host_named(self, name: str) -> Host | None:
+        """The live host of that name, if there is one."""
+        found = self.host_ids.get(name)
+        return None if found is None else self.hosts[found]
+
+    def live_hosts(self) -> Iterator[Host]:
+        """In the order of names."""
+        return (self.hosts[host_id] for host_id in self.host_ids.values())
+
+    def add_channel(self, channel: Channel) -> None:
+        """Its id and name are new, its host is known."""
+        self._link(channel)
+        self._count(channel.host_id, +1)
+        self._note(ChangeKind.ADDED, channel)
+
+    def replace_channel(self, channel: Channel) -> None:
+        """The channel of that id, which keeps its name, is now like this; its host may be another."""
+        before = self.channels[channel.channel_id].host_id
+        if before != channel.host_id:
+            self._channel_ids_at[before].discard(channel.channel_id)
+            self._count(channel.host_id, +1)
+        self._link(channel)
+        self._note(ChangeKind.UPDATED, channel)
+        if before != channel.host_id:
+            self._count(before, -1)
+
+    def remove_channel(self, channel: Channel) -> None:
+        """Forget a channel that is there."""
+        del self.channels[channel.channel_id]
+        del self.channel_ids[channel.name]
+        self._channel_ids_at[channel.host_id].discard(channel.channel_id)
+        self._note(ChangeKind.REMOVED, channel)
+        self._count(channel.host_id, -1)
+
+    def put_host(self, host: Host) -> None:
+        """Add or replace a host; if it is alive, no other live host has its name.
+
+        A host that is not alive stays for as long as it has channels: they remember where their items were.
+        """
+        before = self.hosts.get(host.host_id)
+        if before is not None and before.alive:
+            del self.host_ids[before.name]
+        self.hosts[host.host_id] = host
+        self._channel_ids_at.setdefault(host.host_id, set())
+        if host.alive:
+            self.host_ids[host.name] = host.host_id
+        self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, host)
+        self._drop_if_done(host)
+
+    def _link(self, channel: Channel) -> None:
+        self.channels[channel.channel_id] = channel
+        self.channel_ids[channel.name] = channel.channel_id
+        self._channel_ids_at[channel.host_id].add(channel.channel_id)
+
+    def _count(self, host_id: bytes, step: int) -> None:
+        host = self.hosts[host_id]
+        host = self.hosts[host_id] = replace(host, channels=host.channels + step)
+        self._drop_if_done(host)
+
+    def _drop_if_done(self, host: Host) -> None:
+        if not host.alive and host.channels == 0:
+            del self.hosts[host.host_id]
+            del self._channel_ids_at[host.host_id]
+            self._note(ChangeKind.REMOVED, host)
+
+    def _note(self, kind: ChangeKind, subject: Channel | Host | Group) -> None:
+        self.changes.append(Change(index=self.index, kind=kind, subject=subject))

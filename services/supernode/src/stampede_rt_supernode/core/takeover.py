@@ -1,0 +1,53 @@
+"""What becomes of channels, their copies and their groups when an owner or a host of copies goes. Pure.
+
+A warm replica that is in sync holds everything that was acknowledged, so it becomes the owner when the owner's
+registration ends: in the very step that ends it, so that nobody else is given the channel in between. The incarnation
+changes all the same, since what was put and not acknowledged may be gone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
+from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.replicas.transitions import adopted, drop_copy, store
+from stampede_rt_supernode.core.tables import Tables
+
+
+def give_owner(tables: Tables, before: Channel, after: Channel) -> None:
+    """A channel has another owner, or the same one has begun anew: `after`, with a higher epoch and new incarnation.
+
+    The caller notes lost cuts, once for all the channels of one entry: they may be in the same groups.
+    """
+    store(tables, after, adopted(tables, before, after))
+
+
+def forget_channel(tables: Tables, channel: Channel) -> None:
+    """Its copies and its membership in groups go with it."""
+    leave_groups(tables, channel.channel_id)
+    tables.replicas.store(channel.channel_id, ())
+    tables.remove_channel(channel)
+
+
+def end_registration(tables: Tables, host_id: bytes) -> None:
+    """A host's lease has ended, or its process is another one: its copies are gone, and its channels go to warm
+    replicas that are in sync, where there are any. The host is still as it was, or is already registered anew."""
+    for channel_id in tables.replicas.channel_ids_at(host_id):
+        drop_copy(tables, tables.channels[channel_id], host_id)
+    inherited: list[bytes] = []
+    for channel in tables.channels_at(host_id):
+        heir = _heir(tables, channel)
+        if heir is not None:
+            incarnation = (channel.incarnation + 1) % 2**64 or 1  # random at first, and counted on
+            after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
+            give_owner(tables, channel, after)
+            inherited.append(channel.channel_id)
+    note_lost_cuts(tables, inherited)
+
+
+def _heir(tables: Tables, channel: Channel) -> Host | None:
+    """The live host with the fewest channels that has a warm replica in sync; the first added of several."""
+    in_sync = (tables.hosts[one.host_id] for one in tables.replicas.of(channel.channel_id) if one.in_sync)
+    live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)
+    return min(live, key=lambda host: host.channels, default=None)

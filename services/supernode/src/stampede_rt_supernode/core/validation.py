@@ -1,0 +1,99 @@
+"""What names, ids and endpoints must look like. Pure; every function raises InvalidArgument or InvalidName.
+
+The errors name the thing, the reason and the way out, since they are shown to whoever typed the name.
+"""
+
+from __future__ import annotations
+
+import re
+
+from stampede_rt.errors import InvalidArgument, InvalidName
+from stampede_rt_supernode.core.records import ID_BYTES, Endpoint
+
+NAME_GRAMMAR = "[a-z0-9][a-z0-9._/-]{0,127}"
+GATEKEEPERS_MAX = 16
+TARGET_CHARACTERS_MAX = 256
+ZONE_CHARACTERS_MAX = 64
+VERSION_CHARACTERS_MAX = 64
+GLOB_CHARACTERS_MAX = 256
+_NAME = re.compile(NAME_GRAMMAR, re.ASCII)
+_GLOB = re.compile(r"[a-z0-9._/*?-]*", re.ASCII)
+
+
+def check_name(name: str, what: str) -> None:
+    """`what` is the kind of thing that is named: "channel", "host"."""
+    if _NAME.fullmatch(name) is None:
+        raise InvalidName(
+            f"{_shown(name)} cannot name a {what}: {_fault(name)}; a name is 1 to 128 of a-z, 0-9, '.', '_', '/' and "
+            "'-', and begins with a letter or digit",
+            metadata={what: name[:128]},
+        )
+
+
+def _shown(text: str) -> str:
+    return repr(text if len(text) <= 128 else text[:125] + "...")
+
+
+def _fault(name: str) -> str:
+    if not name:
+        return "it is empty"
+    if len(name) > 128:
+        return f"it has {len(name)} characters"
+    if any(c.isascii() and c.isupper() for c in name):
+        return "it has upper-case letters"
+    if name[0] in "._/-":
+        return f"it begins with {name[0]!r}"
+    bad = next(c for c in name if not re.fullmatch(r"[a-z0-9._/-]", c, re.ASCII))
+    return f"it contains {bad!r}"
+
+
+def check_glob(glob: str) -> None:
+    """A pattern for channel names; empty stands for all."""
+    if len(glob) > GLOB_CHARACTERS_MAX:
+        raise InvalidArgument(f"the pattern has {len(glob)} characters; {GLOB_CHARACTERS_MAX} at most")
+    if _GLOB.fullmatch(glob) is None:
+        raise InvalidArgument(
+            f"{glob!r} can match no channel: names have only a-z, 0-9, '.', '_', '/' and '-'; beside these a pattern "
+            "has '*' for any run of characters and '?' for one"
+        )
+
+
+def check_id(value: bytes, field: str) -> None:
+    """An id or request id: exactly 16 bytes. `field` is its name in the request."""
+    if len(value) != ID_BYTES:
+        raise InvalidArgument(
+            f"{field} has {len(value)} bytes instead of {ID_BYTES}; ids are {ID_BYTES} random bytes",
+            metadata={"field": field},
+        )
+
+
+def check_incarnation(value: int, field: str) -> None:
+    """A boot or channel incarnation: 64 bits, not 0."""
+    if not 0 < value < 2**64:
+        raise InvalidArgument(
+            f"{field} is {value}; choose 64 random bits, not 0, at each start", metadata={"field": field}
+        )
+
+
+def check_gatekeepers(endpoints: tuple[Endpoint, ...], host_name: str) -> None:
+    """1 to 16 endpoints, each with a target of gRPC."""
+    if not 1 <= len(endpoints) <= GATEKEEPERS_MAX:
+        raise InvalidArgument(
+            f"host {host_name} states {len(endpoints)} gatekeepers; 1 to {GATEKEEPERS_MAX} are allowed",
+            metadata={"host": host_name},
+        )
+    for endpoint in endpoints:
+        _check_text(endpoint.target, f"a gatekeeper of host {host_name}", 1, TARGET_CHARACTERS_MAX)
+        _check_text(endpoint.zone, f"a zone of host {host_name}", 0, ZONE_CHARACTERS_MAX)
+
+
+def check_version(version: str, host_name: str) -> None:
+    """A software version, which may be empty."""
+    _check_text(version, f"the version of host {host_name}", 0, VERSION_CHARACTERS_MAX)
+
+
+def _check_text(text: str, what: str, least: int, most: int) -> None:
+    if not least <= len(text) <= most:
+        raise InvalidArgument(f"{what} has {len(text)} characters; {least} to {most} are allowed")
+    if not text.isprintable() or " " in text:
+        raise InvalidArgument(f"{what} is {text!r}, which has blanks or unprintable characters; leave them out")

@@ -1,0 +1,1 @@
+"""How supernodes found a cluster, prepare, join, leave and volunteer."""

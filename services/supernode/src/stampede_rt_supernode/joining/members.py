@@ -1,0 +1,51 @@
+"""The supernodes as this one sees them: the members of the log, and how they do."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import directory_pb2
+from stampede_rt_supernode.joining.probe import Probe
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import Member, ReplicatedLog, ReplicationStatus
+
+
+class Members:
+    """Local knowledge; never waits. `advertise`: where callers reach this supernode; `zone`: where it is."""
+
+    def __init__(
+        self, log: ReplicatedLog, replica: DirectoryReplica, probe: Probe, *, advertise: str, zone: str
+    ) -> None:
+        self._log = log
+        self._replica = replica
+        self._probe = probe
+        self._advertise = advertise
+        self._zone = zone
+
+    @property
+    def self_id(self) -> str:
+        """This supernode's id."""
+        return self._log.status().self_id
+
+    def ready(self) -> bool:
+        """Whether this supernode can serve: it knows a leader, and that the cluster is founded."""
+        founded = self._replica.read(lambda directory: directory.tenure > 0)
+        return founded and self._log.status().leader_id is not None
+
+    def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
+        """Every member, in the order of ids, and the term of the consensus."""
+        status = self._log.status()
+        members = sorted(status.members, key=lambda member: member.member_id)
+        return [self._record(member, status) for member in members], status.term
+
+    def _record(self, member: Member, status: ReplicationStatus) -> directory_pb2.SupernodeRecord:
+        is_self = member.member_id == status.self_id
+        finding = self._probe.finding(member.member_id)
+        endpoint = directory_pb2.Endpoint(
+            target=self._advertise if is_self else member.address, zone=self._zone if is_self else ""
+        )
+        return directory_pb2.SupernodeRecord(
+            supernode_id=member.member_id,
+            endpoint=endpoint,
+            is_leader=member.member_id == status.leader_id,
+            healthy=self.ready() if is_self else finding is not None and finding.healthy,
+            round_trip_nanos=finding.round_trip_nanos if finding is not None else None,
+        )

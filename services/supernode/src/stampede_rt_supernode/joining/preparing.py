@@ -1,0 +1,113 @@
+"""`stampede supernode init` and `join`: prepare the data folder of a supernode, once."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from stampede_rt.cli.supernode import add_place, reached
+from stampede_rt.errors import StampedeError
+from stampede_rt_runtime.values import parse_target
+from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
+from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT
+from stampede_rt_supernode.replication import Member, StoreDamaged, StoreRefused, restore_from
+
+PREPARING = ("init", "join")
+FAILED, MISUSED = 1, 2
+ID_BYTES = 4
+
+
+def prepare(argv: Sequence[str]) -> int:
+    """Run one of PREPARING; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    init = verbs.add_parser("init", help="found a cluster, once", description="Found a cluster of one, once.")
+    init.set_defaults(run=_run_init)
+    init.add_argument(
+        "--restore", type=Path, metavar="DIR", help="take over what this folder of a stopped, lost member holds"
+    )
+    join = verbs.add_parser("join", help="enter a cluster", description="Enter a running cluster, under a new id.")
+    join.set_defaults(run=_run_join)
+    add_place(join)
+    join.add_argument("--token", help="from `stampede supernode add`; left out, one is asked for")
+    for verb in (init, join):
+        verb.add_argument("--data-dir", type=Path, required=True, metavar="DIR", help="where its log will be kept")
+        verb.add_argument("--listen", required=True, metavar="HOST:PORT", help="where it will serve")
+        verb.add_argument("--advertise", metavar="HOST:PORT", help="where others reach it; left out: as --listen")
+        verb.add_argument("--id", help="its name among the members, never used before; left out: a random one")
+    parsed = parser.parse_args(argv)
+    try:
+        return int(parsed.run(parsed))
+    except (StampedeError, ValueError) as error:
+        sys.stderr.write(f"stampede supernode: {error}\n")
+        return FAILED if isinstance(error, StampedeError) else MISUSED
+
+
+def _run_init(arguments: argparse.Namespace) -> int:
+    check_unused(arguments.data_dir)
+    name, address = _name(arguments), _address(arguments)
+    cluster_id = secrets.token_hex(16)
+    founding = Founding(supernode_id=name, address=address, members={name: address}, log_cluster_id=cluster_id)
+    if arguments.restore is not None:
+        founding = _restored(arguments, founding)
+    write_founding(arguments.data_dir, founding)
+    _say(f"Cluster {cluster_id} is founded, with supernode {name}. {_start(arguments)}")
+    return 0
+
+
+def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
+    """Take over what a member of a lost cluster holds."""
+    founder = Member(member_id=founding.supernode_id, address=founding.address)
+    try:
+        index = restore_from(arguments.restore, arguments.data_dir, founder=founder, cluster_id=founding.log_cluster_id)
+    except (StoreDamaged, StoreRefused) as error:
+        raise StampedeError(str(error)) from error
+    _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
+    return replace(founding, started=True)
+
+
+def _run_join(arguments: argparse.Namespace) -> int:
+    check_unused(arguments.data_dir)
+    name, address = _name(arguments), _address(arguments)
+    with reached(arguments.frontend, arguments.member) as cluster:
+        listed = cluster.members().supernodes
+        made = cluster.make_token(valid_nanos=VALID_NANOS_DEFAULT)
+    members = {record.supernode_id: record.endpoint.target for record in listed}
+    if name in members:
+        raise StampedeError(f"{name} is a member already; a wiped supernode, too, joins under a new id")
+    founding = Founding(
+        supernode_id=name,
+        address=address,
+        members=members,
+        log_cluster_id=made.log_cluster_id,
+        joining=True,
+        token=arguments.token or made.token,
+    )
+    write_founding(arguments.data_dir, founding)
+    _say(f"Supernode {name} may enter cluster {made.cluster_id} of {', '.join(members)}. {_start(arguments)}")
+    return 0
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+
+
+def _name(arguments: argparse.Namespace) -> str:
+    return arguments.id or f"supernode-{secrets.token_hex(ID_BYTES)}"
+
+
+def _address(arguments: argparse.Namespace) -> str:
+    try:
+        return str(parse_target(arguments.advertise or arguments.listen))
+    except ValueError as error:
+        option = "--advertise" if arguments.advertise else "--listen"
+        raise ValueError(f"{option} must be {error}") from error
+
+
+def _start(arguments: argparse.Namespace) -> str:
+    advertise = f" --advertise {arguments.advertise}" if arguments.advertise else ""
+    return f"Start it:\n\n  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}"

@@ -1,0 +1,73 @@
+"""A supernode that was prepared by `stampede supernode join` asks the members to let it in, until they have."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import grpc
+
+from stampede_rt.errors import InvalidArgument, NotLeader, PermissionDenied, StampedeError, VersionMismatch
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import directory_pb2, membership_service_pb2_grpc
+from stampede_rt.v1 import membership_service_pb2 as pb
+from stampede_rt_runtime.version import software_version
+from stampede_rt_supernode.joining.founding import Founding, write_founding
+from stampede_rt_supernode.replication import ReplicatedLog
+
+logger = logging.getLogger(__name__)
+
+ATTEMPT_SECONDS = 30.0
+PAUSE_SECONDS = 0.5
+_HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
+
+
+async def volunteer(
+    founding: Founding, data_dir: Path, log: ReplicatedLog, dial: Callable[[str], grpc.aio.Channel], *, zone: str
+) -> None:
+    """Ask one member after the other, and whom they name as the leader. Raises StampedeError if they refuse."""
+    addresses = list(founding.members.values())
+    while not _is_member(log):
+        try:
+            await _ask(addresses[0], founding, dial, zone=zone)
+        except NotLeader as error:
+            leader = error.metadata.get("leader_endpoint", "")
+            addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
+        except _HOPELESS as error:
+            raise StampedeError(f"this supernode cannot join: {error.message}") from error
+        except StampedeError as error:
+            logger.info("waiting to be let in", extra={"asked": addresses[0], "cause": error.message})
+            addresses = _next(addresses)
+        await asyncio.sleep(PAUSE_SECONDS)
+    write_founding(data_dir, replace(founding, token="", started=True))
+    logger.info("joined", extra={"supernode": founding.supernode_id})
+
+
+def _next(addresses: list[str]) -> list[str]:
+    return [*addresses[1:], addresses[0]]
+
+
+def _is_member(log: ReplicatedLog) -> bool:
+    status = log.status()
+    return any(member.member_id == status.self_id for member in status.members)
+
+
+async def _ask(address: str, founding: Founding, dial: Callable[[str], grpc.aio.Channel], *, zone: str) -> None:
+    request = pb.AddSupernodeRequest(
+        supernode_id=founding.supernode_id,
+        endpoint=directory_pb2.Endpoint(target=founding.address, zone=zone),
+        token=founding.token,
+        protocol_version=1,
+        version=software_version(),
+    )
+    channel = dial(address)
+    try:
+        stub = membership_service_pb2_grpc.MembershipServiceStub(channel)
+        await stub.AddSupernode(request, timeout=ATTEMPT_SECONDS)
+    except grpc.aio.AioRpcError as error:
+        raise from_rpc_error(error, f"the supernode at {address}") from error
+    finally:
+        await channel.close()

@@ -1,0 +1,71 @@
+"""What the servicers of this port have in common: errors as statuses, the caller's time, reads and updates."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import abort
+from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_supernode.core import commands
+from stampede_rt_supernode.core.callers import check_host_caller
+from stampede_rt_supernode.core.directory import Directory, check_deed
+from stampede_rt_supernode.core.validation import check_id
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.servicers.submission import Submission
+
+WAIT_SECONDS_MAX = 10.0
+ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears the reason and not just the deadline
+
+T = TypeVar("T")
+S = TypeVar("S", bound=commands.Success)
+Method = TypeVar("Method", bound=Callable[..., Awaitable[Any]])
+
+
+def refusing(method: Method) -> Method:
+    """Turns a StampedeError into the RPC's status; every other exception is a defect and stays one."""
+
+    @functools.wraps(method)
+    async def call(self: Any, request: Any, context: Any) -> Any:
+        try:
+            return await method(self, request, context)
+        except StampedeError as error:
+            await abort(context, error)
+
+    return call  # type: ignore[return-value]
+
+
+def seconds_left(context: Any) -> float:
+    """How long this call may wait for the other supernodes."""
+    left = context.time_remaining()
+    if left is None:
+        return WAIT_SECONDS_MAX
+    return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))
+
+
+class DirectoryCalls:
+    """Reads, linearizable unless `stale_ok`, and updates, done once for each request id, of one supernode."""
+
+    def __init__(self, replica: DirectoryReplica, submission: Submission) -> None:
+        self._replica = replica
+        self._submission = submission
+
+    async def read(self, context: Any, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
+        """The answer of `question`, as in `DirectoryReplica.read`. Raises Unavailable with reason NO_QUORUM."""
+        if not stale_ok:
+            await self._submission.confirm(seconds=seconds_left(context))
+        return self._replica.read(question)
+
+    async def submit(self, context: Any, deed: commands.Deed, kind: type[S], op_id: bytes) -> S:
+        """What came of `deed`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant."""
+        check_id(op_id, "request_id")
+        check_deed(deed)
+        return await self._submission.submit(deed, kind, op_id=op_id, seconds=seconds_left(context))
+
+    def check_host(self, context: Any, host_id: bytes, name: str | None = None) -> None:
+        """Raises PermissionDenied if the caller's certificate is that of another host. `name`: the one it wants."""
+        caller = caller_identity(context)
+        known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))
+        check_host_caller(caller, known_as=known.name if known else None, name=name)

@@ -1,0 +1,236 @@
+"""DirectoryService, thinly: check, ask the core or the log, encode (proto/stampede_rt/v1/directory_service.proto)."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+import secrets
+from collections.abc import AsyncIterator
+from typing import Any
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import abort
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
+from stampede_rt_supernode.codecs.record_codec import (
+    change_message,
+    channel_record,
+    endpoints_from,
+    host_record,
+    policy_from,
+)
+from stampede_rt_supernode.core import commands, page_tokens
+from stampede_rt_supernode.core.callers import check_protocol
+from stampede_rt_supernode.core.channel_transitions import open_unchanged
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
+from stampede_rt_supernode.core.queries import ChannelPage, HostPage, channel_page, channels_of, host_page
+from stampede_rt_supernode.core.records import ID_BYTES, Channel, Host
+from stampede_rt_supernode.core.validation import check_id
+from stampede_rt_supernode.joining.members import Members
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing, seconds_left
+from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.submission import Submission
+from stampede_rt_supernode.servicers.watch import Watches
+
+
+class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
+    """One supernode's answers. Reads are linearizable unless `stale_ok`; updates are done once for each request id."""
+
+    def __init__(
+        self,
+        replica: DirectoryReplica,
+        submission: Submission,
+        leases: LeaseKeeper,
+        watches: Watches,
+        members: Members,
+        clock: HostClock,
+    ) -> None:
+        self._replica = replica
+        self._calls = DirectoryCalls(replica, submission)
+        self._submission = submission
+        self._leases = leases
+        self._watches = watches
+        self._members = members
+        self._clock = clock
+
+    async def Ping(self, request: pb.DirectoryServicePingRequest, context: Any) -> pb.DirectoryServicePingResponse:
+        """See the contract."""
+        return pb.DirectoryServicePingResponse(
+            time_unix_nano=self._clock.time_unix_nano(),
+            supernode_id=self._members.self_id,
+            ready=self._members.ready(),
+            cluster_id=self._replica.read(lambda directory: directory.cluster_id),
+            version=software_version(),
+        )
+
+    @refusing
+    async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:
+        """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
+        deed = commands.OpenChannel(
+            name=request.name,
+            policy=policy_from(request.spec),
+            create=request.create,
+            host_name=request.host_name,
+            new_channel_id=secrets.token_bytes(ID_BYTES),
+            new_incarnation=_random_incarnation(),
+        )
+        check_id(request.request_id, "request_id")
+        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        if opened is None:
+            opened = await self._calls.submit(context, deed, commands.ChannelOpened, request.request_id)
+        return pb.OpenChannelResponse(
+            channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
+        )
+
+    @refusing
+    async def ResolveChannel(self, request: pb.ResolveChannelRequest, context: Any) -> pb.ResolveChannelResponse:
+        """See the contract."""
+
+        def find(directory: Directory) -> tuple[Channel, Host, int]:
+            tables = directory.tables
+            by_id = request.WhichOneof("key") == "channel_id"
+            channel = channel_by_id(tables, request.channel_id) if by_id else channel_by_name(tables, request.name)
+            return channel, tables.hosts[channel.host_id], directory.applied_index
+
+        channel, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ResolveChannelResponse(channel=channel_record(channel), host=host_record(host), applied_index=index)
+
+    @refusing
+    async def ListChannels(self, request: pb.ListChannelsRequest, context: Any) -> pb.ListChannelsResponse:
+        """See the contract."""
+        after = page_tokens.read_name(request.page_token)
+
+        def find(directory: Directory) -> tuple[ChannelPage, int]:
+            page = channel_page(directory.tables, request.name_glob, after, request.page_size)
+            return page, directory.applied_index
+
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ListChannelsResponse(
+            channels=[channel_record(channel) for channel in page.channels],
+            hosts=[host_record(host) for host in page.hosts],
+            next_page_token=page_tokens.write_name(page.last_name),
+            applied_index=index,
+        )
+
+    @refusing
+    async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Any) -> pb.UpdateChannelResponse:
+        """See the contract."""
+        deed = commands.UpdateChannel(
+            channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec)
+        )
+        updated = await self._calls.submit(context, deed, commands.ChannelUpdated, request.request_id)
+        return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
+
+    @refusing
+    async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Any) -> pb.DeleteChannelResponse:
+        """See the contract."""
+        deed = commands.DeleteChannel(channel_id=request.channel_id)
+        await self._calls.submit(context, deed, commands.ChannelDeleted, request.request_id)
+        return pb.DeleteChannelResponse()
+
+    @refusing
+    async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:
+        """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
+        check_protocol(request.protocol_version, request.version)
+        self._calls.check_host(context, request.host_id, request.name)
+        deed = commands.RegisterHost(
+            host_id=request.host_id,
+            name=request.name,
+            gatekeepers=endpoints_from(request.gatekeepers),
+            boot_incarnation=request.boot_incarnation,
+            version=request.version,
+            new_incarnation=_random_incarnation(),
+        )
+        entered = await self._calls.submit(context, deed, commands.HostRegistered, request.request_id)
+        ttl_nanos, channels = self._replica.read(
+            lambda directory: (directory.lease_ttl_nanos, channels_of(directory.tables, request.host_id))
+        )
+        return pb.RegisterHostResponse(
+            host=host_record(entered.host),
+            lease_ttl_nanos=ttl_nanos,
+            channels=[channel_record(channel) for channel in channels],
+            cluster_id=entered.cluster_id,
+            protocol_version=PROTOCOL_VERSION,
+        )
+
+    @refusing
+    async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Any) -> pb.RenewHostLeaseResponse:
+        """See the contract. Leaves no entry in the log."""
+        self._calls.check_host(context, request.host_id)
+        ttl_nanos, tenure = await self._leases.renew(
+            request.host_id, request.boot_incarnation, seconds=seconds_left(context)
+        )
+        return pb.RenewHostLeaseResponse(lease_ttl_nanos=ttl_nanos, tenure=tenure)
+
+    @refusing
+    async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Any) -> pb.DeregisterHostResponse:
+        """See the contract."""
+        self._calls.check_host(context, request.host_id)
+        deed = commands.DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
+        await self._calls.submit(context, deed, commands.HostDeregistered, request.request_id)
+        return pb.DeregisterHostResponse()
+
+    @refusing
+    async def ResolveHost(self, request: pb.ResolveHostRequest, context: Any) -> pb.ResolveHostResponse:
+        """See the contract."""
+
+        def find(directory: Directory) -> tuple[Host, int]:
+            by_id = request.WhichOneof("key") == "host_id"
+            tables = directory.tables
+            host = host_by_id(tables, request.host_id) if by_id else host_by_name(tables, request.name)
+            return host, directory.applied_index
+
+        host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ResolveHostResponse(host=host_record(host), applied_index=index)
+
+    @refusing
+    async def ListHosts(self, request: pb.ListHostsRequest, context: Any) -> pb.ListHostsResponse:
+        """See the contract."""
+        after = page_tokens.read_host(request.page_token)
+
+        def find(directory: Directory) -> tuple[HostPage, int]:
+            page = host_page(directory.tables, after, request.page_size, include_dead=request.include_dead)
+            return page, directory.applied_index
+
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ListHostsResponse(
+            hosts=[host_record(host) for host in page.hosts],
+            next_page_token=page_tokens.write_host(page.last_key),
+            applied_index=index,
+        )
+
+    async def ListSupernodes(self, request: pb.ListSupernodesRequest, context: Any) -> pb.ListSupernodesResponse:
+        """See the contract. Local knowledge, since it must be had when there is no majority, too."""
+        records, term = self._members.records()
+        index = self._replica.read(lambda directory: directory.applied_index)
+        return pb.ListSupernodesResponse(supernodes=records, term=term, applied_index=index)
+
+    async def Watch(self, request: pb.WatchRequest, context: Any) -> AsyncIterator[pb.WatchResponse]:
+        """See the contract."""
+        try:
+            await self._submission.confirm(seconds=seconds_left(context))
+            batches = self._watches.follow(
+                request.name_glob,
+                request.after_index,
+                include_hosts=request.include_hosts,
+                include_groups=request.include_groups,
+            )
+            async for batch in batches:
+                yield pb.WatchResponse(
+                    changes=[change_message(change) for change in batch.changes], applied_index=batch.applied_index
+                )
+        except StampedeError as error:
+            await abort(context, error)
+
+
+def _open_again(directory: Directory, op_id: bytes, deed: commands.OpenChannel) -> commands.ChannelOpened | None:
+    """The answer that this very request got before, or the one it gets because nothing needs to change."""
+    found = directory.answered.find(op_id, commands.subject_of(deed))
+    return found if isinstance(found, commands.ChannelOpened) else open_unchanged(directory.tables, deed)
+
+
+def _random_incarnation() -> int:
+    return secrets.randbits(64) or 1

@@ -1,0 +1,119 @@
+"""GroupDirectoryService, thinly (proto/stampede_rt/v1/group_directory_service.proto)."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from stampede_rt.v1 import group_directory_service_pb2 as pb
+from stampede_rt.v1 import group_directory_service_pb2_grpc
+from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_from
+from stampede_rt_supernode.codecs.record_codec import channel_record, host_record
+from stampede_rt_supernode.core import page_tokens
+from stampede_rt_supernode.core.commands import subject_of
+from stampede_rt_supernode.core.directory import Directory, check_deed
+from stampede_rt_supernode.core.groups.commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
+from stampede_rt_supernode.core.groups.queries import GroupPage, GroupView, group_page, group_view
+from stampede_rt_supernode.core.groups.transitions import open_group_unchanged
+from stampede_rt_supernode.core.lookups import group_by_id, group_by_name
+from stampede_rt_supernode.core.records import ID_BYTES
+from stampede_rt_supernode.core.validation import check_id
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing
+
+
+class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServiceServicer):
+    """One supernode's answers about groups."""
+
+    def __init__(self, calls: DirectoryCalls) -> None:
+        self._calls = calls
+
+    @refusing
+    async def OpenGroup(self, request: pb.OpenGroupRequest, context: Any) -> pb.OpenGroupResponse:
+        """See the contract. A group that is there is answered from a confirmed read, without an entry in the log."""
+        deed = OpenGroup(
+            name=request.name,
+            spec=group_spec_from(request.spec) if request.HasField("spec") else None,
+            create=request.create,
+            new_group_id=secrets.token_bytes(ID_BYTES),
+            new_incarnation=secrets.randbits(64) or 1,
+        )
+        check_id(request.request_id, "request_id")
+        check_deed(deed)
+        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        if opened is None:
+            opened = await self._calls.submit(context, deed, GroupOpened, request.request_id)
+        group = opened.group
+        view = await self._calls.read(context, lambda directory: group_view(directory.tables, group), stale_ok=True)
+        return pb.OpenGroupResponse(
+            group=group_record(group),
+            channels=[channel_record(channel) for channel in view.channels],
+            hosts=[host_record(host) for host in view.hosts],
+            created=opened.created,
+        )
+
+    @refusing
+    async def ResolveGroup(self, request: pb.ResolveGroupRequest, context: Any) -> pb.ResolveGroupResponse:
+        """See the contract."""
+
+        def find(directory: Directory) -> tuple[GroupView, int]:
+            tables = directory.tables
+            by_id = request.WhichOneof("key") == "group_id"
+            group = group_by_id(tables, request.group_id) if by_id else group_by_name(tables, request.name)
+            return group_view(tables, group), directory.applied_index
+
+        view, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ResolveGroupResponse(
+            group=group_record(view.group),
+            channels=[channel_record(channel) for channel in view.channels],
+            hosts=[host_record(host) for host in view.hosts],
+            applied_index=index,
+        )
+
+    @refusing
+    async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Any) -> pb.UpdateGroupResponse:
+        """See the contract."""
+        deed = UpdateGroup(
+            group_id=request.group_id,
+            add_channel_ids=tuple(request.add_channel_ids),
+            remove_channel_ids=tuple(request.remove_channel_ids),
+            spec_version=request.spec_version if request.HasField("spec_version") else None,
+        )
+        updated = await self._calls.submit(context, deed, GroupUpdated, request.request_id)
+        return pb.UpdateGroupResponse(group=group_record(updated.group))
+
+    @refusing
+    async def DeleteGroup(self, request: pb.DeleteGroupRequest, context: Any) -> pb.DeleteGroupResponse:
+        """See the contract."""
+        await self._calls.submit(context, DeleteGroup(group_id=request.group_id), GroupDeleted, request.request_id)
+        return pb.DeleteGroupResponse()
+
+    @refusing
+    async def ListGroups(self, request: pb.ListGroupsRequest, context: Any) -> pb.ListGroupsResponse:
+        """See the contract."""
+        listing = f"groups\0{request.name_glob}\0{request.channel_id.hex()}"
+        after = page_tokens.read_listing(request.page_token, listing)
+
+        def find(directory: Directory) -> tuple[GroupPage, int]:
+            page = group_page(directory.tables, request.name_glob, request.channel_id, after, request.page_size)
+            return page, directory.applied_index
+
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ListGroupsResponse(
+            groups=[group_record(group) for group in page.groups],
+            next_page_token=page_tokens.write_listing(listing, page.last_name),
+            applied_index=index,
+        )
+
+
+def _open_again(directory: Directory, op_id: bytes, deed: OpenGroup) -> GroupOpened | None:
+    """The answer that this very request got before, or the one it gets because the group is there."""
+    found = directory.answered.find(op_id, subject_of(deed))
+    return found if isinstance(found, GroupOpened) else open_group_unchanged(directory.tables, deed)

@@ -1,0 +1,66 @@
+"""What the leader does about the loads of owners and copies: takes what hosts tell, and gives it to who asks. The thin
+shell around `replica_loads`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt.errors import HostNotFound, InvalidArgument, LeaseExpired
+from stampede_rt_runtime.clock import HostClock
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.host_transitions import check_boot
+from stampede_rt_supernode.core.lookups import host_by_id
+from stampede_rt_supernode.core.replicas.loads import REPORT_LOADS_MAX, ReplicaLoad, ReplicaLoads
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import ReplicatedLog
+from stampede_rt_supernode.servicers.lease_keeper import not_leader
+
+
+class LoadKeeper:
+    """On one event loop. Loads come every 2 s or so for each host, so nothing here waits."""
+
+    def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, clock: HostClock) -> None:
+        self._log = log
+        self._replica = replica
+        self._clock = clock
+        self._loads = ReplicaLoads()
+
+    def report(self, host_id: bytes, boot_incarnation: int, loads: Sequence[ReplicaLoad]) -> None:
+        """Note what a host tells; what it neither owns nor holds a copy of is passed over, since it may just have been
+        taken away. Raises InvalidArgument, NotLeader or LeaseExpired."""
+        if len(loads) > REPORT_LOADS_MAX:
+            raise InvalidArgument(f"the report has {len(loads)} loads; {REPORT_LOADS_MAX} at most, send the rest apart")
+        for load in loads:
+            if load.host_id != host_id:
+                raise InvalidArgument(
+                    f"a load of host {load.host_id.hex()} is told by host {host_id.hex()}; leave it out"
+                )
+        status = self._log.status()
+        if not status.is_leader:
+            raise not_leader(status)
+        self._loads.lead(status.tenure)
+        held = self._replica.read(lambda directory: _held(directory, host_id, boot_incarnation, loads))
+        self._loads.note(held, self._clock.boottime_nanos())
+
+    def of(self, channel_id: bytes, host_ids: Sequence[bytes]) -> list[ReplicaLoad]:
+        """What these hosts told of a channel, the least loaded first; nothing if this supernode does not lead."""
+        self._loads.lead(self._log.status().tenure)
+        return self._loads.of(channel_id, host_ids, self._clock.boottime_nanos())
+
+
+def _held(directory: Directory, host_id: bytes, boot: int, loads: Sequence[ReplicaLoad]) -> list[ReplicaLoad]:
+    try:
+        host = host_by_id(directory.tables, host_id)
+    except HostNotFound as error:
+        raise LeaseExpired(error.message, metadata=error.metadata) from error
+    check_boot(host, boot)
+    if not host.alive:
+        text = f"host {host.name} has no lease; it ended, or the host left; register it again"
+        raise LeaseExpired(text, metadata={"host": host.name})
+    return [load for load in loads if _carries(directory.tables, host_id, load.channel_id)]
+
+
+def _carries(tables: Tables, host_id: bytes, channel_id: bytes) -> bool:
+    channel = tables.channels.get(channel_id)
+    return channel is not None and (channel.host_id == host_id or host_id in channel.proxy_host_ids)

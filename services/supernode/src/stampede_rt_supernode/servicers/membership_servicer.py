@@ -1,0 +1,133 @@
+"""MembershipService, thinly: check, ask the log, encode (proto/stampede_rt/v1/membership_service.proto)."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+from collections.abc import Awaitable
+from typing import Any
+
+from stampede_rt.errors import (
+    InvalidArgument,
+    Overloaded,
+    PermissionDenied,
+    StampedeError,
+    Unavailable,
+    VersionMismatch,
+)
+from stampede_rt.status import abort
+from stampede_rt.v1 import membership_service_pb2 as pb
+from stampede_rt.v1 import membership_service_pb2_grpc
+from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.values import parse_target
+from stampede_rt_supernode import replication
+from stampede_rt_supernode.core.validation import check_id
+from stampede_rt_supernode.joining.join_tokens import JoinTokens, valid_until
+from stampede_rt_supernode.joining.members import Members
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication import Member, ReplicatedLog
+from stampede_rt_supernode.servicers.lease_keeper import not_leader
+
+PROTOCOL_VERSION = 1
+WAIT_SECONDS_MAX = 60.0
+ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears the reason and not just the deadline
+MEMBER_ID_CHARACTERS_MAX = 128
+
+
+class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
+    """One supernode's answers; only the leader changes the members."""
+
+    def __init__(
+        self,
+        log: ReplicatedLog,
+        replica: DirectoryReplica,
+        members: Members,
+        tokens: JoinTokens,
+        clock: HostClock,
+        *,
+        log_cluster_id: str,
+    ) -> None:
+        self._log = log
+        self._replica = replica
+        self._members = members
+        self._tokens = tokens
+        self._clock = clock
+        self._log_cluster_id = log_cluster_id
+
+    async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Any) -> pb.CreateJoinTokenResponse:
+        """See the contract."""
+        try:
+            check_id(request.request_id, "request_id")
+            valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
+            until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
+            token = self._tokens.make(request.request_id, valid_until_unix_nano=until, cluster_id=cluster_id)
+        except StampedeError as error:
+            await abort(context, error)
+        return pb.CreateJoinTokenResponse(
+            token=token, valid_until_unix_nano=until, cluster_id=cluster_id, log_cluster_id=self._log_cluster_id
+        )
+
+    async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Any) -> pb.AddSupernodeResponse:
+        """See the contract."""
+        try:
+            member, ticket = self._newcomer(request)
+            index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
+        except StampedeError as error:
+            await abort(context, error)
+        records, _ = self._members.records()
+        return pb.AddSupernodeResponse(supernodes=records, cluster_id=self._cluster_id(), index=index)
+
+    async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Any) -> pb.RemoveSupernodeResponse:
+        """See the contract."""
+        try:
+            if not request.supernode_id:
+                raise InvalidArgument("supernode_id is empty; name the supernode to remove")
+            index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
+        except StampedeError as error:
+            await abort(context, error)
+        records, _ = self._members.records()
+        return pb.RemoveSupernodeResponse(supernodes=records, index=index)
+
+    def _newcomer(self, request: pb.AddSupernodeRequest) -> tuple[Member, str]:
+        if request.protocol_version != PROTOCOL_VERSION:
+            text = f"the supernode speaks version {request.protocol_version} of the wire contract, this one"
+            raise VersionMismatch(f"{text} {PROTOCOL_VERSION}; install the same release on both")
+        if not 0 < len(request.supernode_id) <= MEMBER_ID_CHARACTERS_MAX:
+            raise InvalidArgument(f"supernode_id must have 1 to {MEMBER_ID_CHARACTERS_MAX} characters")
+        now, cluster_id = self._clock.time_unix_nano(), self._cluster_id()
+        ticket = self._tokens.check(request.token, now_unix_nano=now, cluster_id=cluster_id)
+        try:
+            address = parse_target(request.endpoint.target)
+        except ValueError as error:
+            raise InvalidArgument(f"endpoint.target is {request.endpoint.target!r}; it must be {error}") from error
+        return Member(member_id=request.supernode_id, address=address), ticket
+
+    async def _done(self, change: Awaitable[int]) -> int:
+        """The log position of a change. Raises what the contract names."""
+        try:
+            return await change
+        except replication.NotLeading as error:
+            raise not_leader(self._log.status()) from error
+        except replication.ChangeUnderWay as error:
+            raise Overloaded(f"{error}; try again in a moment") from error
+        except replication.TicketSpent as error:
+            raise PermissionDenied(str(error), reason="UNAUTHENTICATED") from error
+        except replication.ChangeRefused as error:
+            raise InvalidArgument(str(error)) from error
+        except replication.Unavailable as error:
+            raise Unavailable(str(error), reason="NO_QUORUM") from error
+        except replication.Ambiguous as error:
+            raise Unavailable(f"{error}; repeat it, or ask ListSupernodes", reason="AMBIGUOUS") from error
+
+    def _cluster_id(self) -> str:
+        cluster_id = self._replica.read(lambda directory: directory.cluster_id)
+        if not cluster_id:
+            raise Unavailable("the cluster is just being founded; try again in a moment", reason="NO_QUORUM")
+        return cluster_id
+
+
+def _seconds(context: Any) -> float:
+    """How long this call may wait for the newcomer and the other supernodes."""
+    left = context.time_remaining()
+    if left is None:
+        return WAIT_SECONDS_MAX
+    return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))

@@ -1,0 +1,116 @@
+"""ReplicaDirectoryService, thinly (proto/stampede_rt/v1/replica_directory_service.proto)."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from stampede_rt.v1 import replica_directory_service_pb2 as pb
+from stampede_rt.v1 import replica_directory_service_pb2_grpc
+from stampede_rt_supernode.codecs.record_codec import host_record
+from stampede_rt_supernode.codecs.replica_codec import (
+    channel_id_of,
+    kind_from,
+    load_from,
+    load_message,
+    replica_record,
+)
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.lookups import channel_by_id
+from stampede_rt_supernode.core.records import Channel, Host, Replica
+from stampede_rt_supernode.core.replicas.commands import (
+    AddReplica,
+    RemoveReplica,
+    ReplicaAdded,
+    ReplicaInSyncSet,
+    ReplicaRemoved,
+    SetReplicaInSync,
+)
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing
+from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
+
+
+class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirectoryServiceServicer):
+    """One supernode's answers about copies."""
+
+    def __init__(self, calls: DirectoryCalls, loads: LoadKeeper) -> None:
+        self._calls = calls
+        self._loads = loads
+
+    @refusing
+    async def AddReplica(self, request: pb.AddReplicaRequest, context: Any) -> pb.AddReplicaResponse:
+        """See the contract."""
+        deed = AddReplica(
+            channel_id=channel_id_of(request.subject),
+            epoch=request.epoch,
+            host_id=request.host_id,
+            kind=kind_from(request.kind),
+            source_host_id=request.source_host_id,
+            acknowledged=request.acknowledged,
+        )
+        added = await self._calls.submit(context, deed, ReplicaAdded, request.request_id)
+        return pb.AddReplicaResponse(replica=replica_record(added.replica), host=host_record(added.host))
+
+    @refusing
+    async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Any) -> pb.RemoveReplicaResponse:
+        """See the contract."""
+        deed = RemoveReplica(channel_id=channel_id_of(request.subject), host_id=request.host_id)
+        await self._calls.submit(context, deed, ReplicaRemoved, request.request_id)
+        return pb.RemoveReplicaResponse()
+
+    @refusing
+    async def SetReplicaInSync(self, request: pb.SetReplicaInSyncRequest, context: Any) -> pb.SetReplicaInSyncResponse:
+        """See the contract. In a cluster with certificates only the owner may say so."""
+        channel_id = channel_id_of(request.subject)
+        owner = await self._calls.read(context, lambda directory: channel_by_id(directory.tables, channel_id).host_id)
+        self._calls.check_host(context, owner)
+        deed = SetReplicaInSync(
+            channel_id=channel_id,
+            epoch=request.epoch,
+            host_id=request.host_id,
+            boot_incarnation=request.boot_incarnation,
+            in_sync=request.in_sync,
+        )
+        done = await self._calls.submit(context, deed, ReplicaInSyncSet, request.request_id)
+        return pb.SetReplicaInSyncResponse(replica=replica_record(done.replica))
+
+    @refusing
+    async def ReportReplicaLoads(
+        self, request: pb.ReportReplicaLoadsRequest, context: Any
+    ) -> pb.ReportReplicaLoadsResponse:
+        """See the contract. Leaves no entry in the log."""
+        self._calls.check_host(context, request.host_id)
+        self._loads.report(request.host_id, request.boot_incarnation, [load_from(load) for load in request.loads])
+        return pb.ReportReplicaLoadsResponse()
+
+    @refusing
+    async def ListReplicas(self, request: pb.ListReplicasRequest, context: Any) -> pb.ListReplicasResponse:
+        """See the contract."""
+        channel_id = channel_id_of(request.subject)
+        found = await self._calls.read(context, lambda one: _find(one, channel_id), stale_ok=request.stale_ok)
+        loads = self._loads.of(channel_id, [host.host_id for host in found.hosts])
+        return pb.ListReplicasResponse(
+            replicas=[replica_record(replica) for replica in found.replicas],
+            loads=[load_message(load) for load in loads],
+            hosts=[host_record(host) for host in found.hosts],
+            owner_host_id=found.channel.host_id,
+            epoch=found.channel.epoch,
+            applied_index=found.applied_index,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    channel: Channel
+    replicas: tuple[Replica, ...]
+    hosts: tuple[Host, ...]  # the owner, then those of the copies
+    applied_index: int
+
+
+def _find(directory: Directory, channel_id: bytes) -> _Found:
+    tables = directory.tables
+    channel = channel_by_id(tables, channel_id)
+    replicas = tables.replicas.of(channel_id)
+    host_ids = (channel.host_id, *(replica.host_id for replica in replicas))
+    return _Found(channel, replicas, tuple(tables.hosts[one] for one in host_ids), directory.applied_index)

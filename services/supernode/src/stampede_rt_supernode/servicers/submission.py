@@ -1,0 +1,95 @@
+"""Commands and confirmed reads, carried through leader changes: the same operation again until its outcome is known."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+from stampede_rt import errors
+from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
+from stampede_rt_supernode.core.commands import Command, Deed, Refused, Result, Success
+from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, Unavailable
+
+ATTEMPT_SECONDS_MAX = 2.0
+BACKOFF_SECONDS_MIN = 0.02
+BACKOFF_SECONDS_MAX = 0.5
+
+T = TypeVar("T")
+R = TypeVar("R", bound=Success)
+
+
+class Submission:
+    """The way into the log. Every wait ends within the `seconds` that the caller gives."""
+
+    def __init__(self, log: ReplicatedLog, *, time_unix_nano: Callable[[], int]) -> None:
+        self._log = log
+        self._time_unix_nano = time_unix_nano
+        self._closed = False
+
+    def close(self) -> None:
+        """From now on nothing is tried again: what is under way ends with SHUTTING_DOWN, unless it succeeds now."""
+        self._closed = True
+
+    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float) -> R:
+        """Replicate `deed` and return what came of it, a `kind`. Repeated with the same `op_id`, it is done once.
+
+        Raises the error that the directory refuses it with; Unavailable with reason AMBIGUOUS if it may or may not be
+        done, NO_QUORUM if it certainly is not.
+        """
+        encoded = encode_command(Command(op_id=op_id, time_unix_nano=self._time_unix_nano(), deed=deed))
+        result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
+        if isinstance(result, Refused):
+            raise result.error()
+        if not isinstance(result, kind):
+            raise errors.StampedeError(f"a {type(deed).__name__} gave a {type(result).__name__}; report this")
+        return result
+
+    async def _propose(self, encoded: bytes, timeout: float) -> Result:
+        result = decode_result(await self._log.propose(encoded, timeout=timeout))
+        if isinstance(result, Refused) and result.reason == "NO_QUORUM":
+            raise Unavailable(result.message)  # the directory itself says that it is too early
+        return result
+
+    async def confirm(self, *, seconds: float) -> int:
+        """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
+        return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds)
+
+    async def _persist(self, attempt: Callable[[float], Awaitable[T]], seconds: float) -> T:
+        deadline = time.monotonic() + seconds
+        backoff, ambiguous = BACKOFF_SECONDS_MIN, False
+        while (left := deadline - time.monotonic()) > 0 and not self._closed:
+            try:
+                return await attempt(min(left, ATTEMPT_SECONDS_MAX))
+            except Unavailable:
+                pass  # certainly not done in this attempt; an earlier one may still be
+            except Ambiguous:
+                ambiguous = True
+            left = deadline - time.monotonic()
+            await asyncio.sleep(max(0.0, min(left, backoff * random.uniform(0.5, 1.0))))
+            backoff = min(2 * backoff, BACKOFF_SECONDS_MAX)
+        if ambiguous:
+            raise _unknown(seconds)
+        raise _shutting_down() if self._closed else _no_quorum(seconds)
+
+
+def _unknown(seconds: float) -> errors.Unavailable:
+    return errors.Unavailable(
+        f"the supernodes did not say within {seconds:.1f} s whether the update is done; try again with the same "
+        "request id, which does it once",
+        reason="AMBIGUOUS",
+    )
+
+
+def _no_quorum(seconds: float) -> errors.Unavailable:
+    return errors.Unavailable(
+        f"no majority of the supernodes answered within {seconds:.1f} s; try another supernode, or see that most of "
+        "them run and reach each other",
+        reason="NO_QUORUM",
+    )
+
+
+def _shutting_down() -> errors.Unavailable:
+    return errors.Unavailable("this supernode is about to stop; go to another one", reason="SHUTTING_DOWN")

@@ -1,0 +1,151 @@
+"""Watches: every watcher holds a position in the ring of recent changes, and nothing is buffered for it.
+
+A slow watcher therefore costs no memory; if the ring overtakes it, it hears WATCH_RESTART and lists again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+
+from stampede_rt.errors import Unavailable, WatchRestart
+from stampede_rt_supernode.core.change_ring import ChangePage
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.glob import matcher
+from stampede_rt_supernode.core.records import Change, Group, Host
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import ReplicatedLog
+
+logger = logging.getLogger(__name__)
+
+CHANGES_PER_RESPONSE_MAX = 256
+SIGN_OF_LIFE_SECONDS = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class WatchBatch:
+    """Changes in order, perhaps none. Everything up to `applied_index` has been given out."""
+
+    changes: tuple[Change, ...]
+    applied_index: int
+
+
+class Watches:
+    """The watches of one supernode, on one event loop. `close` ends them all."""
+
+    def __init__(
+        self, replica: DirectoryReplica, log: ReplicatedLog, *, sign_of_life_seconds: float = SIGN_OF_LIFE_SECONDS
+    ) -> None:
+        self._replica = replica
+        self._log = log
+        self._sign_of_life_seconds = sign_of_life_seconds
+        self._bell = _Bell()
+        self._closed = False
+        replica.listen(self._bell.ring)
+
+    def close(self) -> None:
+        """End every watch with SHUTTING_DOWN, now and from now on."""
+        self._closed = True
+        self._bell.wake()
+
+    async def follow(
+        self, glob: str, after_index: int, *, include_hosts: bool, include_groups: bool = False
+    ) -> AsyncIterator[WatchBatch]:
+        """Batches without end; the first is empty and says where the watch begins, and so are signs of life.
+
+        `after_index` 0: from now on. The caller has just confirmed a read. Raises InvalidArgument for a bad pattern,
+        WatchRestart, and Unavailable when this supernode stops or knows no leader any more.
+        """
+        wanted = _filter(glob, include_hosts, include_groups)
+        position, index, life = self._replica.read(lambda directory: self._begin(directory, after_index))
+        yield WatchBatch((), index)
+        while True:
+            ring = self._bell.next_ring()
+            page = self._replica.read(lambda directory, p=position: self._page(directory, p, life))  # type: ignore[misc]
+            position = page.position
+            changes = tuple(change for change in page.changes if wanted(change))
+            if changes:
+                yield WatchBatch(changes, page.index)
+            if page.changes:
+                continue  # there may be more already
+            self._check_open()
+            if not await _happens(ring, self._sign_of_life_seconds):
+                self._check_leader()
+                yield WatchBatch((), page.index)
+
+    def _begin(self, directory: Directory, after_index: int) -> tuple[int, int, int]:
+        ring, index = directory.tables.changes, after_index or directory.applied_index
+        position = ring.position_after(index) if index <= directory.applied_index else None
+        if position is None:
+            raise _restart(f"the changes after index {after_index} are not kept here")
+        return position, index, self._replica.restored
+
+    def _page(self, directory: Directory, position: int, life: int) -> ChangePage:
+        page = directory.tables.changes.read(position, CHANGES_PER_RESPONSE_MAX)
+        if page is None or life != self._replica.restored:
+            raise _restart("the watch fell behind the changes that are kept")
+        return page
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise Unavailable("this supernode is about to stop; watch at another one", reason="SHUTTING_DOWN")
+
+    def _check_leader(self) -> None:
+        if self._log.status().leader_id is None:
+            text = "this supernode knows no leader, so it hears of no changes; watch at another one"
+            raise Unavailable(text, reason="NO_QUORUM")
+
+
+def _restart(reason: str) -> WatchRestart:
+    return WatchRestart(f"{reason}; list the channels again, then watch from that answer's index")
+
+
+def _filter(glob: str, include_hosts: bool, include_groups: bool) -> Callable[[Change], bool]:
+    matches = matcher(glob)
+
+    def wanted(change: Change) -> bool:
+        if isinstance(change.subject, Host):
+            return include_hosts
+        return (include_groups or not isinstance(change.subject, Group)) and matches(change.subject.name)
+
+    return wanted
+
+
+async def _happens(event: asyncio.Event, seconds: float) -> bool:
+    try:
+        async with asyncio.timeout(seconds):
+            await event.wait()
+    except TimeoutError:
+        return False
+    return True
+
+
+class _Bell:
+    """Wakes whoever waits on the event loop; rung from any thread, many rings before the waking being one."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._event = asyncio.Event()
+        self._rung = False
+
+    def next_ring(self) -> asyncio.Event:
+        """Set by the next ring; take it before looking at what the ring announces."""
+        return self._event
+
+    def ring(self) -> None:
+        """From any thread. After the loop has closed nobody waits any more."""
+        if self._rung:
+            return
+        self._rung = True
+        try:
+            self._loop.call_soon_threadsafe(self.wake)
+        except RuntimeError:
+            logger.debug("a change came after the event loop had closed")
+
+    def wake(self) -> None:
+        """On the loop."""
+        self._rung = False
+        self._event.set()
+        self._event = asyncio.Event()
