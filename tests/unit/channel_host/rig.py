@@ -168,8 +168,9 @@ async def running_host(
             on_defect=_fail,
         )
         server = ServiceServer(secret=None)
+        rig = Rig(directory, host, server.bind("localhost:0"))
         host.add_to(server.grpc)
-        rig = Rig(directory, host, await server.start("localhost:0"))
+        await server.start()
         await host.enter(rig.target)
         try:
             yield rig

@@ -57,22 +57,37 @@ async def test_port_0_becomes_the_port_that_was_bound() -> None:
         assert int(port) > 0
 
 
+async def test_a_bound_port_is_known_and_taken_before_the_server_starts_and_callers_wait_for_it() -> None:
+    server = ServiceServer(secret=None)
+    Probe().register(server.grpc)
+    address = server.bind("localhost:0")
+    with pytest.raises(CannotListen, match=f"{address} is in use"):
+        ServiceServer(secret=None).bind(address)
+    async with dial(address, secret=None) as channel:
+        call = channel.unary_unary("/test.Probe/Echo")(b"patient", timeout=10)
+        await asyncio.sleep(0)  # the call is on its way
+        await server.start()
+        assert await call == b"patient"
+    await server.stop()
+
+
 async def test_a_second_server_on_the_same_port_is_refused() -> None:
     async with serving(Probe().register) as first:
         with pytest.raises(CannotListen, match=f"{first.address} is in use"):
-            await ServiceServer(secret=None).start(first.address)
+            ServiceServer(secret=None).bind(first.address)
 
 
 async def test_a_port_taken_between_check_and_bind_is_refused_too(monkeypatch: pytest.MonkeyPatch) -> None:
     async with serving(Probe().register) as first:
         monkeypatch.setattr("stampede_rt_runtime.listen._try_bind", lambda *_: None)
         with pytest.raises(CannotListen, match="cannot be listened at"):
-            await ServiceServer(secret=None).start(first.address)
+            ServiceServer(secret=None).bind(first.address)
 
 
 async def test_health_is_not_serving_until_the_service_says_so() -> None:
     server = ServiceServer(secret=None)
-    address = await server.start("localhost:0")
+    address = server.bind("localhost:0")
+    await server.start()
     assert await health_of(address) == NOT_SERVING
     await server.set_serving(True)
     assert await health_of(address) == SERVING
@@ -113,7 +128,8 @@ async def test_a_stream_that_does_not_end_is_cut_after_the_bound(monkeypatch: py
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 async def test_a_stop_signal_ends_run(number: signal.Signals) -> None:
     server = ServiceServer(secret=None)
-    await server.start("localhost:0")
+    server.bind("localhost:0")
+    await server.start()
     running = asyncio.create_task(server.run())
     asyncio.get_running_loop().call_soon(os.kill, os.getpid(), number)
     await asyncio.wait_for(running, 5)
@@ -124,7 +140,8 @@ async def test_a_second_signal_cuts_the_drain() -> None:
     probe = Probe()
     server = ServiceServer(secret=None)
     probe.register(server.grpc)
-    address = await server.start("localhost:0")
+    address = server.bind("localhost:0")
+    await server.start()
     async with dial(address, secret=None) as channel:
         stream = channel.unary_stream("/test.Probe/Hold")(b"", timeout=10)
         assert await stream.read() == b"held"

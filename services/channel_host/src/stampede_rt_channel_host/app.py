@@ -35,7 +35,8 @@ class _Service:
         _tune_garbage_collection()
         host = self._make_host()
         host.add_to(self._server.grpc)
-        address = await self._server.start(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        address = self._server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        await self._server.start()
         running = asyncio.create_task(self._server.run(host.leave))  # from here on a stop signal is heeded
         entering = asyncio.create_task(host.enter(settings.advertise or _reachable(address)))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)

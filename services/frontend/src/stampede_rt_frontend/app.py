@@ -50,7 +50,8 @@ async def serve(settings: FrontendSettings) -> None:
     async with Prober(roster, credentials, explain=credentials.explain) as prober:
         servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server.grpc)
-        address = await server.start(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        await server.start()
         await server.set_serving(True)
         announce(f"stampede frontend ready on {address}")
         await server.run()

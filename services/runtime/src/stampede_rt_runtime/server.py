@@ -26,7 +26,7 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class ServiceServer:
-    """One listening server. Order of use: make, register servicers on `.grpc`, `start`, then `run` or `stop`.
+    """One listening server. Order of use: make, `bind`, register servicers on `.grpc`, `start`, then `run` or `stop`.
 
     Must be made on the event loop that serves. With `tls` every caller must
     bring a certificate whose role may call what it calls. With neither secret nor `tls` every caller is let in.
@@ -45,12 +45,11 @@ class ServiceServer:
         self._health = health.aio.HealthServicer()
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self.grpc)
 
-    async def start(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
-        """Listen at `listen`, and return the address with the port that was bound. Raises CannotListen.
+    def bind(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
+        """Take the port at `listen`, once, and return the address with the port that was bound. Raises CannotListen.
 
-        Health answers NOT_SERVING until `set_serving` is called.
+        From here on the port is this process's, and its address can be told to others: callers wait until `start`.
         """
-        await self.set_serving(False)
         place = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None)
         try:
             port = self._add_port(str(place))
@@ -58,9 +57,13 @@ class ServiceServer:
             raise CannotListen(f"{place} cannot be listened at: {error}") from error
         if port == 0:
             raise CannotListen(f"{place} cannot be listened at")
-        await self.grpc.start()
         self.address = str(Address(place.host, port))
         return self.address
+
+    async def start(self) -> None:
+        """Serve what is registered at the bound address. Health answers NOT_SERVING until `set_serving` is called."""
+        await self.set_serving(False)
+        await self.grpc.start()
 
     def _add_port(self, place: str) -> int:
         if self._tls is None:
@@ -135,8 +138,9 @@ async def serving(
 ) -> AsyncIterator[ServiceServer]:
     """A started server for as long as the block lasts, loopback only; for tests and for servers inside a client."""
     server = ServiceServer(secret=secret, limits=limits, tls=tls)
+    server.bind(listen)
     register(server.grpc)
-    await server.start(listen)
+    await server.start()
     await server.set_serving(True)
     try:
         yield server

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import socket
 import sys
 from collections.abc import AsyncIterator, Coroutine, Sequence
+from dataclasses import dataclass
 from typing import Any
+
+import grpc
 
 from stampede_rt.cli.supernode import ADMINISTERING, administer
 from stampede_rt.errors import StampedeError
@@ -15,10 +17,8 @@ from stampede_rt.v1 import directory_service_pb2_grpc, membership_service_pb2_gr
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.listen import check_listen
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
-from stampede_rt_runtime.values import Address
 from stampede_rt_supernode.joining.founding import Founding, note_started, read_founding
 from stampede_rt_supernode.joining.join_tokens import JoinTokens
 from stampede_rt_supernode.joining.members import Members
@@ -52,53 +52,80 @@ async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
     credentials = settings.load_credentials(Role.SUPERNODE)
     server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
-    listen = _concrete(settings)
-    founding = settings.founding(listen)
+    # Bound before anything else: the log must know the address, and others hear of it.
+    address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+    founding = settings.founding(address)
     async with _open_log(settings, founding, server, credentials) as (log, replica):
-        clock = SystemClock()
-        submission = Submission(log, time_unix_nano=clock.time_unix_nano)
-        leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
-        leases.founding_cluster_id = founding.log_cluster_id
-        watches = Watches(replica, log)
-        probe = Probe(log, credentials, explain=credentials.explain)
-        members = Members(log, replica, probe, advertise=settings.advertise or founding.address, zone=settings.zone)
-        servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
-        directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
-        register_record_services(
-            server.grpc, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock)
-        )
-        tokens = JoinTokens(credentials.secret.text if credentials.secret else "")
-        membership = MembershipServicer(log, replica, members, tokens, clock, log_cluster_id=founding.log_cluster_id)
-        membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(membership, server.grpc)
-        address = await server.start(listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
-
-        async def end_streams() -> None:
-            watches.close()
-            # Others need not wait for an election timeout then.
-            with contextlib.suppress(Unavailable):
-                await log.hand_over(timeout=HAND_OVER_SECONDS)
-            submission.close()
-            await log.close()
-
-        work = [leases.run(), probe.run(), _follow_leader(server, members), _watch_removal(server, log)]
+        parts = _assemble(settings, founding, log, replica, credentials)
+        _register(parts, server.grpc)
+        await server.start()
+        work = [
+            parts.leases.run(),
+            parts.probe.run(),
+            _follow_leader(server, parts.members),
+            _watch_removal(server, log),
+        ]
         if founding.token and settings.data_dir is not None:
             work.append(_enter(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
         async with _background(server, *work):
             # Said once `run` has set up the stop signals: whoever waits for this line may send one at once.
-            ready = f"stampede supernode {members.self_id} ready on {address}"
+            ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
-            await server.run(end_streams)
+            await server.run(parts.end_streams)
 
 
-def _concrete(settings: SupernodeSettings) -> str:
-    """Where to listen, with a free port in the place of port 0: the log must know the address before it is bound."""
-    place = check_listen(
-        settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere or settings.tls_ca is not None
+@dataclass(frozen=True, kw_only=True)
+class _Parts:
+    """What stands between the log and its callers."""
+
+    log: ReplicatedLog
+    replica: DirectoryReplica
+    clock: SystemClock
+    submission: Submission
+    leases: LeaseKeeper
+    watches: Watches
+    probe: Probe
+    members: Members
+    membership: MembershipServicer
+
+    async def end_streams(self) -> None:
+        """Tell callers to go elsewhere, and the other members that they need not wait for an election timeout."""
+        self.watches.close()
+        with contextlib.suppress(Unavailable):
+            await self.log.hand_over(timeout=HAND_OVER_SECONDS)
+        self.submission.close()
+        await self.log.close()
+
+
+def _assemble(
+    settings: SupernodeSettings, founding: Founding, log: ReplicatedLog, replica: DirectoryReplica, credentials: Dialer
+) -> _Parts:
+    clock = SystemClock()
+    submission = Submission(log, time_unix_nano=clock.time_unix_nano)
+    leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
+    leases.founding_cluster_id = founding.log_cluster_id
+    probe = Probe(log, credentials, explain=credentials.explain)
+    members = Members(log, replica, probe, advertise=settings.advertise or founding.address, zone=settings.zone)
+    tokens = JoinTokens(credentials.secret.text if credentials.secret else "")
+    return _Parts(
+        log=log,
+        replica=replica,
+        clock=clock,
+        submission=submission,
+        leases=leases,
+        watches=Watches(replica, log),
+        probe=probe,
+        members=members,
+        membership=MembershipServicer(log, replica, members, tokens, clock, log_cluster_id=founding.log_cluster_id),
     )
-    if place.port != 0:
-        return str(place)
-    with socket.create_server((place.host, 0)) as probe:
-        return str(Address(place.host, probe.getsockname()[1]))
+
+
+def _register(parts: _Parts, server: grpc.aio.Server) -> None:
+    log, replica, submission, clock = parts.log, parts.replica, parts.submission, parts.clock
+    servicer = DirectoryServicer(replica, submission, parts.leases, parts.watches, parts.members, clock)
+    directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
+    register_record_services(server, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock))
+    membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server)
 
 
 @contextlib.asynccontextmanager
