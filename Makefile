@@ -6,7 +6,7 @@ PYTHON ?= python3
 UV_VERSION := 0.13.8
 UV := .tools/bin/uv
 RUN := .venv/bin
-PYTHON_DIRS := client services deploy demos tests tools
+PYTHON_DIRS := client services deploy demos benchmarks tests tools
 export UV_PYTHON_DOWNLOADS := never
 
 .PHONY: help setup demo test check format stubs robustness images bench clean

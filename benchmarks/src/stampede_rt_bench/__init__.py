@@ -1,0 +1,1 @@
+"""`stampede bench`: figures with their peers beside them, as tables and charts."""

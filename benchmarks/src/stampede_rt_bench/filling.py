@@ -1,0 +1,42 @@
+"""Channels that hold many items, without a cluster: the pure core, as a host has it in its memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import repeat
+
+from stampede_rt.model import Policy
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_bench.measuring import PAYLOAD_BYTES
+from stampede_rt_channel_host.core.channel import Channel, Offer
+
+PERIOD_NANOS = 1_000_000
+FIRST_NANOS = 1_700_000_000_000_000_000
+BYTES_MAX = 1 << 40
+
+
+def time_of(index: int) -> int:
+    """The time of the item at that place."""
+    return FIRST_NANOS + index * PERIOD_NANOS
+
+
+def filled_channel(items: int, *, run_items: int = 1) -> Channel:
+    """A channel of so many items of 64 B, put in runs of `run_items`, as they would come from producers."""
+    channel = Channel(Policy(max_items=items, max_bytes=BYTES_MAX), incarnation=1, name="bench")
+    for first in range(0, items, run_items):
+        put_run(channel, range(first, min(first + run_items, items)))
+    return channel
+
+
+def put_run(channel: Channel, places: range) -> None:
+    """Put one run."""
+    times = [time_of(place) for place in places]
+    raw = encode_run([bytes(PAYLOAD_BYTES) for _ in places], times=times)
+
+    def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+        return seal_run(raw, first_seq)
+
+    offer = Offer(times=times, durations=None, lengths=list(repeat(PAYLOAD_BYTES, len(times))))
+    outcome = channel.put(offer, times[-1], seal)
+    if outcome.run is None or outcome.rejections or outcome.waiting is not None:
+        raise AssertionError(f"the channel did not take items {places}: {outcome}")

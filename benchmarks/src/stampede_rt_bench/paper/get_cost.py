@@ -1,0 +1,81 @@
+"""Figure 4 of the paper: what one get by time costs, by how many items a channel holds and where the item is.
+
+The peer is what a user would write by hand: a SortedDict from time to payload, searched for the newest time not later.
+It knows no spans, no seqs, no reasons; it says what the search alone costs in Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from sortedcontainers import SortedDict
+
+from stampede_rt.timeline import parse_interval
+from stampede_rt_bench.charts import Axes, draw_lines
+from stampede_rt_bench.filling import PERIOD_NANOS, filled_channel, time_of
+from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, microseconds
+from stampede_rt_bench.tables import Table, spread
+from stampede_rt_channel_host.core.channel import Channel, Query
+
+GETS_PER_RUN = 20_000
+POSITIONS = {"early": 0.01, "middle": 0.5, "late": 0.99}
+BY_HAND = "by hand, middle"
+
+
+def measure(effort: Effort, chart: Path) -> Table:
+    """The table and the chart of one get."""
+    lines: dict[str, list[tuple[float, Spread]]] = {name: [] for name in (*POSITIONS, BY_HAND)}
+    for items in effort.sizes():
+        for name, value in _of_channel(items, effort.runs).items():
+            lines[name].append((items, value))
+        lines[BY_HAND].append((items, _of_sorted_dict(items, effort.runs)))
+    title = f"One get by time, items of {PAYLOAD_BYTES} B, put one by one"
+    draw_lines(chart, Axes(title=title, x="items in the channel", y="microseconds"), lines)
+    return _table(lines)
+
+
+def _of_channel(items: int, runs: int) -> dict[str, Spread]:
+    channel = filled_channel(items)
+    return {
+        name: microseconds(_get(channel, items, share), times=GETS_PER_RUN, runs=runs)
+        for name, share in POSITIONS.items()
+    }
+
+
+def _get(channel: Channel, items: int, share: float) -> Callable[[], object]:
+    """The items whose span holds an instant in the middle of one item's span."""
+    instant = time_of(int(items * share)) + PERIOD_NANOS // 2
+    query, now = Query(interval=parse_interval(instant, instant)), time_of(items)
+    if len(channel.read(query, now).slices) != 1:
+        raise AssertionError(f"the item at {share:.0%} of {items} is not there")
+    return lambda: channel.read(query, now)
+
+
+def _of_sorted_dict(items: int, runs: int) -> Spread:
+    payload = bytes(PAYLOAD_BYTES)
+    by_time = SortedDict((time_of(place), payload) for place in range(items))
+    instant = time_of(items // 2) + PERIOD_NANOS // 2
+
+    def get() -> bytes:
+        found: bytes = by_time.peekitem(by_time.bisect_right(instant) - 1)[1]
+        return found
+
+    return microseconds(get, times=GETS_PER_RUN, runs=runs)
+
+
+def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
+    table = Table(["items", *(f"{name}, us" for name in lines)])
+    for place, (items, _) in enumerate(lines["early"]):
+        table.rows.append([f"{items:,}", *(spread(points[place][1]) for points in lines.values())])
+    means = [
+        [points[place][1].median for name, points in lines.items() if name in POSITIONS]
+        for place in range(len(table.rows))
+    ]
+    growth = max(last / first for first, last in zip(means[0], means[-1], strict=True))
+    between = max(max(row) / min(row) for row in means)
+    table.notes = [
+        f"From the smallest to the largest channel the cost grows {growth:.2f} times at the most (goal: 3);",
+        f"no position costs more than {between:.2f} times another (goal: 2). Medians (least to most) of the runs.",
+    ]
+    return table
