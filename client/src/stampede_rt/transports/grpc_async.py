@@ -17,13 +17,11 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD, SILENCE_S_MAX
+from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
-from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
-from stampede_rt.v1.frontend_service_pb2_grpc import FrontendServiceStub
-from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 
 Response = TypeVar("Response")
+Stub = TypeVar("Stub")
 
 
 def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.aio.Channel:
@@ -32,22 +30,23 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.aio.Channel:
     return grpc.aio.secure_channel(target, channel_credentials(tls), options=CHANNEL_OPTIONS)
 
 
-class Port:
+class Port(Stubs):
     """A gRPC connection to one address, shared by all calls there."""
 
     def __init__(self, target: str, secret: str | None, tls: TlsMaterial | None = None) -> None:
         self.target = target
         self.metadata = call_metadata(secret)
         self._channel = _open_channel(target, tls)
-        self.frontend = FrontendServiceStub(self._channel)
-        self.directory = DirectoryServiceStub(self._channel)
-        self.gatekeeper = GatekeeperServiceStub(self._channel)
-        self.channels = ChannelServiceStub(self._channel)
+        super().__init__(self._channel)
         # Requests are framed by hand (wire/put_frames.py) and sent as they are.
         self._put: Callable[..., Any] = self._channel.stream_stream(
             PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
         )
         self._gets: GetExchange | None = None
+
+    def stub(self, make: Callable[[grpc.aio.Channel], Stub]) -> Stub:
+        """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
+        return make(self._channel)
 
     async def call(self, method: Callable[..., Any], request: Any, timeout_s: float) -> Any:
         """One request, one response, within `timeout_s`. Raises StampedeError."""

@@ -1,0 +1,44 @@
+"""The RPCs that callers use, by the kind of server that answers them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
+from stampede_rt.v1.frontend_service_pb2_grpc import FrontendServiceStub
+from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServiceStub
+from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
+from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
+from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
+from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
+
+_OF_SUPERNODES = (DirectoryServiceStub, GroupDirectoryServiceStub, QueueDirectoryServiceStub, PeerServiceStub)
+
+
+class DirectoryStubs:
+    """Every RPC that supernodes serve to callers, under its name alone, whichever of their services it belongs to."""
+
+    def __init__(self, channel: Any) -> None:
+        self._methods: dict[str, Any] = {}
+        for stub in _OF_SUPERNODES:
+            self._methods |= vars(stub(channel))
+
+    def __getattr__(self, method: str) -> Any:
+        try:
+            return self._methods[method]
+        except KeyError:
+            raise AttributeError(f"supernodes serve no RPC {method!r}") from None
+
+
+class Stubs:
+    """One connection's stubs; which of them are served there depends on the server."""
+
+    def __init__(self, channel: Any) -> None:
+        self.frontend = FrontendServiceStub(channel)
+        self.directory = DirectoryStubs(channel)
+        self.gatekeeper = GatekeeperServiceStub(channel)
+        self.channels = ChannelServiceStub(channel)
+        self.groups = GroupServiceStub(channel)
+        self.queues = QueueServiceStub(channel)
