@@ -60,6 +60,10 @@ class ItemTooLarge(InvalidArgument):
     reason = "ITEM_TOO_LARGE"
 
 
+class CodecError(InvalidArgument):
+    """A value cannot be encoded, or a payload is not what its reader's codec decodes."""
+
+
 class ChannelNotFound(StampedeError, LookupError):
     """No channel has that name or id; it may have been deleted."""
 
@@ -72,10 +76,40 @@ class ChannelExists(StampedeError):
     reason = "CHANNEL_EXISTS"
 
 
+class GroupNotFound(StampedeError, LookupError):
+    """No group has that name or id; it may have been deleted."""
+
+    reason = "GROUP_NOT_FOUND"
+
+
 class GroupExists(StampedeError):
     """The group is there with other members or another reference."""
 
     reason = "GROUP_EXISTS"
+
+
+class QueueNotFound(StampedeError, LookupError):
+    """No queue has that name or id; it may have been deleted, or be the mailbox of a peer that has left."""
+
+    reason = "QUEUE_NOT_FOUND"
+
+
+class QueueExists(StampedeError):
+    """The queue is there with a set-up that contradicts the one stated."""
+
+    reason = "QUEUE_EXISTS"
+
+
+class PeerNotFound(StampedeError, LookupError):
+    """No live peer has that name or id."""
+
+    reason = "PEER_NOT_FOUND"
+
+
+class PeerExists(StampedeError):
+    """Another live peer has that name."""
+
+    reason = "PEER_EXISTS"
 
 
 class HostNotFound(StampedeError, LookupError):
@@ -91,7 +125,7 @@ class HostExists(StampedeError):
 
 
 class ChannelFull(StampedeError):
-    """The channel's limits are reached and nothing made room in time."""
+    """The limits of the channel or queue are reached and nothing made room in time."""
 
     reason = "CHANNEL_FULL"
 
@@ -176,12 +210,13 @@ _BY_REASON: dict[str, type[StampedeError]] = {
     cls.reason: cls
     for cls in (
         InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
-        GroupExists, HostNotFound, HostExists, ChannelFull, TooOld, InFuture, IncarnationLost, LeaseExpired,
-        PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch,
-        WatchRestart,
+        GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
+        ChannelFull, TooOld, InFuture, IncarnationLost, LeaseExpired, PermissionDenied, Overloaded, Unavailable,
+        DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch, WatchRestart,
     )
 }  # fmt: skip
 _BY_REASON |= {
+    "QUEUE_FULL": ChannelFull,
     "NO_HOST": Unavailable,
     "AMBIGUOUS": Unavailable,
     "SHUTTING_DOWN": Unavailable,

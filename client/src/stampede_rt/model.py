@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 from stampede_rt.timeline import ResolvedInterval
 
@@ -28,6 +28,11 @@ class Item(NamedTuple):
     content_type: str
     payload_length_bytes: int
     incarnation: int
+
+    @property
+    def value(self) -> Any:
+        """The payload as the handle's codec decodes it; without a codec the payload itself."""
+        return self.payload
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Item) and tuple(self) == tuple(other))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from typing import Any
 
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.puts import PutStreams
@@ -72,7 +73,7 @@ class Channel:
 
     async def put(
         self,
-        payload: bytes,
+        payload: Any,
         *,
         time: InstantLike | None = None,
         duration: DurationLike | int | None = None,
@@ -82,9 +83,10 @@ class Channel:
     ) -> Item:
         """Put one item and wait until the host has accepted it; the item returned has its `time` and `seq`.
 
-        Without `time` the host stamps it on acceptance. `timeout` in seconds matters on a full channel with
-        on_full="block": how long to wait there; None: without limit. A put that was tried again is never doubled.
-        Raises TooOld, InFuture, ChannelFull, ItemTooLarge; Unavailable if the host cannot be reached.
+        `payload` is bytes, or the value if the handle has a codec. Without `time` the host stamps it on acceptance.
+        `timeout` in seconds matters on a full channel with on_full="block": how long to wait there; None: without
+        limit. A put that was tried again is never doubled.
+        Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
         return await self._puts.put(self._numbers, payload, time, duration, attributes, content_type, timeout)
 

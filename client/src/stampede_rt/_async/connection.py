@@ -8,6 +8,7 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt._async.watch import Watch
+from stampede_rt.codecs import Codec, Coding
 from stampede_rt.errors import HostNotFound
 from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.policy import parse_name, parse_policy
@@ -59,6 +60,7 @@ class Connection:
         on_full: str | None = None,
         max_future: DurationLike | None = None,
         content_type: str | None = None,
+        codec: str | Codec | None = None,
         host: str | None = None,
         create: bool = True,
     ) -> Channel:
@@ -67,6 +69,9 @@ class Connection:
         Arguments left out are never compared; a stated one that contradicts what was stated before raises
         ChannelExists. Unstated: max_age "10s" if no limit at all is stated, max_bytes 256 MiB, on_full "drop_oldest",
         max_future "1s". `host` names the host to create it at. `create=False` raises ChannelNotFound if it is absent.
+
+        `codec` belongs to the handle, not to the channel: what `put` takes and `item.value` gives. "bytes" (default),
+        "json", "numpy" (shape and dtype kept), or an object with `content_type`, `encode` and `decode`.
         """
         stated = parse_policy(
             max_age=max_age,
@@ -77,8 +82,9 @@ class Connection:
             max_future=max_future,
             content_type=content_type,
         )
-        info = await self._session.open_channel(parse_name(name), stated, host, create)
-        return Channel(self._session, ChannelState(info, stated, create))
+        coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
+        info = await self._session.open_channel(name, stated, host, create)
+        return Channel(self._session, ChannelState(info, stated, create, coding))
 
     async def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
         """The channels whose names match; "*" stands for any run of characters, "?" for one. In the order of names."""

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import TracebackType
+from typing import Any
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.batching import NumberedRun, RunBuilder
@@ -69,7 +70,7 @@ class Producer:
 
     async def put(
         self,
-        payload: bytes,
+        payload: Any,
         *,
         time: InstantLike | None = None,
         duration: DurationLike | int | None = None,
@@ -79,11 +80,12 @@ class Producer:
         """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged. See `Channel.put` for the arguments."""
         if self._finished:
             raise InvalidArgument("this producer is closed; make another with channel.producer()")
-        payload = check_payload(payload)
+        coding = self._state.coding
+        payload = coding.encode(payload) if coding else check_payload(payload)
         check_attributes(attributes)
         instant = time if time is None or type(time) is int else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
-        kind = content_type or ""
+        kind = content_type or (coding.content_type if coding else "")
         if not self._builder.fits(payload, instant, attributes, kind):
             await self._send()
         with self._mutex:

@@ -19,7 +19,6 @@ from stampede_rt.wire.reads import (
     resolved_from_message,
     summary_reason,
 )
-from stampede_rt.wire.runs import ItemDecoder
 
 
 async def read(session: Session, state: ChannelState, query: Read) -> Items:
@@ -73,11 +72,7 @@ def _answer(state: ChannelState, query: Read, responses: list[channel_pb.GetResp
     if last.HasField("error"):
         raise from_error_message(last.error)
     summary = last.summary
-    decoder = ItemDecoder(
-        incarnation=summary.incarnation,
-        content_type=state.info.policy.content_type or "",
-        payloads=query.payloads,
-    )
+    decoder = state.decoder(summary.incarnation, payloads=query.payloads)
     items: list[Item] = decoder.decode([run for response in responses for run in response.runs])
     if query.newest_first:
         items.reverse()

@@ -16,6 +16,7 @@ from typing import TypeVar
 from stampede_rt._async.ports import Ports
 from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S, Supernodes
 from stampede_rt.binding import Binding, BindingCache, Owner
+from stampede_rt.codecs import Coding
 from stampede_rt.credentials import Credentials
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.model import ChannelInfo, Policy
@@ -23,6 +24,7 @@ from stampede_rt.retry import Backoff
 from stampede_rt.transports.concurrency_async import sleep, thread_id
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, policy_to_spec
+from stampede_rt.wire.runs import ItemDecoder
 
 CALL_TIMEOUT_S = 10.0
 TRY_TIMEOUT_S = 5.0
@@ -42,7 +44,13 @@ class ChannelState:
     info: ChannelInfo
     stated: Policy
     create: bool
+    coding: Coding | None = None
     producer_id: int = field(default_factory=lambda: int.from_bytes(os.urandom(8), "little") | 1)
+
+    def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
+        """What makes Items of the runs that the host sends."""
+        content_type = self.info.policy.content_type or ""
+        return ItemDecoder(incarnation=incarnation, content_type=content_type, payloads=payloads, coding=self.coding)
 
 
 class Session:

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
+from stampede_rt.codecs import Coding
 from stampede_rt.errors import ChannelFull
 from stampede_rt.model import Item
 from stampede_rt.payloads import check_attributes, check_payload
@@ -35,7 +37,7 @@ class PutStreams:
     def put(
         self,
         numbers: Iterator[int],
-        payload: bytes,
+        payload: Any,
         time: InstantLike | None,
         duration: DurationLike | int | None,
         attributes: Mapping[str, str] | None,
@@ -46,7 +48,7 @@ class PutStreams:
 
         A wait without limit on a full channel is renewed from time to time, so that a host that hangs is noticed.
         """
-        item = _Single.parse(payload, time, duration, attributes, content_type)
+        item = _Single.parse(self._state.coding, payload, time, duration, attributes, content_type)
         wait = Wait.parse(timeout)
         if self._state.info.policy.on_full != "block":
             return self._put(next(numbers), item, Wait(0))
@@ -90,7 +92,7 @@ class PutStreams:
         if ack.rejections:
             raise from_error_message(ack.rejections[0].error)
         time = ack.stamped_unix_nano if item.time is None else item.time
-        return Item(
+        fields = (
             time,
             None if item.duration is None else time + item.duration,
             item.duration,
@@ -101,6 +103,7 @@ class PutStreams:
             len(item.payload),
             ack.incarnation,
         )
+        return self._state.coding.item(fields) if self._state.coding else Item._make(fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,8 @@ class _Single:
     @classmethod
     def parse(
         cls,
-        payload: bytes,
+        coding: Coding | None,
+        payload: Any,
         time: InstantLike | None,
         duration: DurationLike | int | None,
         attributes: Mapping[str, str] | None,
@@ -124,11 +128,11 @@ class _Single:
     ) -> _Single:
         check_attributes(attributes)
         return cls(
-            check_payload(payload),
+            coding.encode(payload) if coding else check_payload(payload),
             None if time is None else parse_instant(time),
             parse_item_duration(duration),
             dict(attributes or {}),
-            content_type or "",
+            content_type or (coding.content_type if coding else ""),
         )
 
     def run_parts(self) -> list[bytes]:

@@ -131,11 +131,7 @@ class Subscription:
         self._incarnation = opened.incarnation
         if self._next_seq is None and not self._request.HasField("start"):
             self._next_seq = opened.next_seq
-        self._decoder = ItemDecoder(
-            incarnation=opened.incarnation,
-            content_type=self._state.info.policy.content_type or "",
-            payloads=not self._request.without_payloads,
-        )
+        self._decoder = self._state.decoder(opened.incarnation, payloads=not self._request.without_payloads)
 
     def _receive(self) -> None:
         try:

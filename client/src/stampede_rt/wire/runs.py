@@ -7,13 +7,15 @@ concatenate, so the result is a valid run again.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
+from typing import Any
 
 from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 
+from stampede_rt.codecs import Coding
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.model import Item
 from stampede_rt.payloads import ITEM_BYTES_MAX
@@ -178,12 +180,13 @@ def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False
 
 
 class ItemDecoder:
-    """Turns delivered runs into Items, for one channel and incarnation."""
+    """Turns delivered runs into Items, for one channel and incarnation; `coding` gives them their values."""
 
-    def __init__(self, *, incarnation: int, content_type: str, payloads: bool) -> None:
+    def __init__(self, *, incarnation: int, content_type: str, payloads: bool, coding: Coding | None = None) -> None:
         self._incarnation = incarnation
         self._content_type = content_type
         self._payloads = payloads
+        self._make: Callable[[Iterable[Any]], Item] = coding.item if coding else Item._make
 
     def decode(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
         """The items of runs that follow each other in time, such as a get's whole answer."""
@@ -203,7 +206,7 @@ class ItemDecoder:
         return [item for one in delivered for item in self.decode((one,))]
 
     def _items(self, run: item_pb2.ItemRun, ends: Iterator[int | None]) -> Iterator[Item]:
-        lengths, make = run.payload_length_bytes, Item._make
+        lengths, make = run.payload_length_bytes, self._make
         seqs = range(run.first_seq, run.first_seq + len(lengths))
         attributes, kind, incarnation = dict(run.attributes), run.content_type or self._content_type, self._incarnation
         columns = zip(run.time_unix_nano, _durations(run), seqs, self._split(run), lengths, strict=True)
@@ -220,16 +223,18 @@ class ItemDecoder:
     def _single(self, run: item_pb2.ItemRun, next_time: int | None) -> Item:
         time = run.time_unix_nano[0]
         duration = run.duration_nanos[0] if run.duration_nanos else ABSENT
-        return Item(
-            time,
-            _end(time, duration, next_time),
-            None if duration < 0 else duration,
-            run.first_seq,
-            run.payloads if self._payloads else None,
-            dict(run.attributes) if run.attributes else {},
-            run.content_type or self._content_type,
-            run.payload_length_bytes[0],
-            self._incarnation,
+        return self._make(
+            (
+                time,
+                _end(time, duration, next_time),
+                None if duration < 0 else duration,
+                run.first_seq,
+                run.payloads if self._payloads else None,
+                dict(run.attributes) if run.attributes else {},
+                run.content_type or self._content_type,
+                run.payload_length_bytes[0],
+                self._incarnation,
+            )
         )
 
 

@@ -1,0 +1,162 @@
+"""How values become payloads and back: the codecs of channels and queues. Pure; numpy is imported when it is used.
+
+An item carries its content type on the wire, so that a reader who knows nothing of the writer's codec still learns what
+it holds.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol, runtime_checkable
+
+from stampede_rt.errors import CodecError, InvalidArgument
+from stampede_rt.model import Item
+from stampede_rt.payloads import check_payload
+
+
+@runtime_checkable
+class Codec(Protocol):
+    """What an own codec has to have: a MIME type, and functions that undo each other.
+
+    `encode` and `decode` may raise anything; callers get it as the cause of a CodecError.
+    """
+
+    @property
+    def content_type(self) -> str:
+        """The MIME type of what `encode` makes, ASCII, 1 to 255 characters."""
+        ...
+
+    def encode(self, value: Any) -> bytes:
+        """`value` as a payload."""
+        ...
+
+    def decode(self, payload: bytes) -> Any:
+        """The value that `payload` was made of."""
+        ...
+
+
+class JsonCodec:
+    """Values that JSON has: text, numbers, lists, dictionaries with text as keys, true, false, null."""
+
+    content_type = "application/json"
+
+    def encode(self, value: Any) -> bytes:
+        """UTF-8; NaN and infinity are refused, since JSON has none."""
+        return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+
+    def decode(self, payload: bytes) -> Any:
+        """The parsed text."""
+        return json.loads(payload)
+
+
+class NumpyCodec:
+    """Arrays with their shape and dtype, in numpy's own file format (`.npy`), which other languages read, too."""
+
+    content_type = "application/x-npy"
+
+    def __init__(self) -> None:
+        try:
+            import numpy  # noqa: F401  # said at once rather than at the first item
+        except ImportError as error:
+            raise CodecError(
+                'codec="numpy" needs numpy, which is not installed; run: pip install "stampede-rt[numpy]"'
+            ) from error
+
+    def encode(self, value: Any) -> bytes:
+        """What numpy can make an array of; arrays of objects are refused."""
+        import numpy as np
+
+        file = io.BytesIO()
+        np.lib.format.write_array(file, np.asarray(value), allow_pickle=False)
+        return file.getvalue()
+
+    def decode(self, payload: bytes) -> Any:
+        """An array of its own, which may be written to."""
+        import numpy as np
+
+        return np.lib.format.read_array(io.BytesIO(payload), allow_pickle=False)
+
+
+_NAMED: dict[str, type[JsonCodec] | type[NumpyCodec]] = {"json": JsonCodec, "numpy": NumpyCodec}
+
+
+@dataclass(frozen=True, slots=True)
+class Coding:
+    """A codec in use: `thing` is the channel or queue, for errors; `content_type` what its payloads are labelled as."""
+
+    codec: Codec
+    thing: str
+    content_type: str
+
+    @classmethod
+    def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> Coding | None:
+        """What `codec=` names; None: payloads are values. `content_type` overrides the codec's own.
+
+        Raises InvalidArgument, and CodecError if numpy is missing.
+        """
+        if codec is None or codec == "bytes":
+            return None
+        if isinstance(codec, str) and codec in _NAMED:
+            codec = _NAMED[codec]()
+        if isinstance(codec, str | type) or not isinstance(codec, Codec):
+            raise InvalidArgument(
+                f'codec is {codec!r}; write "bytes", "json" or "numpy", or give an object with content_type, encode '
+                "and decode"
+            )
+        label = content_type or codec.content_type
+        if not isinstance(label, str) or not (label.isascii() and 0 < len(label) <= 255):
+            raise InvalidArgument(f"the codec's content_type is {label!r}; write a MIME type of at most 255 characters")
+        return cls(codec, thing, label)
+
+    def encode(self, value: Any) -> bytes:
+        """`value` as a payload. Raises CodecError, ItemTooLarge."""
+        try:
+            payload = self.codec.encode(value)
+        except Exception as error:
+            raise CodecError(
+                f"{self.thing}: a {type(value).__name__} cannot be encoded as {self.content_type}: {error}"
+            ) from error
+        return check_payload(payload)
+
+    def decode(self, payload: bytes | None, content_type: str, which: str) -> Any:
+        """The value of a payload; None without one. `which` names the item. Raises CodecError."""
+        if payload is None:
+            return None
+        if content_type and _media_type(content_type) != _media_type(self.content_type):
+            raise CodecError(
+                f"{self.thing}: {which} is {content_type}, and this handle decodes {self.content_type}; open another "
+                "with the codec for it, or look at its payload"
+            )
+        try:
+            return self.codec.decode(payload)
+        except Exception as error:
+            raise CodecError(
+                f"{self.thing}: {which} ({len(payload)} bytes) is no {self.content_type}: {error}; look at its payload"
+            ) from error
+
+    def item(self, fields: Iterable[Any]) -> CodedItem:
+        """An item whose value this decodes."""
+        item = CodedItem._make(fields)
+        item.coding = self
+        return item
+
+
+class CodedItem(Item):
+    """An item of a handle with a codec: `value` is decoded when it is first looked at, and kept."""
+
+    coding: Coding | None = None
+
+    @cached_property
+    def value(self) -> Any:
+        """The decoded payload; None in reads without payloads. Raises CodecError."""
+        if self.coding is None:  # made of another item by `_replace`
+            return self.payload
+        return self.coding.decode(self.payload, self.content_type, f"item #{self.seq} at {self.time}")
+
+
+def _media_type(content_type: str) -> str:
+    return content_type.partition(";")[0].strip().lower()
