@@ -1,6 +1,8 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import directory_pb2 as _directory_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
+from stampede_rt.v1 import peer_pb2 as _peer_pb2
+from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from stampede_rt.v1 import replica_pb2 as _replica_pb2
 from stampede_rt.v1 import subject_pb2 as _subject_pb2
 from google.protobuf.internal import containers as _containers
@@ -12,7 +14,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class DirectoryCommand(_message.Message):
-    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync")
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
@@ -28,6 +30,12 @@ class DirectoryCommand(_message.Message):
     ADD_REPLICA_FIELD_NUMBER: _ClassVar[int]
     REMOVE_REPLICA_FIELD_NUMBER: _ClassVar[int]
     SET_REPLICA_IN_SYNC_FIELD_NUMBER: _ClassVar[int]
+    OPEN_QUEUE_FIELD_NUMBER: _ClassVar[int]
+    UPDATE_QUEUE_FIELD_NUMBER: _ClassVar[int]
+    DELETE_QUEUE_FIELD_NUMBER: _ClassVar[int]
+    REGISTER_PEER_FIELD_NUMBER: _ClassVar[int]
+    DEREGISTER_PEER_FIELD_NUMBER: _ClassVar[int]
+    EXPIRE_PEERS_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
     time_unix_nano: int
     open_channel: OpenChannelCommand
@@ -43,23 +51,31 @@ class DirectoryCommand(_message.Message):
     add_replica: AddReplicaCommand
     remove_replica: RemoveReplicaCommand
     set_replica_in_sync: SetReplicaInSyncCommand
-    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ...) -> None: ...
+    open_queue: OpenQueueCommand
+    update_queue: UpdateQueueCommand
+    delete_queue: DeleteQueueCommand
+    register_peer: RegisterPeerCommand
+    deregister_peer: DeregisterPeerCommand
+    expire_peers: ExpirePeersCommand
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ...) -> None: ...
 
 class OpenChannelCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation")
+    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "as_of_index")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     HOST_NAME_FIELD_NUMBER: _ClassVar[int]
     NEW_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _channel_pb2.ChannelSpec
     create: bool
     host_name: str
     new_channel_id: bytes
     new_incarnation: int
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    as_of_index: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., as_of_index: _Optional[int] = ...) -> None: ...
 
 class UpdateChannelCommand(_message.Message):
     __slots__ = ("channel_id", "epoch", "spec")
@@ -126,18 +142,20 @@ class BeginTenureCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ...) -> None: ...
 
 class OpenGroupCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation")
+    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation", "as_of_index")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     NEW_GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _group_pb2.GroupSpec
     create: bool
     new_group_id: bytes
     new_incarnation: int
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    as_of_index: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., as_of_index: _Optional[int] = ...) -> None: ...
 
 class UpdateGroupCommand(_message.Message):
     __slots__ = ("group_id", "add_channel_ids", "remove_channel_ids", "spec_version")
@@ -195,8 +213,103 @@ class SetReplicaInSyncCommand(_message.Message):
     in_sync: bool
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ...) -> None: ...
 
+class OpenQueueCommand(_message.Message):
+    __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation", "as_of_index")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    CREATE_FIELD_NUMBER: _ClassVar[int]
+    HOST_NAME_FIELD_NUMBER: _ClassVar[int]
+    NEW_QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    spec: _queue_pb2.QueueSpec
+    create: bool
+    host_name: str
+    new_queue_id: bytes
+    new_incarnation: int
+    as_of_index: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_queue_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., as_of_index: _Optional[int] = ...) -> None: ...
+
+class UpdateQueueCommand(_message.Message):
+    __slots__ = ("queue_id", "epoch", "spec")
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    SPEC_FIELD_NUMBER: _ClassVar[int]
+    queue_id: bytes
+    epoch: int
+    spec: _queue_pb2.QueueSpec
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ...) -> None: ...
+
+class DeleteQueueCommand(_message.Message):
+    __slots__ = ("queue_id",)
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    queue_id: bytes
+    def __init__(self, queue_id: _Optional[bytes] = ...) -> None: ...
+
+class RegisterPeerCommand(_message.Message):
+    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation")
+    class AttributesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+    PEER_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    PROOF_SHA256_FIELD_NUMBER: _ClassVar[int]
+    MAILBOX_FIELD_NUMBER: _ClassVar[int]
+    MAILBOX_HOST_NAME_FIELD_NUMBER: _ClassVar[int]
+    HOST_ID_FIELD_NUMBER: _ClassVar[int]
+    ZONE_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
+    NEW_MAILBOX_ID_FIELD_NUMBER: _ClassVar[int]
+    NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    peer_id: bytes
+    name: str
+    boot_incarnation: int
+    proof_sha256: bytes
+    mailbox: _queue_pb2.QueueSpec
+    mailbox_host_name: str
+    host_id: bytes
+    zone: str
+    version: str
+    attributes: _containers.ScalarMap[str, str]
+    new_mailbox_id: bytes
+    new_incarnation: int
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+
+class DeregisterPeerCommand(_message.Message):
+    __slots__ = ("peer_id", "boot_incarnation")
+    PEER_ID_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    peer_id: bytes
+    boot_incarnation: int
+    def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
+
+class ExpirePeersCommand(_message.Message):
+    __slots__ = ("leases", "tenure")
+    LEASES_FIELD_NUMBER: _ClassVar[int]
+    TENURE_FIELD_NUMBER: _ClassVar[int]
+    leases: _containers.RepeatedCompositeFieldContainer[PeerLease]
+    tenure: int
+    def __init__(self, leases: _Optional[_Iterable[_Union[PeerLease, _Mapping]]] = ..., tenure: _Optional[int] = ...) -> None: ...
+
+class PeerLease(_message.Message):
+    __slots__ = ("peer_id", "boot_incarnation", "registered_index")
+    PEER_ID_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    peer_id: bytes
+    boot_incarnation: int
+    registered_index: int
+    def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ...) -> None: ...
+
 class DirectoryResult(_message.Message):
-    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set")
+    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired")
     REFUSED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_OPENED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_UPDATED_FIELD_NUMBER: _ClassVar[int]
@@ -211,6 +324,12 @@ class DirectoryResult(_message.Message):
     REPLICA_ADDED_FIELD_NUMBER: _ClassVar[int]
     REPLICA_REMOVED_FIELD_NUMBER: _ClassVar[int]
     REPLICA_IN_SYNC_SET_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_OPENED_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_UPDATED_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_DELETED_FIELD_NUMBER: _ClassVar[int]
+    PEER_REGISTERED_FIELD_NUMBER: _ClassVar[int]
+    PEER_DEREGISTERED_FIELD_NUMBER: _ClassVar[int]
+    PEERS_EXPIRED_FIELD_NUMBER: _ClassVar[int]
     refused: RefusedResult
     channel_opened: ChannelOpenedResult
     channel_updated: ChannelUpdatedResult
@@ -225,7 +344,13 @@ class DirectoryResult(_message.Message):
     replica_added: ReplicaAddedResult
     replica_removed: ReplicaRemovedResult
     replica_in_sync_set: ReplicaInSyncSetResult
-    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ...) -> None: ...
+    queue_opened: QueueOpenedResult
+    queue_updated: QueueUpdatedResult
+    queue_deleted: QueueDeletedResult
+    peer_registered: PeerRegisteredResult
+    peer_deregistered: PeerDeregisteredResult
+    peers_expired: PeersExpiredResult
+    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ...) -> None: ...
 
 class RefusedResult(_message.Message):
     __slots__ = ("reason", "message", "metadata")
@@ -328,6 +453,64 @@ class ReplicaInSyncSetResult(_message.Message):
     replica: _replica_pb2.ReplicaRecord
     def __init__(self, replica: _Optional[_Union[_replica_pb2.ReplicaRecord, _Mapping]] = ...) -> None: ...
 
+class QueueOpenedResult(_message.Message):
+    __slots__ = ("queue", "host", "created")
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    CREATED_FIELD_NUMBER: _ClassVar[int]
+    queue: _queue_pb2.QueueRecord
+    host: HostEntry
+    created: bool
+    def __init__(self, queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., host: _Optional[_Union[HostEntry, _Mapping]] = ..., created: bool = ...) -> None: ...
+
+class QueueUpdatedResult(_message.Message):
+    __slots__ = ("queue",)
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
+    queue: _queue_pb2.QueueRecord
+    def __init__(self, queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ...) -> None: ...
+
+class QueueDeletedResult(_message.Message):
+    __slots__ = ("queue",)
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
+    queue: _queue_pb2.QueueRecord
+    def __init__(self, queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ...) -> None: ...
+
+class PeerRegisteredResult(_message.Message):
+    __slots__ = ("peer", "mailbox", "mailbox_host", "mailbox_kept", "cluster_id")
+    PEER_FIELD_NUMBER: _ClassVar[int]
+    MAILBOX_FIELD_NUMBER: _ClassVar[int]
+    MAILBOX_HOST_FIELD_NUMBER: _ClassVar[int]
+    MAILBOX_KEPT_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    peer: PeerEntry
+    mailbox: _queue_pb2.QueueRecord
+    mailbox_host: HostEntry
+    mailbox_kept: bool
+    cluster_id: str
+    def __init__(self, peer: _Optional[_Union[PeerEntry, _Mapping]] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., mailbox_host: _Optional[_Union[HostEntry, _Mapping]] = ..., mailbox_kept: bool = ..., cluster_id: _Optional[str] = ...) -> None: ...
+
+class PeerDeregisteredResult(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class PeersExpiredResult(_message.Message):
+    __slots__ = ("expired",)
+    EXPIRED_FIELD_NUMBER: _ClassVar[int]
+    expired: int
+    def __init__(self, expired: _Optional[int] = ...) -> None: ...
+
+class PeerEntry(_message.Message):
+    __slots__ = ("record", "proof_sha256", "registered_index", "ended_index")
+    RECORD_FIELD_NUMBER: _ClassVar[int]
+    PROOF_SHA256_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    ENDED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    record: _peer_pb2.PeerRecord
+    proof_sha256: bytes
+    registered_index: int
+    ended_index: int
+    def __init__(self, record: _Optional[_Union[_peer_pb2.PeerRecord, _Mapping]] = ..., proof_sha256: _Optional[bytes] = ..., registered_index: _Optional[int] = ..., ended_index: _Optional[int] = ...) -> None: ...
+
 class GroupEntry(_message.Message):
     __slots__ = ("record", "witness_host_ids")
     RECORD_FIELD_NUMBER: _ClassVar[int]
@@ -357,7 +540,7 @@ class RememberedOperation(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
-    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas")
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers")
     FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
@@ -368,6 +551,8 @@ class DirectorySnapshot(_message.Message):
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     GROUPS_FIELD_NUMBER: _ClassVar[int]
     REPLICAS_FIELD_NUMBER: _ClassVar[int]
+    QUEUES_FIELD_NUMBER: _ClassVar[int]
+    PEERS_FIELD_NUMBER: _ClassVar[int]
     format_version: int
     applied_index: int
     tenure: int
@@ -378,4 +563,6 @@ class DirectorySnapshot(_message.Message):
     lease_ttl_nanos: int
     groups: _containers.RepeatedCompositeFieldContainer[GroupEntry]
     replicas: _containers.RepeatedCompositeFieldContainer[_replica_pb2.ReplicaRecord]
-    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ...) -> None: ...
+    queues: _containers.RepeatedCompositeFieldContainer[_queue_pb2.QueueRecord]
+    peers: _containers.RepeatedCompositeFieldContainer[PeerEntry]
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ...) -> None: ...

@@ -1,5 +1,6 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
+from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -61,15 +62,17 @@ class SupernodeRecord(_message.Message):
     def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[Endpoint, _Mapping]] = ..., is_leader: bool = ..., healthy: bool = ..., round_trip_nanos: _Optional[int] = ...) -> None: ...
 
 class DirectoryChange(_message.Message):
-    __slots__ = ("index", "kind", "channel", "host", "group")
+    __slots__ = ("index", "kind", "channel", "host", "group", "queue")
     INDEX_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
     GROUP_FIELD_NUMBER: _ClassVar[int]
+    QUEUE_FIELD_NUMBER: _ClassVar[int]
     index: int
     kind: ChangeKind
     channel: _channel_pb2.ChannelRecord
     host: HostRecord
     group: _group_pb2.GroupRecord
-    def __init__(self, index: _Optional[int] = ..., kind: _Optional[_Union[ChangeKind, str]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., host: _Optional[_Union[HostRecord, _Mapping]] = ..., group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ...) -> None: ...
+    queue: _queue_pb2.QueueRecord
+    def __init__(self, index: _Optional[int] = ..., kind: _Optional[_Union[ChangeKind, str]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., host: _Optional[_Union[HostRecord, _Mapping]] = ..., group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ...) -> None: ...

@@ -1,5 +1,6 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import directory_pb2 as _directory_pb2
+from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -143,18 +144,20 @@ class RegisterHostRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
-    __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version")
+    __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues")
     HOST_FIELD_NUMBER: _ClassVar[int]
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    QUEUES_FIELD_NUMBER: _ClassVar[int]
     host: _directory_pb2.HostRecord
     lease_ttl_nanos: int
     channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
     cluster_id: str
     protocol_version: int
-    def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ...) -> None: ...
+    queues: _containers.RepeatedCompositeFieldContainer[_queue_pb2.QueueRecord]
+    def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ...) -> None: ...
 
 class RenewHostLeaseRequest(_message.Message):
     __slots__ = ("host_id", "boot_incarnation")
@@ -241,16 +244,18 @@ class ListSupernodesResponse(_message.Message):
     def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., term: _Optional[int] = ..., applied_index: _Optional[int] = ...) -> None: ...
 
 class WatchRequest(_message.Message):
-    __slots__ = ("name_glob", "after_index", "include_hosts", "include_groups")
+    __slots__ = ("name_glob", "after_index", "include_hosts", "include_groups", "include_queues")
     NAME_GLOB_FIELD_NUMBER: _ClassVar[int]
     AFTER_INDEX_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_HOSTS_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_GROUPS_FIELD_NUMBER: _ClassVar[int]
+    INCLUDE_QUEUES_FIELD_NUMBER: _ClassVar[int]
     name_glob: str
     after_index: int
     include_hosts: bool
     include_groups: bool
-    def __init__(self, name_glob: _Optional[str] = ..., after_index: _Optional[int] = ..., include_hosts: bool = ..., include_groups: bool = ...) -> None: ...
+    include_queues: bool
+    def __init__(self, name_glob: _Optional[str] = ..., after_index: _Optional[int] = ..., include_hosts: bool = ..., include_groups: bool = ..., include_queues: bool = ...) -> None: ...
 
 class WatchResponse(_message.Message):
     __slots__ = ("changes", "applied_index")

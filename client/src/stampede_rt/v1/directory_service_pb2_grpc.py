@@ -157,7 +157,7 @@ class DirectoryServiceServicer(object):
 
     def RegisterHost(self, request, context):
         """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-        and the incarnation of all its channels. Errors: HOST_EXISTS.
+        and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -171,7 +171,7 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterHost(self, request, context):
-        """A host leaves; its channels are without an owner at once.
+        """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

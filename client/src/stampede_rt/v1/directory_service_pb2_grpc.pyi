@@ -55,12 +55,12 @@ class DirectoryServiceStub:
     """
     RegisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]
     """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-    and the incarnation of all its channels. Errors: HOST_EXISTS.
+    and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
     """
     RenewHostLease: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]
     """Keep a lease. Goes to the leader (NOT_LEADER names it). LEASE_EXPIRED: register again."""
     DeregisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]
-    """A host leaves; its channels are without an owner at once."""
+    """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another."""
     ResolveHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]
     """Find a host by id or name."""
     ListHosts: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]
@@ -97,12 +97,12 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     """
     RegisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]  # type: ignore[assignment]
     """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-    and the incarnation of all its channels. Errors: HOST_EXISTS.
+    and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
     """
     RenewHostLease: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]  # type: ignore[assignment]
     """Keep a lease. Goes to the leader (NOT_LEADER names it). LEASE_EXPIRED: register again."""
     DeregisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]  # type: ignore[assignment]
-    """A host leaves; its channels are without an owner at once."""
+    """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another."""
     ResolveHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]  # type: ignore[assignment]
     """Find a host by id or name."""
     ListHosts: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]  # type: ignore[assignment]
@@ -178,7 +178,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.RegisterHostResponse, _abc.Awaitable[_directory_service_pb2.RegisterHostResponse]]:
         """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-        and the incarnation of all its channels. Errors: HOST_EXISTS.
+        and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
         """
 
     @_abc_1.abstractmethod
@@ -195,7 +195,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeregisterHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeregisterHostResponse, _abc.Awaitable[_directory_service_pb2.DeregisterHostResponse]]:
-        """A host leaves; its channels are without an owner at once."""
+        """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another."""
 
     @_abc_1.abstractmethod
     def ResolveHost(

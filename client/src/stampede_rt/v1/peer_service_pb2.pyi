@@ -107,16 +107,18 @@ class ResolvePeerResponse(_message.Message):
     def __init__(self, peer: _Optional[_Union[_peer_pb2.PeerRecord, _Mapping]] = ..., applied_index: _Optional[int] = ...) -> None: ...
 
 class ListPeersRequest(_message.Message):
-    __slots__ = ("name_glob", "page_size", "page_token", "stale_ok")
+    __slots__ = ("name_glob", "page_size", "page_token", "stale_ok", "include_dead")
     NAME_GLOB_FIELD_NUMBER: _ClassVar[int]
     PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
     PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
     STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    INCLUDE_DEAD_FIELD_NUMBER: _ClassVar[int]
     name_glob: str
     page_size: int
     page_token: str
     stale_ok: bool
-    def __init__(self, name_glob: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., stale_ok: bool = ...) -> None: ...
+    include_dead: bool
+    def __init__(self, name_glob: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., stale_ok: bool = ..., include_dead: bool = ...) -> None: ...
 
 class ListPeersResponse(_message.Message):
     __slots__ = ("peers", "next_page_token", "applied_index")

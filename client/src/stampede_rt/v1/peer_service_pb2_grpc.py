@@ -102,7 +102,8 @@ class PeerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ResolvePeer(self, request, context):
-        """Find a peer by id or name. Changes nothing. Errors: QUEUE_NOT_FOUND with the metadata "peer", if there is none.
+        """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+        Errors: PEER_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -49,7 +49,9 @@ class PeerServiceStub:
     boot of the same peer is in).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
-    """Find a peer by id or name. Changes nothing. Errors: QUEUE_NOT_FOUND with the metadata "peer", if there is none."""
+    """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+    Errors: PEER_NOT_FOUND.
+    """
     ListPeers: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]
     """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
     WatchPeers: _grpc.UnaryStreamMultiCallable[_peer_service_pb2.WatchPeersRequest, _peer_service_pb2.WatchPeersResponse]
@@ -76,7 +78,9 @@ class PeerServiceAsyncStub(PeerServiceStub):
     boot of the same peer is in).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
-    """Find a peer by id or name. Changes nothing. Errors: QUEUE_NOT_FOUND with the metadata "peer", if there is none."""
+    """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+    Errors: PEER_NOT_FOUND.
+    """
     ListPeers: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]  # type: ignore[assignment]
     """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
     WatchPeers: _aio.UnaryStreamMultiCallable[_peer_service_pb2.WatchPeersRequest, _peer_service_pb2.WatchPeersResponse]  # type: ignore[assignment]
@@ -124,7 +128,9 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.ResolvePeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.ResolvePeerResponse, _abc.Awaitable[_peer_service_pb2.ResolvePeerResponse]]:
-        """Find a peer by id or name. Changes nothing. Errors: QUEUE_NOT_FOUND with the metadata "peer", if there is none."""
+        """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+        Errors: PEER_NOT_FOUND.
+        """
 
     @_abc_1.abstractmethod
     def ListPeers(
