@@ -82,10 +82,11 @@ class Items(Sequence[Item]):
 
     `interval` is the interval as the host resolved it (None if it hung on items and there were none); `complete`:
     nothing more can come into it; `truncated`: earlier items in it may have been collected; `more`: the limit cut it;
-    `reason`: why it is empty or partial, None if nothing is missing.
+    `reason`: why it is empty or partial, None if nothing is missing; `cut`: what the group showed when it was read
+    through one, items before this instant; None: through none, or nothing was visible yet.
     """
 
-    __slots__ = ("_items", "complete", "incarnation", "interval", "more", "reason", "truncated")
+    __slots__ = ("_items", "complete", "cut", "incarnation", "interval", "more", "reason", "truncated")
 
     def __init__(
         self,
@@ -97,6 +98,7 @@ class Items(Sequence[Item]):
         more: bool,
         reason: Reason | None,
         incarnation: int,
+        cut: int | None = None,
     ) -> None:
         self._items = items
         self.interval = interval
@@ -105,6 +107,7 @@ class Items(Sequence[Item]):
         self.more = more
         self.reason = reason
         self.incarnation = incarnation
+        self.cut = cut
 
     @overload
     def __getitem__(self, index: int) -> Item: ...

@@ -44,7 +44,10 @@ AT_ONCE = Wait(0)
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """One read of a channel (see `Channel.get`). Positions are an item or the instant behind whose items to go on."""
+    """One read of a channel (see `Channel.get`). Positions are an item or the instant behind whose items to go on.
+
+    `cut`: through a group at exactly this cut, which one of its hosts gave; None: the cut of the moment.
+    """
 
     interval: Interval
     match: Match = Match.SPAN
@@ -55,6 +58,7 @@ class Read:
     payloads: bool = True
     wait: Wait = AT_ONCE
     complete: bool = False
+    cut: int | None = None
 
 
 def after_position(after: Item | InstantLike) -> Item | int:

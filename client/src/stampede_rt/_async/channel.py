@@ -8,65 +8,29 @@ from typing import Any
 
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.puts import PutStreams
-from stampede_rt._async.reads import read
+from stampede_rt._async.reader import Reader
 from stampede_rt._async.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelState, Session, request_id
-from stampede_rt._async.subscription import Subscription
 from stampede_rt.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, Unavailable
-from stampede_rt.model import ChannelInfo, ChannelStats, Item, Items, Policy
+from stampede_rt.model import ChannelStats, Item, Policy
 from stampede_rt.policy import parse_policy
-from stampede_rt.reading import Read, Wait, after_position, parse_limit
 from stampede_rt.timeline import (
-    MAX_INSTANT,
-    MIN_INSTANT,
-    BoundLike,
     DurationLike,
     InstantLike,
-    Match,
-    parse_bound,
     parse_instant,
-    parse_interval,
-    parse_match,
 )
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
 
-class Channel:
+class Channel(Reader):
     """A named, time-indexed live stream. Handles of the same channel are equal; any number may exist anywhere."""
 
     def __init__(self, session: Session, state: ChannelState) -> None:
-        self._session = session
-        self._state = state
+        super().__init__(session, state)
         self._puts = PutStreams(session, state)
         self._numbers = itertools.count(1)
-
-    @property
-    def name(self) -> str:
-        """The channel's name."""
-        return self._state.info.name
-
-    @property
-    def host(self) -> str:
-        """The name of the host that owns it, as last known."""
-        return self._state.info.host
-
-    @property
-    def incarnation(self) -> int:
-        """Which life of the channel this is, as last known; another one means that items may have been lost."""
-        return self._state.info.incarnation
-
-    @property
-    def info(self) -> ChannelInfo:
-        """Everything the directory said of it, as last known."""
-        return self._state.info
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Channel) and other._state.info.channel_id == self._state.info.channel_id
-
-    def __hash__(self) -> int:
-        return hash(self._state.info.channel_id)
 
     def __repr__(self) -> str:
         return f"<Channel {self.name!r} at host {self.host!r}>"
@@ -93,107 +57,6 @@ class Channel:
     def producer(self) -> Producer:
         """A context manager for many puts that do not each wait for their ack."""
         return Producer(self._session, self._state)
-
-    async def get(
-        self,
-        start: BoundLike,
-        end: BoundLike,
-        *,
-        bounds: str = "[]",
-        match: str | Match = "span",
-        limit: int | None = None,
-        newest_first: bool = False,
-        after: Item | InstantLike | None = None,
-        payloads: bool = True,
-        timeout: float | None = 0,
-        complete: bool = False,
-    ) -> Items:
-        """The items in an interval, by default those whose span shares an instant with it.
-
-        `bounds`: "[]", "[)", "(]", "()". `match`: "span", "whole" (the span lies inside) or "start" (the time does).
-        `limit` keeps the earliest, with `newest_first` the latest; `after` continues behind an item. `timeout` is in
-        seconds: 0 answers at once, None waits for ever, for the first match or, with `complete`, until nothing more
-        can come. The answer after a timeout is what there is. Raises InvalidInterval, IncarnationLost, Unavailable.
-        """
-        interval = parse_interval(start, end, bounds)
-        position = None if after is None else after_position(after)
-        return await self._read(
-            Read(
-                interval,
-                match=parse_match(match),
-                limit=parse_limit(limit),
-                newest_first=newest_first,
-                after=position,
-                payloads=payloads,
-                wait=Wait.parse(timeout),
-                complete=complete,
-            )
-        )
-
-    async def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
-        """The items whose own span holds `time`."""
-        interval = parse_interval(time, time)
-        return await self._read(Read(interval, payloads=payloads, wait=Wait.parse(timeout)))
-
-    async def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """The newest item older than `time`; where several share its time, the last accepted."""
-        return await self._read_one(MIN_INSTANT, time, "[)", True, None, payloads, timeout)
-
-    async def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """The oldest held item; where several share its time, the first accepted."""
-        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
-
-    async def newest(
-        self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
-    ) -> Item | None:
-        """The newest item, or None; with `after` only if it is later than that instant or item.
-
-        `timeout` in seconds: 0 answers at once, None waits for ever.
-        """
-        return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
-
-    async def _read_one(
-        self,
-        start: BoundLike,
-        end: BoundLike,
-        bounds: str,
-        newest_first: bool,
-        newer_than: Item | InstantLike | None,
-        payloads: bool,
-        timeout: float | None,
-    ) -> Item | None:
-        items = await self._read(
-            Read(
-                parse_interval(start, end, bounds),
-                match=Match.START,
-                limit=1,
-                newest_first=newest_first,
-                newer_than=None if newer_than is None else after_position(newer_than),
-                payloads=payloads,
-                wait=Wait.parse(timeout),
-            )
-        )
-        return items[0] if items else None
-
-    async def _read(self, query: Read) -> Items:
-        return await read(self._session, self._state, query)
-
-    def subscribe(
-        self,
-        start: BoundLike | None = None,
-        mode: str = "all",
-        after: Item | None = None,
-        *,
-        payloads: bool = True,
-    ) -> Subscription:
-        """Items as they are accepted: an iterator and context manager.
-
-        `mode` "all": held items from `start` on (None: only new ones), then every later one, each once. "newest":
-        always the latest, never going back. `after` resumes behind an item, across processes, too. Entering the
-        context, or the first step, begins it.
-        """
-        position = None if start is None else parse_bound(start, "start")
-        return Subscription.begin(self._session, self._state, start=position, mode=mode, after=after, payloads=payloads)
 
     async def advance(self, time: InstantLike) -> int:
         """Promise that nothing earlier than `time` will come; the highest promise up to now is returned."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
+from stampede_rt.grouping import GroupView
 from stampede_rt.model import Item, Items, Reason
 from stampede_rt.reading import RENEW_S, Read, Wait
 from stampede_rt.status import from_error_message
@@ -21,22 +22,24 @@ from stampede_rt.wire.reads import (
 )
 
 
-async def read(session: Session, state: ChannelState, query: Read) -> Items:
+async def read(session: Session, state: ChannelState, query: Read, view: GroupView | None = None) -> Items:
     """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait.
+
+    `view`: what a group shows of the channel; the highest cut that it has seen is sent along and kept.
 
     A wait without limit is renewed from time to time, so that a host that hangs is noticed; the interval stays as it
     was first resolved.
     """
     if query.wait.seconds is not None:
-        return await _read_once(session, state, query)
+        return await _read_once(session, state, query, view)
     while True:
-        items = await _read_once(session, state, replace(query, wait=Wait(RENEW_S)))
+        items = await _read_once(session, state, replace(query, wait=Wait(RENEW_S)), view)
         if items.complete or (items and not query.complete) or items.reason not in (Reason.NOT_YET, Reason.HIDDEN):
             return items
         query = replace(query, interval=fixed(query.interval, items.interval))
 
 
-async def _read_once(session: Session, state: ChannelState, query: Read) -> Items:
+async def _read_once(session: Session, state: ChannelState, query: Read, view: GroupView | None) -> Items:
     limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
     began_s = monotonic_s()
 
@@ -44,14 +47,17 @@ async def _read_once(session: Session, state: ChannelState, query: Read) -> Item
         exchange = session.ports.to(binding.target).gets()
         wait = query.wait.after(monotonic_s() - began_s)
         responses = await exchange.get(
-            _request(binding, query, wait), None if wait.seconds is None else wait.seconds + CALL_TIMEOUT_S
+            _request(binding, query, wait, view), None if wait.seconds is None else wait.seconds + CALL_TIMEOUT_S
         )
-        return _answer(state, query, responses)
+        items = _answer(state, query, responses)
+        if view is not None:
+            view.saw(items.cut)
+        return items
 
     return await session.perform(state, read_at, limit_s)
 
 
-def _request(binding: Binding, query: Read, wait: Wait) -> channel_pb.GetRequest:
+def _request(binding: Binding, query: Read, wait: Wait, view: GroupView | None) -> channel_pb.GetRequest:
     return channel_pb.GetRequest(
         channel_id=binding.channel_id,
         epoch=binding.epoch,
@@ -64,6 +70,9 @@ def _request(binding: Binding, query: Read, wait: Wait) -> channel_pb.GetRequest
         without_payloads=not query.payloads,
         wait_nanos=wait.nanos,
         complete=query.complete,
+        group_id=view.group_id if view else None,
+        cut_floor_unix_nano=view.cut_floor if view else None,
+        cut_unix_nano=query.cut,
     )
 
 
@@ -84,4 +93,5 @@ def _answer(state: ChannelState, query: Read, responses: list[channel_pb.GetResp
         more=summary.more,
         reason=summary_reason(summary),
         incarnation=summary.incarnation,
+        cut=summary.cut_unix_nano if summary.HasField("cut_unix_nano") else None,
     )

@@ -57,6 +57,7 @@ class Subscription:
         mode: str,
         after: Item | None,
         payloads: bool,
+        group_id: bytes | None = None,
     ) -> Subscription:
         """Check the arguments and make the subscription."""
         if mode not in _MODES:
@@ -70,6 +71,7 @@ class Subscription:
             start=None if start is None else bound_to_message(start),
             after=None if after is None else position_of(after),
             without_payloads=not payloads,
+            group_id=group_id,
         )
         self = cls(session, state, request)
         begin_now(self._open)

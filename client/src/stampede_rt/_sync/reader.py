@@ -1,0 +1,169 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Reads by time and subscriptions, of a channel or of what a group shows of it (paper, sections 3.2 and 3.3)."""
+
+from __future__ import annotations
+
+from stampede_rt._sync.reads import read
+from stampede_rt._sync.session import ChannelState, Session
+from stampede_rt._sync.subscription import Subscription
+from stampede_rt.grouping import GroupView
+from stampede_rt.model import ChannelInfo, Item, Items
+from stampede_rt.reading import Read, Wait, after_position, parse_limit
+from stampede_rt.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    BoundLike,
+    InstantLike,
+    Match,
+    parse_bound,
+    parse_interval,
+    parse_match,
+)
+
+
+class Reader:
+    """What can be read by time. `view` is the group that it is read through, None for the whole channel."""
+
+    def __init__(self, session: Session, state: ChannelState, view: GroupView | None = None) -> None:
+        self._session = session
+        self._state = state
+        self._view = view
+
+    @property
+    def name(self) -> str:
+        """The channel's name."""
+        return self._state.info.name
+
+    @property
+    def host(self) -> str:
+        """The name of the host that owns it, as last known."""
+        return self._state.info.host
+
+    @property
+    def incarnation(self) -> int:
+        """Which life of the channel this is, as last known; another one means that items may have been lost."""
+        return self._state.info.incarnation
+
+    @property
+    def info(self) -> ChannelInfo:
+        """Everything the directory said of it, as last known."""
+        return self._state.info
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def _identity(self) -> tuple[bytes, bytes]:
+        return self._state.info.channel_id, self._view.group_id if self._view else b""
+
+    def get(
+        self,
+        start: BoundLike,
+        end: BoundLike,
+        *,
+        bounds: str = "[]",
+        match: str | Match = "span",
+        limit: int | None = None,
+        newest_first: bool = False,
+        after: Item | InstantLike | None = None,
+        payloads: bool = True,
+        timeout: float | None = 0,
+        complete: bool = False,
+    ) -> Items:
+        """The items in an interval, by default those whose span shares an instant with it.
+
+        `bounds`: "[]", "[)", "(]", "()". `match`: "span", "whole" (the span lies inside) or "start" (the time does).
+        `limit` keeps the earliest, with `newest_first` the latest; `after` continues behind an item. `timeout` is in
+        seconds: 0 answers at once, None waits for ever, for the first match or, with `complete`, until nothing more
+        can come. The answer after a timeout is what there is. Raises InvalidInterval, IncarnationLost, Unavailable.
+        """
+        interval = parse_interval(start, end, bounds)
+        position = None if after is None else after_position(after)
+        return self._read(
+            Read(
+                interval,
+                match=parse_match(match),
+                limit=parse_limit(limit),
+                newest_first=newest_first,
+                after=position,
+                payloads=payloads,
+                wait=Wait.parse(timeout),
+                complete=complete,
+            )
+        )
+
+    def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
+        """The items whose own span holds `time`."""
+        interval = parse_interval(time, time)
+        return self._read(Read(interval, payloads=payloads, wait=Wait.parse(timeout)))
+
+    def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
+        """The newest item older than `time`; where several share its time, the last accepted."""
+        return self._read_one(MIN_INSTANT, time, "[)", True, None, payloads, timeout)
+
+    def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
+        """The oldest held item; where several share its time, the first accepted."""
+        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
+
+    def newest(
+        self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
+    ) -> Item | None:
+        """The newest item, or None; with `after` only if it is later than that instant or item.
+
+        `timeout` in seconds: 0 answers at once, None waits for ever.
+        """
+        return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
+
+    def _read_one(
+        self,
+        start: BoundLike,
+        end: BoundLike,
+        bounds: str,
+        newest_first: bool,
+        newer_than: Item | InstantLike | None,
+        payloads: bool,
+        timeout: float | None,
+    ) -> Item | None:
+        items = self._read(
+            Read(
+                parse_interval(start, end, bounds),
+                match=Match.START,
+                limit=1,
+                newest_first=newest_first,
+                newer_than=None if newer_than is None else after_position(newer_than),
+                payloads=payloads,
+                wait=Wait.parse(timeout),
+            )
+        )
+        return items[0] if items else None
+
+    def _read(self, query: Read) -> Items:
+        return read(self._session, self._state, query, self._view)
+
+    def subscribe(
+        self,
+        start: BoundLike | None = None,
+        mode: str = "all",
+        after: Item | None = None,
+        *,
+        payloads: bool = True,
+    ) -> Subscription:
+        """Items as they are accepted: an iterator and context manager.
+
+        `mode` "all": held items from `start` on (None: only new ones), then every later one, each once. "newest":
+        always the latest, never going back. `after` resumes behind an item, across processes, too. Entering the
+        context, or the first step, begins it.
+        """
+        position = None if start is None else parse_bound(start, "start")
+        group_id = self._view.group_id if self._view else None
+        return Subscription.begin(
+            self._session,
+            self._state,
+            start=position,
+            mode=mode,
+            after=after,
+            payloads=payloads,
+            group_id=group_id,
+        )

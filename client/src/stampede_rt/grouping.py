@@ -1,0 +1,171 @@
+"""Groups of channels as their readers hold them (paper, section 3.3). Pure.
+
+Instants and durations are int nanoseconds. A cut is exclusive: items before it are visible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import ChannelInfo, Item, Items
+from stampede_rt.timeline import DurationLike, parse_duration
+
+MEMBERS_MAX = 64
+BOUNDS = ("start", "end")
+MAX_LEAD_DEFAULT = "5s"
+
+Value = TypeVar("Value")
+
+
+class Named(Protocol):
+    """A channel, or a descriptor of one."""
+
+    @property
+    def info(self) -> ChannelInfo:
+        """What the directory says of it."""
+
+
+Key = TypeVar("Key", bound=Named)
+
+
+@dataclass(slots=True)
+class GroupView:
+    """Through which group a reader looks, and the highest cut that it has seen, which no later read goes behind."""
+
+    group_id: bytes
+    cut_floor: int | None = None
+
+    def saw(self, cut: int | None) -> None:
+        """An answer came with this cut."""
+        if cut is not None and (self.cut_floor is None or cut > self.cut_floor):
+            self.cut_floor = cut
+
+
+class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
+    """A value for each channel. Looked up by the channel's handle, by a group's descriptor of it, or by its name."""
+
+    def __init__(self, channels: Sequence[Key], values: Mapping[bytes, Value]) -> None:
+        self._channels = [channel for channel in channels if channel.info.channel_id in values]
+        self._values = values
+
+    def __getitem__(self, channel: Named | str) -> Value:
+        for one in self._channels:
+            info = one.info
+            if channel == info.name or (not isinstance(channel, str) and channel.info.channel_id == info.channel_id):
+                return self._values[info.channel_id]
+        raise KeyError(channel if isinstance(channel, str) else channel.info.name)
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._channels)
+
+    def __len__(self) -> int:
+        return len(self._channels)
+
+    def __repr__(self) -> str:
+        return repr({one.info.name: self._values[one.info.channel_id] for one in self._channels})
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupInfo:
+    """A group as the directory knows it. `reference_id` None: the oldest of the members' cuts counts."""
+
+    group_id: bytes
+    name: str
+    channel_ids: Sequence[bytes]
+    reference_id: bytes | None
+    bound: str
+    idle_after_nanos: int | None
+    max_lead_nanos: int
+    incarnation: int
+    spec_version: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MemberStatus:
+    """One member of a group, as the answering host sees it.
+
+    `cut`: its own; None: it never had an item or an advance. `lead_nanos`: how far its newest item is ahead of the
+    group's cut. `hidden`: held items that the cut hides; None if another host knows. `idle`: left out of the reference,
+    since it has been silent for idle_after. `window_too_short`: retention takes its items before the group shows them.
+    """
+
+    newest: int | None
+    advance: int | None
+    cut: int | None
+    lead_nanos: int | None
+    hidden: int | None
+    idle: bool
+    window_too_short: bool
+    heard_ago_nanos: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupStatus(Generic[Key]):
+    """A group at one moment: its cut (None: nothing is visible), who holds it back, and each member's place."""
+
+    cut: int | None
+    waiting_on: Sequence[Key]
+    members: ByChannel[Key, MemberStatus]
+    host_time: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut(Generic[Key]):
+    """What a group made visible at once: for each channel the items since the cut before, `cut[channel]`.
+
+    `time` is the cut, exclusive. `late[channel]`: items that were accepted below a cut that had been delivered already.
+    `incomplete`: members that had not caught up when the wait for them was over. `cut[channel].truncated`: some items
+    that were due are gone, and `.reason` says why.
+    """
+
+    time: int
+    items: ByChannel[Key, Items]
+    late: ByChannel[Key, Sequence[Item]]
+    incomplete: Sequence[Key]
+
+    def __getitem__(self, channel: Named | str) -> Items:
+        return self.items[channel]
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self.items)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossSection(Generic[Key]):
+    """What each channel holds at the instant of one item of the reference: `section[channel]`, Items."""
+
+    time: int
+    items: ByChannel[Key, Items]
+
+    def __getitem__(self, channel: Named | str) -> Items:
+        return self.items[channel]
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self.items)
+
+
+def parse_group_bound(bound: str) -> str:
+    """`bound` as it is. Raises InvalidArgument."""
+    if bound not in BOUNDS:
+        raise InvalidArgument(f'bound is {bound!r}; write "start" or "end" (where a channel\'s newest item is cut)')
+    return bound
+
+
+def parse_members(channels: Sequence[Key]) -> list[Key]:
+    """The channels as they are. Raises InvalidArgument if there are none, too many, or one twice."""
+    members = list(channels)
+    if not 1 <= len(members) <= MEMBERS_MAX:
+        raise InvalidArgument(f"a group has 1 to {MEMBERS_MAX} channels, not {len(members)}")
+    names = [member.info.name for member in members]
+    doubled = {name for name in names if names.count(name) > 1}
+    if doubled:
+        raise InvalidArgument(f"{', '.join(sorted(doubled))} would be in the group twice; name each channel once")
+    return members
+
+
+def parse_tolerance(tolerance: DurationLike) -> int:
+    """Nanoseconds, 0 or more."""
+    return parse_duration(tolerance, "tolerance")
