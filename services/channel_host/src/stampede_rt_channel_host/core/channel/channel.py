@@ -193,6 +193,11 @@ class Channel:
             held_bytes=held.payload_bytes,
         )
 
+    def look(self, now: int) -> tuple[Holdings, Retention]:
+        """What is held, aged to `now`, and under which limits, for views of the channel: to be read, not changed."""
+        self._settle(self._tick(now))
+        return self._held, self._retention
+
     @property
     def policy(self) -> Policy:
         """The policy as stated."""

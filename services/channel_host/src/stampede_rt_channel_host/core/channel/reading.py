@@ -7,9 +7,8 @@ from dataclasses import replace
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.model import Reason
 from stampede_rt.timeline import Bound, Interval, ResolvedInterval, format_instant
-from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.selection import select
+from stampede_rt_channel_host.core.channel.selection import Readable, select
 from stampede_rt_channel_host.core.channel.values import Answer, Position, Query, WakeAt
 
 
@@ -26,7 +25,7 @@ class Pending:
 class Reading:
     """Answers queries from holdings. `clock` is the host's clock, at which age has been settled."""
 
-    def __init__(self, held: Holdings, retention: Retention, incarnation: int) -> None:
+    def __init__(self, held: Readable, retention: Retention, incarnation: int) -> None:
         self._held = held
         self._retention = retention
         self._incarnation = incarnation
@@ -72,7 +71,7 @@ class Reading:
             complete=complete,
             truncated=truncated,
             more=more,
-            reason=self._reason(query, region, complete, truncated, more) if slices else self._absence(region),
+            reason=self._reason(query, region, complete, truncated, more) if slices else self._absence(query, region),
             incarnation=self._incarnation,
         )
 
@@ -89,20 +88,27 @@ class Reading:
             answer = self.answer(query, within, clock)
             if over or answer.slices:
                 return answer
-        first_instant = within.start + within.start_exclusive
+        return self._wake_at(within.start + within.start_exclusive, clock)
+
+    def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
+        """When `now` enters the interval, if it has not: an open newest item then reaches in."""
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
     def _unresolved(self) -> Answer:
-        reason = Reason("NOT_YET", "the channel holds no item that the interval's newest or oldest could stand for")
         return Answer(
-            slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False, reason=reason,
-            incarnation=self._incarnation,
+            slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False,
+            reason=self._no_anchor(), incarnation=self._incarnation,
         )  # fmt: skip
+
+    def _no_anchor(self) -> Reason:
+        return Reason("NOT_YET", "the channel holds no item that the interval's newest or oldest could stand for")
 
     def _is_over(self, region: ResolvedInterval) -> bool:
         """Nothing more can come: an item or an advance is past its end, or it is empty, or below the frontier."""
-        if region.is_empty or self._is_below_frontier(region):
-            return True
+        return region.is_empty or self._is_below_frontier(region) or self._is_finished(region)
+
+    def _is_finished(self, region: ResolvedInterval) -> bool:
+        """An item or an advance is at or past an exclusive end, strictly past an inclusive one."""
         marks = [mark for mark in (self._held.newest, self.advance) if mark is not None]
         return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
 
@@ -121,16 +127,16 @@ class Reading:
         if truncated and not (more and query.newest_first):
             return self._collected()
         if query.complete and not complete:
-            return self._not_yet(region)
+            return self._not_yet(query, region)
         return None
 
-    def _absence(self, region: ResolvedInterval) -> Reason:
+    def _absence(self, query: Query, region: ResolvedInterval) -> Reason:
         if region.is_empty:
             return Reason("NEVER", "no instant lies in the interval, as it was resolved and where it was to continue")
         if self._is_below_frontier(region):
             return self._collected()
         if not self._is_over(region):
-            return self._not_yet(region)
+            return self._not_yet(query, region)
         if self._is_truncated(region):
             return self._collected()
         return Reason("NEVER", "the channel is past the interval and nothing was put that matches")
@@ -141,7 +147,7 @@ class Reading:
         before = format_instant(held.frontier or 0)
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
 
-    def _not_yet(self, region: ResolvedInterval) -> Reason:
+    def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
         newest = "holds nothing" if self._held.newest is None else f"is at {format_instant(self._held.newest)}"
         return Reason("NOT_YET", f"the channel {newest}; items up to {format_instant(region.end)} may still come")
 

@@ -8,15 +8,46 @@ which may reach out. So a read costs two searches and what it returns.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from stampede_rt.timeline import Match, ResolvedInterval
-from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
 Fits = Callable[[int], bool]
+
+
+class Readable(Protocol):
+    """Held items as reads see them: all of a channel's, or the part of them that a group shows."""
+
+    @property
+    def newest(self) -> int | None:
+        """The latest time of an item in it; None if it holds none."""
+
+    @property
+    def oldest(self) -> int | None:
+        """The earliest time."""
+
+    @property
+    def frontier(self) -> int | None:
+        """As in `Holdings`."""
+
+    @property
+    def collected_by(self) -> str:
+        """As in `Holdings`."""
+
+    def slices(self, low: Place = ..., high: Place = ..., /) -> Iterator[Slice]:
+        """Items at or above `low` and below `high`, ascending."""
+
+    def slices_down(self, low: Place = ..., high: Place = ..., /) -> Iterator[Slice]:
+        """The same, the last slice first."""
+
+    def next_time(self, time: int, /) -> int | None:
+        """The time of the next later bucket than `time`."""
+
+    def floor_time(self, time: int, /) -> int | None:
+        """The time of the bucket at or before `time`."""
 
 
 class _Stretch(NamedTuple):
@@ -27,9 +58,9 @@ class _Stretch(NamedTuple):
     fits: Fits | None = None
 
 
-def select(held: Holdings, query: Query, within: ResolvedInterval, now: int) -> tuple[list[Slice], bool]:
+def select(held: Readable, query: Query, within: ResolvedInterval, now: int) -> tuple[list[Slice], bool]:
     """The slices that match, ascending, and whether the limit cut more of them off. `now` is the resolved meta-time."""
-    if within.is_empty or not held.items:
+    if within.is_empty or held.oldest is None:
         return [], False
     stretches = [_clip(stretch, query) for stretch in _stretches(held, query.match, within, now)]
     if query.newest_first:
@@ -42,7 +73,7 @@ def select(held: Holdings, query: Query, within: ResolvedInterval, now: int) -> 
     return slices, more
 
 
-def _stretches(held: Holdings, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:
+def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:
     low = (within.start, SEQ_END if within.start_exclusive else 0)
     high = (within.end, 0 if within.end_exclusive else SEQ_END)
     if match is Match.START:
@@ -52,7 +83,7 @@ def _stretches(held: Holdings, match: Match, within: ResolvedInterval, now: int)
     return _staying_in(held, within, low, now)
 
 
-def _reaching_in(held: Holdings, within: ResolvedInterval, now: int) -> list[_Stretch]:
+def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_Stretch]:
     """The last bucket at or before the lower bound, as far as its spans hold an instant of the interval."""
     bucket = held.floor_time(within.start)
     if bucket is None:
@@ -71,7 +102,7 @@ def _reaching_in(held: Holdings, within: ResolvedInterval, now: int) -> list[_St
     return [_Stretch((bucket, 0), (bucket, SEQ_END), fits)]
 
 
-def _staying_in(held: Holdings, within: ResolvedInterval, low: Place, now: int) -> list[_Stretch]:
+def _staying_in(held: Readable, within: ResolvedInterval, low: Place, now: int) -> list[_Stretch]:
     """The buckets in the interval; the spans of all but the last end within it."""
     bucket = held.floor_time(within.end - 1 if within.end_exclusive else within.end)
     if bucket is None or bucket not in within:
@@ -104,7 +135,7 @@ def behind(position: Position) -> Place:
     return position.time, SEQ_END if position.seq is None else position.seq + 1
 
 
-def _parts(held: Holdings, stretch: _Stretch) -> Iterator[Slice]:
+def _parts(held: Readable, stretch: _Stretch) -> Iterator[Slice]:
     for part in held.slices(stretch.low, stretch.high):
         if stretch.fits is None:
             yield part
@@ -112,7 +143,7 @@ def _parts(held: Holdings, stretch: _Stretch) -> Iterator[Slice]:
             yield from _fitting(part, stretch.fits)
 
 
-def _parts_down(held: Holdings, stretch: _Stretch) -> Iterator[Slice]:
+def _parts_down(held: Readable, stretch: _Stretch) -> Iterator[Slice]:
     for part in held.slices_down(stretch.low, stretch.high):
         if stretch.fits is None:
             yield part
