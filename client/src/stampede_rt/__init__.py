@@ -12,7 +12,9 @@ from stampede_rt import grpc_quiet as _grpc_quiet  # isort: skip  # noqa: F401  
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.connection import Connection
+from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.producer import Producer
+from stampede_rt._sync.sampler import Sampler
 from stampede_rt._sync.session import Session as _Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.watch import Watch
@@ -82,6 +84,7 @@ __all__ = [
     "ItemTooLarge",
     "Items",
     "LeaseExpired",
+    "Listener",
     "Overloaded",
     "PeerExists",
     "PeerNotFound",
@@ -92,6 +95,7 @@ __all__ = [
     "QueueNotFound",
     "Reason",
     "ResolvedInterval",
+    "Sampler",
     "StampedeError",
     "Subscription",
     "SupernodeInfo",

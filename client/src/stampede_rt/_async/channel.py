@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.puts import PutStreams
 from stampede_rt._async.reader import Reader
+from stampede_rt._async.sampler import MonotonicClock, Sampler
 from stampede_rt._async.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.binding import Binding
-from stampede_rt.errors import DeadlineExceeded, Unavailable
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.model import ChannelStats, Item, Policy
 from stampede_rt.policy import parse_policy
-from stampede_rt.timeline import (
-    DurationLike,
-    InstantLike,
-    parse_instant,
-)
+from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
+
+PERIOD_NANOS_MIN = 1_000_000
 
 
 class Channel(Reader):
@@ -57,6 +56,22 @@ class Channel(Reader):
     def producer(self) -> Producer:
         """A context manager for many puts that do not each wait for their ack."""
         return Producer(self._session, self._state)
+
+    def sample(self, fn: Callable[[], Any], every: DurationLike = "33ms") -> Sampler:
+        """Call `fn` once in each period and put what it returns, until the returned handle's `cancel`.
+
+        Periods are counted from now, so that delays do not add up; those that pass while `fn` or a put takes too long
+        are skipped and counted. None is not put. What `fn` or the put raises is logged and counted in the handle, and
+        the next period comes. On a full channel with on_full="block" a put waits for one period at most.
+        """
+        every_nanos = parse_duration(every, "every")
+        if every_nanos < PERIOD_NANOS_MIN:
+            raise InvalidArgument(f'every is {every!r}; it must be 1 ms or more, as in every="33ms"')
+
+        async def put(value: Any, timeout_s: float) -> None:
+            await self.put(value, timeout=timeout_s)
+
+        return Sampler(self._session, f"channel {self.name!r}", put, fn, every_nanos, MonotonicClock())
 
     async def advance(self, time: InstantLike) -> int:
         """Promise that nothing earlier than `time` will come; the highest promise up to now is returned."""

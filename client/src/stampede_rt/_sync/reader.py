@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
+from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.session import ChannelState, Session
 from stampede_rt._sync.subscription import Subscription
@@ -12,6 +16,7 @@ from stampede_rt.reading import Read, Wait, after_position, parse_limit
 from stampede_rt.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
+    OLDEST,
     BoundLike,
     InstantLike,
     Match,
@@ -167,3 +172,27 @@ class Reader:
             payloads=payloads,
             group_id=group_id,
         )
+
+    def on_item(
+        self,
+        fn: Callable[[Item], Any],
+        start: BoundLike | None = None,
+        mode: str = "all",
+        after: Item | None = None,
+        *,
+        payloads: bool = True,
+    ) -> Listener:
+        """Call `fn` for each item, one after the other, until the returned handle's `cancel`.
+
+        The arguments behind `fn` are those of `subscribe`. `fn` runs in a thread (or task) of the library's own; what
+        it raises is logged and counted in the handle, and the next item is given to it. Items wait at the host while it
+        runs; those that retention collects meanwhile are counted as `dropped`. When the host is lost with what it
+        held, that is logged and counted, and it goes on with the channel's new incarnation.
+        """
+
+        def subscribe(anew: bool) -> Subscription:
+            if anew:
+                return self.subscribe(OLDEST, mode, payloads=payloads)
+            return self.subscribe(start, mode, after, payloads=payloads)
+
+        return Listener(self._session, f"channel {self.name!r}", subscribe, fn)

@@ -12,7 +12,7 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from stampede_rt._sync.ports import Ports
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S, Supernodes
@@ -31,6 +31,14 @@ CALL_TIMEOUT_S = 10.0
 TRY_TIMEOUT_S = 5.0
 
 Result = TypeVar("Result")
+
+
+class Attached(Protocol):
+    """What works in the background of a connection, and ends with it."""
+
+    def end(self) -> None:
+        """Let go of what it holds, within a second or so."""
+        ...
 
 
 def request_id() -> bytes:
@@ -62,16 +70,29 @@ class Session:
         self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.closed = False
+        self._attached: dict[Attached, None] = {}  # in the order of their coming
 
     def open(self) -> None:
         """Find the supernodes, within 5 s. Raises Unavailable, PermissionDenied, VersionMismatch."""
         self.supernodes.bind(CONNECT_TIMEOUT_S)
 
     def close(self) -> None:
-        """End everything that is under way."""
+        """End everything that is under way, the latest first."""
+        for one in reversed(tuple(self._attached)):
+            one.end()
         self.closed = True
         self.cache.forget_all()
         self.ports.close()
+
+    def attach(self, one: Attached) -> None:
+        """End `one` before the connection is closed."""
+        if self.closed:
+            raise Unavailable("this connection is closed; connect() again")
+        self._attached[one] = None
+
+    def detach(self, one: Attached) -> None:
+        """It has ended by itself."""
+        self._attached.pop(one, None)
 
     def open_channel(
         self, name: str, policy: Policy, host: str | None, create: bool, timeout_s: float = CALL_TIMEOUT_S
@@ -87,6 +108,19 @@ class Session:
         owner = Owner(host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version)
         self.cache.learn_owner(record.channel_id, owner, [endpoint.target for endpoint in host.gatekeepers])
         return channel_info(record, host)
+
+    def found(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelState:
+        """What a handle knows of a channel that the directory told of unasked; it may not create the channel anew."""
+        info = self._learn(record, host) if host is not None else channel_info(record, None)
+        return ChannelState(info, Policy(), create=False)
+
+    def place(self, state: ChannelState) -> Binding:
+        """Where the channel's data is; waits a while for an owner if it has none."""
+
+        def itself(binding: Binding) -> Binding:
+            return binding
+
+        return self.perform(state, itself)
 
     def perform(
         self,

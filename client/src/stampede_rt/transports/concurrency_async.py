@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Generator, Sequence
 from types import TracebackType
-from typing import TypeVar
+from typing import Any, Self, TypeVar
+
+from stampede_rt.errors import InvalidArgument
 
 Result = TypeVar("Result")
 
 monotonic_s = time.monotonic
+monotonic_nanos = time.monotonic_ns
 
 
 class Mutex:
@@ -59,6 +63,16 @@ async def in_thread(operation: Callable[[], Result]) -> Result:
     return await asyncio.to_thread(operation)
 
 
+async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:
+    """The results of all operations, which run at the same time; raises what the first one to fail met."""
+    tasks = [asyncio.ensure_future(operation()) for operation in operations]
+    try:
+        return await asyncio.gather(*tasks)
+    finally:
+        for task in tasks:
+            task.cancel()
+
+
 def callers() -> set[int]:
     """The ids that `thread_id` gives to those who can still call."""
     return {0}
@@ -71,3 +85,53 @@ def thread_id() -> int:
 
 def begin_now(operation: Callable[[], Awaitable[None]]) -> None:
     """Do at once what needs no awaiting: on asyncio nothing, the first await does it."""
+
+
+class Background:
+    """Work of the library's own beside the caller's: a task. It must handle its errors itself."""
+
+    def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
+        self._task = asyncio.ensure_future(operation())
+        if isinstance(self._task, asyncio.Task):
+            self._task.set_name(f"stampede {name}")
+
+    async def join(self, timeout_s: float) -> bool:
+        """Block until it has ended, `timeout_s` at most; whether it has. The work itself does not wait for its end."""
+        if self._task is asyncio.current_task():
+            return False
+        ended, _ = await asyncio.wait((self._task,), timeout=timeout_s)
+        return bool(ended)
+
+
+class Beginning:
+    """What begins by itself in the background; awaiting it waits until it has begun."""
+
+    async def _begun(self) -> None:
+        raise NotImplementedError
+
+    async def _await(self) -> Self:
+        await self._begun()
+        return self
+
+    def __await__(self) -> Generator[Any, None, Self]:
+        return self._await().__await__()
+
+
+def check_callback(function: object) -> None:
+    """Raises InvalidArgument for what cannot be called. Plain functions and coroutine functions will do."""
+    if not callable(function):
+        raise InvalidArgument(f"fn is {function!r}; give a function")
+
+
+async def call_back(function: Callable[..., Any], *arguments: Any) -> Any:
+    """The result of a function that may be a coroutine function. A plain one holds up the loop while it runs."""
+    result = function(*arguments)
+    if not inspect.isawaitable(result):
+        return result
+    try:
+        return await result
+    except asyncio.CancelledError as error:
+        task = asyncio.current_task()
+        if task is not None and task.cancelling():
+            raise
+        raise RuntimeError("what the function awaited was cancelled") from error  # a failure of its own, not our end

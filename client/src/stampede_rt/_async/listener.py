@@ -1,0 +1,115 @@
+"""Push: a function that is called for each item (paper, section 4.1)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from stampede_rt._async.session import Session
+from stampede_rt._async.subscription import Subscription
+from stampede_rt.errors import IncarnationLost, StampedeError
+from stampede_rt.transports.concurrency_async import Background, Beginning, Signal, call_back, check_callback
+
+END_TIMEOUT_S = 1.0
+_log = logging.getLogger("stampede_rt")
+
+
+def worth_a_line(count: int) -> bool:
+    """Whether the `count`-th failure is logged: the 1st, 2nd, 4th, 8th and so on, so that a log stays readable."""
+    return count & (count - 1) == 0
+
+
+class Listener(Beginning):
+    """What calls a function for each item (see `Channel.on_item`), one after the other, until `cancel`.
+
+    `delivered` counts finished calls, `failures` those that raised, `last_failure` is what the last of them raised;
+    it goes on after them. `skipped` and `dropped` are those of the subscription. `losses` counts how often the
+    channel's host was lost with what it held: then it goes on with everything that the new incarnation gets. `error`
+    is what ended it, None while it runs and after `cancel`. On asyncio, awaiting it waits until it has begun.
+    """
+
+    def __init__(
+        self, session: Session, name: str, subscribe: Callable[[bool], Subscription], function: Callable[[Any], Any]
+    ) -> None:
+        check_callback(function)
+        self._session = session
+        self._name = name
+        self._subscribe = subscribe  # True: everything that the channel's new incarnation holds
+        self._function = function
+        self._subscription = subscribe(False)
+        self._dropped_before = self._skipped_before = 0  # of subscriptions that ended
+        self._holds = Signal()
+        self._cancelled = False
+        self.active = True
+        self.delivered = self.failures = self.losses = 0
+        self.last_failure: Exception | None = None
+        self.error: StampedeError | None = None
+        session.attach(self)
+        self._background = Background(self._run, f"on_item of {name}")
+
+    @property
+    def dropped(self) -> int:
+        """Items that retention collected before the function had time for them."""
+        return self._dropped_before + self._subscription.dropped
+
+    @property
+    def skipped(self) -> int:
+        """Items that mode "newest" passed over."""
+        return self._skipped_before + self._subscription.skipped
+
+    def cancel(self) -> None:
+        """Begin no further call. One that is under way goes on; `join` waits for it. Callable from anywhere."""
+        self._cancelled = True
+        self._subscription.close()
+
+    async def join(self, timeout: float) -> bool:
+        """Block until it has ended, `timeout` seconds at most; whether it has."""
+        return await self._background.join(timeout)
+
+    async def end(self) -> None:
+        """What closing the connection does."""
+        self.cancel()
+        await self.join(END_TIMEOUT_S)
+
+    async def _begun(self) -> None:
+        await self._holds.wait(None)
+        if self.error is not None:
+            raise self.error
+
+    async def _run(self) -> None:
+        try:
+            while not self._cancelled:
+                await self._listen()
+        except StampedeError as error:
+            if not (self._cancelled or self._session.closed):
+                self.error = error
+                _log.error("on_item of %s has ended: %s", self._name, error)
+        finally:
+            self.active = False
+            self._holds.set()
+            self._session.detach(self)
+
+    async def _listen(self) -> None:
+        try:
+            async with self._subscription as items:
+                self._holds.set()
+                async for item in items:
+                    await self._call(item)
+        except IncarnationLost as error:
+            self.losses += 1
+            _log.warning("on_item of %s goes on with a new incarnation: %s", self._name, error)
+            self._dropped_before, self._skipped_before = self.dropped, self.skipped
+            self._subscription = self._subscribe(True)
+            if self._cancelled:  # while it was being made
+                self._subscription.close()
+
+    async def _call(self, item: Any) -> None:
+        try:
+            await call_back(self._function, item)
+            self.delivered += 1
+        except Exception as error:  # noqa: BLE001  # whatever it is, it is told, and the next one comes
+            self.failures += 1
+            self.last_failure = error
+            if worth_a_line(self.failures):
+                _log.exception("on_item of %s: failure %d; it goes on", self._name, self.failures)
