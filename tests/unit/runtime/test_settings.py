@@ -80,10 +80,7 @@ def test_an_empty_variable_counts_as_absent() -> None:
 
 def test_the_services_table_wins_over_the_top_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "settings.toml"
-    file.write_text(
-        'level = "info"\nother-services-setting = 1\n'
-        '[sample]\nlevel = "debug"\nmembers = ["a:1", "b:2"]\n[supernode]\nx = 1\n'
-    )
+    file.write_text('level = "info"\n[sample]\nlevel = "debug"\nmembers = ["a:1", "b:2"]\n[supernode]\nx = 1\n')
     got = load(STAMPEDE_CONFIG=str(file))
     assert (got.level, got.members) == ("debug", ("a:1", "b:2"))
 
@@ -147,6 +144,20 @@ def test_an_unknown_key_in_the_services_table_is_refused(tmp_path: Path) -> None
     file = tmp_path / "settings.toml"
     file.write_text('[sample]\nlease-tll = "5s"\n')
     assert "there is no setting lease-tll; did you mean lease-ttl?" in refusal("--config", str(file))
+
+
+def test_an_unknown_key_at_the_top_is_refused_with_the_table_where_it_may_belong(tmp_path: Path) -> None:
+    file = tmp_path / "settings.toml"
+    file.write_text('lisen = "x:1"\n')
+    message = refusal("--config", str(file))
+    assert message.startswith(f"{file}: there is no setting lisen; did you mean listen?")
+    assert "belongs into its table" in message
+
+
+def test_a_misspelt_table_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "settings.toml"
+    file.write_text('[sampel]\nlisten = "x:1"\n')
+    assert refusal("--config", str(file)) == f"{file}: there is no table sampel; did you mean sample?"
 
 
 @pytest.mark.parametrize("content", [b"= 1", b"\xff\xfe", b"sample = 3"])

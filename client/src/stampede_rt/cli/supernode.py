@@ -150,7 +150,7 @@ def _bound(ports: Ports, frontends: Sequence[str]) -> list[str]:
 
 
 def _membership(port: Port) -> Any:
-    return membership_service_pb2_grpc.MembershipServiceStub(port._channel)  # sessions have no use for this service
+    return port.stub(membership_service_pb2_grpc.MembershipServiceStub)
 
 
 def _run_status(arguments: argparse.Namespace) -> int:

@@ -2,8 +2,8 @@
 
 A field `lease_ttl_nanos: int = field(default=5 * 10**9, metadata=setting(help="...", parse=parse_duration))` of the
 service `supernode` is the flag `--lease-ttl 5s`, the variable `STAMPEDE_SUPERNODE_LEASE_TTL` or `STAMPEDE_LEASE_TTL`,
-and `lease-ttl = "5s"` in the TOML file that `--config` (or `STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names, at
-its top or, preferred, in its table `[supernode]`.
+and `lease-ttl = "5s"` in the TOML file that `--config` (or `STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names, in
+its table `[supernode]` or, for what all services that read the file know, at its top.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import argparse
 import dataclasses
 import difflib
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_args, get_type_hints
@@ -21,6 +21,8 @@ from stampede_rt.timeline import format_duration
 from stampede_rt_runtime.values import format_size, parse_bool, parse_duration, parse_int, parse_size
 
 EXIT_BAD_SETTINGS = 2
+# One file serves a whole deployment: tables of the others are passed over, a misspelt one is not.
+TABLES = ("frontend", "supernode", "host", "dev")
 
 
 class SettingsError(Exception):
@@ -192,7 +194,7 @@ def _epilog(service: str, example: _Setting) -> str:
     own, shared = example.variables
     return (
         f"A setting can also come from the environment ({example.flag} from {own}, or from {shared}, "
-        f"which all services read), or from the TOML file (as {example.name}, at its top or in its table [{service}]). "
+        f"which all services read), or from the TOML file (as {example.name}, in its table [{service}] or at its top). "
         "A flag wins over the environment, the environment over the file."
     )
 
@@ -218,16 +220,24 @@ def _read_file(
         document = tomllib.loads(Path(path).expanduser().read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SettingsError(f"the settings file {path} cannot be read: {error}") from error
+    top = {key: value for key, value in document.items() if not isinstance(value, dict)}
+    for name in document.keys() - top.keys() - {service, *TABLES}:
+        raise SettingsError(f"{path}: {_unknown(name, [service, *TABLES], 'table')}")
     table = document.get(service, {})
     if not isinstance(table, dict):
         raise SettingsError(f"{path}: {service} must be a table, [{service}]")
-    names = {one.name for one in known}
-    for key in table:
+    names = sorted(one.name for one in known)
+    _check_keys(table, names, f"{path}: [{service}]", "")
+    _check_keys(
+        top, names, f"{path}:", f"; what only another service knows belongs into its table, such as [{TABLES[0]}]"
+    )
+    return {key.replace("_", "-"): (_toml_text(value), f"{path}: {key}") for key, value in (top | table).items()}
+
+
+def _check_keys(keys: Iterable[str], names: list[str], where: str, way_out: str) -> None:
+    for key in keys:
         if key.replace("_", "-") not in names:
-            raise SettingsError(f"{path}: [{service}] {_unknown(key, sorted(names), 'setting')}")
-    # At the top may stand settings of other services and their tables: one file serves a whole deployment.
-    merged = {key: value for key, value in document.items() if not isinstance(value, dict)} | table
-    return {key.replace("_", "-"): (_toml_text(value), f"{path}: {key}") for key, value in merged.items()}
+            raise SettingsError(f"{where} {_unknown(key, names, 'setting')}{way_out}")
 
 
 def _toml_text(value: object) -> str:
