@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from stampede_rt_supernode.replication.storage import Entry, StoreChanges, StoredState
+from stampede_rt_supernode.replication.storage import (
+    Entry,
+    SnapshotSeal,
+    StoreChanges,
+    StoredSnapshot,
+    StoredState,
+)
 
 
 class Crash(BaseException):
@@ -20,6 +26,8 @@ class Disk:
     # A planted fault: commits are acknowledged but kept only from the next but `forgets`-th on.
     forgets: int = 0
     states: list[StoredState] = field(default_factory=lambda: [StoredState()])
+    # Of all snapshots, by last log index and number: without a seal they count for nothing.
+    pieces: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
     def survive(self) -> StoredState:
         """What is still there after a crash, as a copy."""
@@ -42,7 +50,9 @@ class DiskStore:
         crash = self._disk.crash_at_commit()
         if crash == "before":
             raise Crash
-        self._disk.states.append(_applied(self._disk.states[-1], changes))
+        for piece in changes.pieces:
+            self._disk.pieces[piece.last_log_index, piece.number] = piece.data
+        self._disk.states.append(_applied(self._disk.states[-1], changes, self._disk.pieces))
         del self._disk.states[: -1 - self._disk.forgets]
         if crash == "after":
             raise Crash
@@ -51,7 +61,7 @@ class DiskStore:
         pass
 
 
-def _applied(state: StoredState, changes: StoreChanges) -> StoredState:
+def _applied(state: StoredState, changes: StoreChanges, pieces: Mapping[tuple[int, int], bytes]) -> StoredState:
     entries: list[Entry] = state.entries
     if changes.replace_from is not None:
         entries = [entry for entry in entries if entry.log_index < changes.replace_from] + changes.entries
@@ -60,5 +70,12 @@ def _applied(state: StoredState, changes: StoreChanges) -> StoredState:
         term=changes.term,
         voted_for=changes.voted_for,
         commit_index=changes.commit_index,
-        snapshot=changes.snapshot or state.snapshot,
+        snapshot=_sealed(changes.seal, pieces) if changes.seal else state.snapshot,
     )
+
+
+def _sealed(seal: SnapshotSeal, pieces: Mapping[tuple[int, int], bytes]) -> StoredSnapshot:
+    record = b"".join(pieces[seal.last_log_index, number] for number in range(seal.pieces_count))
+    sealed = StoredSnapshot.of(seal.last_log_index, record)
+    assert sealed.sha256 == seal.sha256
+    return sealed

@@ -95,9 +95,7 @@ class LeftByTwoSteps(MemoryStore):
         record = encode_snapshot(
             previous=entries[3], last=entries[4], configuration=ABC, state=ListMachine().snapshot()
         )
-        return StoredState(
-            entries=entries, term=1, commit_index=10, snapshot=StoredSnapshot(last_log_index=5, record=record)
-        )
+        return StoredState(entries=entries, term=1, commit_index=10, snapshot=StoredSnapshot.of(5, record))
 
 
 @ON_BOTH

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from stampede_rt_supernode.replication import storage
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore
@@ -52,6 +53,12 @@ def with_entries(store: Store, last: int) -> Journal:
     return journal
 
 
+def adopt(journal: Journal, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
+    for piece in snapshot.pieces():
+        journal.write_piece(piece)
+    journal.adopt_snapshot(snapshot, previous, last, NOBODY)
+
+
 def test_a_new_store_is_empty(reopen: Reopen) -> None:
     journal = Journal(reopen())
     assert (len(journal), journal.getCurrentTerm(), journal.getVotedForNodeId()) == (0, 0, None)
@@ -90,15 +97,47 @@ def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> No
     journal = with_entries(reopen(), 8)
     journal.sync()
     previous, last = journal[4], journal[5]
-    journal.adopt_snapshot(StoredSnapshot(last_log_index=6, record=b"state"), previous, last, NOBODY)
+    adopt(journal, StoredSnapshot.of(6, b"state"), previous, last)
     before = Journal(reopen())
     assert (len(before), before.snapshot) == (8, None)
     previous, last = before[4], before[5]
-    before.adopt_snapshot(StoredSnapshot(last_log_index=6, record=b"state"), previous, last, NOBODY)
+    adopt(before, StoredSnapshot.of(6, b"state"), previous, last)
     before.sync()
     after = Journal(reopen())
     assert [entry.log_index for entry in after[:]] == [5, 6, 7, 8]
-    assert after.snapshot == StoredSnapshot(last_log_index=6, record=b"state")
+    assert after.snapshot == StoredSnapshot.of(6, b"state")
+
+
+def test_a_snapshot_in_pieces_counts_from_its_seal_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 2)
+    journal = with_entries(reopen(), 8)
+    adopt(journal, StoredSnapshot.of(3, b"older"), journal[1], journal[2])
+    journal.sync()
+    coming = StoredSnapshot.of(6, b"state")
+    assert [piece.data for piece in coming.pieces()] == [b"st", b"at", b"e"]
+    for piece in coming.pieces():
+        journal.write_piece(piece)
+        journal.sync()
+        journal = Journal(reopen())
+        assert (journal[0].log_index, journal.snapshot) == (2, StoredSnapshot.of(3, b"older"))
+    journal.adopt_snapshot(coming, journal[3], journal[4], NOBODY)
+    journal.sync()
+    again = Journal(reopen())
+    assert (again[0].log_index, again.snapshot) == (5, coming)
+
+
+def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
+    reopen: Reopen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 2)
+    journal = with_entries(reopen(), 8)
+    for piece in StoredSnapshot.of(6, b"much longer").pieces():
+        journal.write_piece(piece)
+    journal.sync()
+    again = Journal(reopen())
+    adopt(again, StoredSnapshot.of(6, b"state"), again[4], again[5])
+    again.sync()
+    assert Journal(reopen()).snapshot == StoredSnapshot.of(6, b"state")
 
 
 def test_a_gap_is_refused(reopen: Reopen) -> None:
@@ -112,6 +151,7 @@ steps = st.lists(
         st.tuples(st.just("add"), st.integers(1, 4)),
         st.tuples(st.just("cut"), st.integers(0, 12)),
         st.tuples(st.just("snapshot"), st.integers(2, 30)),
+        st.tuples(st.just("piece"), st.integers(2, 30)),
         st.tuples(st.just("sync"), st.just(0)),
         st.tuples(st.just("crash"), st.just(0)),
     ),
@@ -130,7 +170,10 @@ def take_step(journal: Journal, step: str, number: int) -> None:
             previous, last = Entry(b"\x00p", number - 1, 9), Entry(b"\x00l", number, 9)
             if (held := journal.entry_at(number)) is not None:
                 previous, last = journal.entry_at(number - 1) or previous, held
-            journal.adopt_snapshot(StoredSnapshot(last_log_index=number, record=b"%d" % number), previous, last, NOBODY)
+            adopt(journal, StoredSnapshot.of(number, b"%d" % number), previous, last)
+        case "piece":
+            held = 0 if journal.snapshot is None else journal.snapshot.last_log_index
+            journal.write_piece(StoredSnapshot.of(held + number, b"never sealed").piece(0))
         case "sync":
             journal.sync()
 
@@ -138,7 +181,8 @@ def take_step(journal: Journal, step: str, number: int) -> None:
 @settings(max_examples=60, deadline=None)
 @given(steps)
 def test_a_crash_takes_the_journal_back_to_its_last_sync(story: list[tuple[str, int]]) -> None:
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(storage, "PIECE_BYTES", 1)
         reopen = sqlite_in(Path(folder))
         journal = with_entries(reopen(), 2)
         journal.sync()

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_supernode.replication import storage
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME, WATERMARK_NAME, SqliteStore, holds_store
-from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
+from stampede_rt_supernode.replication.storage import StoreDamaged, StoredSnapshot, StoredState, StoreRefused
 
 
 def open_store(folder: Path, *, member_id: str = "m", cluster_id: str = "c", create: bool = True) -> SqliteStore:
@@ -152,3 +154,78 @@ def test_a_full_disk_fails_the_commit(tmp_path: Path) -> None:
     with pytest.raises(sqlite3.OperationalError, match="full"):
         journal.sync()
     store.close()
+
+
+def adopt(journal: Journal, index: int, record: bytes) -> None:
+    snapshot = StoredSnapshot.of(index, record)
+    for piece in snapshot.pieces():
+        journal.write_piece(piece)
+    previous, last = journal.entry_at(index - 1), journal.entry_at(index)
+    assert previous
+    assert last
+    journal.adopt_snapshot(snapshot, previous, last, Configuration(()))
+
+
+def test_a_changed_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    journal = Journal(open_store(tmp_path))
+    adopt(journal, 3, b"state")
+    journal.close()
+    edit(tmp_path, "UPDATE snapshot_piece SET data = x'00'")
+    assert "snapshot fails its checksum" in damage_found(tmp_path)
+
+
+def test_a_missing_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    journal = Journal(open_store(tmp_path))
+    adopt(journal, 3, b"state")
+    journal.close()
+    edit(tmp_path, "DELETE FROM snapshot_piece")
+    assert "snapshot fails its checksum" in damage_found(tmp_path)
+
+
+def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 1)
+    store = open_store(tmp_path)
+    journal = Journal(store)
+    for index in range(1, 6):
+        journal.add(b"\x00", index, 1)
+    adopt(journal, 3, b"older")
+    journal.sync()
+    adopt(journal, 4, b"newer")
+    held = []
+    for term in range(1, 6):
+        journal.setCurrentTerm(term, "m")
+        journal.sync()
+        held.append(store._db.execute("SELECT COUNT(*) FROM snapshot_piece").fetchone()[0])
+    assert held == [10, 8, 6, 5, 5]
+    journal.close()
+    assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
+
+
+def test_a_store_of_the_first_form_is_taken_over_with_its_snapshot(tmp_path: Path) -> None:
+    fill(tmp_path)
+    with sqlite3.connect(tmp_path / DATABASE_NAME) as db:
+        for statement in (
+            "DROP TABLE snapshot",
+            "DROP TABLE snapshot_piece",
+            "CREATE TABLE snapshot (id INTEGER PRIMARY KEY CHECK (id = 1), last_log_index INTEGER NOT NULL, "
+            "record BLOB NOT NULL, sha256 BLOB NOT NULL) STRICT",
+            "UPDATE identity SET format_version = 1",
+            "DELETE FROM entry WHERE log_index < 2",
+        ):
+            db.execute(statement)
+        snapshot = StoredSnapshot.of(3, b"state" * 500_000)
+        db.execute("INSERT INTO snapshot VALUES (1, 3, ?, ?)", (snapshot.record, snapshot.sha256))
+    db.close()
+    for _ in range(2):
+        state = open_and_close(tmp_path)
+        assert (state.snapshot, [entry.log_index for entry in state.entries]) == (snapshot, [2, 3, 4, 5])
+
+
+def open_and_close(folder: Path) -> StoredState:
+    store = open_store(folder)
+    try:
+        return store.load()
+    finally:
+        store.close()

@@ -56,6 +56,14 @@ class ReplicationStatus:
     removed: bool = False
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TakenSnapshot:
+    """A snapshot on stable storage. `record` is opaque: `backups.py` makes a file of it, `restore_from` opens that."""
+
+    log_index: int
+    record: bytes
+
+
 class Unavailable(Exception):
     """No majority answered in time and the command was certainly not taken into the log: safe to try again."""
 
@@ -111,6 +119,12 @@ class ReplicatedLog(Protocol):
 
     async def hand_over(self, *, timeout: float) -> bool:
         """Have another member lead, if this one does; whether this one does no more. Loses nothing if it fails."""
+
+    async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
+        """Have this replica write a snapshot of at least what it has applied by now; the last one, if nothing is new.
+
+        Raises Unavailable; the snapshot may still be written.
+        """
 
     def status(self) -> ReplicationStatus:
         """This replica's present view; never blocks."""

@@ -14,7 +14,14 @@ from typing import overload
 from stampede_rt_supernode.replication.codec import decode_configuration
 from stampede_rt_supernode.replication.configuration import Configuration, Configurations
 from stampede_rt_supernode.replication.library import CONFIGURATION
-from stampede_rt_supernode.replication.storage import Entry, Store, StoreChanges, StoredSnapshot
+from stampede_rt_supernode.replication.storage import (
+    Entry,
+    SnapshotPiece,
+    SnapshotSeal,
+    Store,
+    StoreChanges,
+    StoredSnapshot,
+)
 
 
 class Journal:
@@ -32,7 +39,8 @@ class Journal:
         self.configurations = Configurations(Configuration(()))
         # Lowest log index from which the store differs from `_entries`; None when they agree.
         self._replace_from: int | None = None
-        self._pending_snapshot: StoredSnapshot | None = None
+        self._pending_pieces: list[SnapshotPiece] = []
+        self._pending_seal: SnapshotSeal | None = None
         # True when term, vote, entries or snapshot wait for the disk. The commit index alone does not count:
         # losing it only means that the leader says it again.
         self._dirty = False
@@ -117,13 +125,18 @@ class Journal:
         position = log_index - self._entries[0].log_index if self._entries else -1
         return self._entries[position] if 0 <= position < len(self._entries) else None
 
+    def write_piece(self, piece: SnapshotPiece) -> None:
+        """Have a piece of a coming snapshot on the disk with the next sync, so that adopting it costs little."""
+        self._pending_pieces.append(piece)
+        self._dirty = True
+
     def adopt_snapshot(
         self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration
     ) -> None:
         """Let the log begin with the two entries a snapshot ends with; `configuration` held at the last one.
 
-        What follows `last` stays when this log holds the very same `last`: it may be acknowledged already.
-        Snapshot and log reach the disk in one piece.
+        All its pieces are written before. What follows `last` stays when this log holds the very same `last`: it may
+        be acknowledged already. The snapshot's seal and the log reach the disk together.
         """
         same = self.entry_at(last.log_index)
         if same is not None and same.term == last.term:
@@ -139,7 +152,7 @@ class Journal:
             self._entries = [previous, last]
             self.configurations.cut_from(0)
         self.configurations.rebase(last.log_index, configuration)
-        self.snapshot = self._pending_snapshot = snapshot
+        self.snapshot, self._pending_seal = snapshot, snapshot.seal()
         self._dirty = True
 
     def sync(self) -> bool:
@@ -147,7 +160,8 @@ class Journal:
         if not self._dirty:
             return False
         self._store.commit(self._changes())
-        self._replace_from, self._pending_snapshot, self._dirty = None, None, False
+        self._replace_from, self._pending_seal, self._dirty = None, None, False
+        self._pending_pieces = []
         return True
 
     def close(self) -> None:
@@ -172,5 +186,6 @@ class Journal:
             term=self._term,
             voted_for=self._voted_for,
             commit_index=min(self._commit_index, first + len(self._entries) - 1),
-            snapshot=self._pending_snapshot,
+            pieces=self._pending_pieces,
+            seal=self._pending_seal,
         )

@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.library import Dice, load_library
 from stampede_rt_supernode.replication.mailroom import Mailroom
 from stampede_rt_supernode.replication.proposals import UNKNOWN_OUTCOME
 from stampede_rt_supernode.replication.reads import ConfirmedReads
-from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.snapshots import RunAside, SnapshotKeeper, run_at_once
 
 APPEND_BATCH_BYTES = 1 << 20
@@ -43,34 +43,34 @@ def build_node(
     peers = {member.member_id: member for member in settings.initial_members if member.member_id != self_id}
     others = [node_type(member_id) for member_id in peers]
     journal.track_members(Configuration.of(settings.initial_members))
-    # Request ids of an earlier life must not be answered in this one.
-    first_request_id = int(dice.random() * 2**52)
     node_class: Any = type("RaftNode", (rules, library.SyncObj), {})
     # The library's constructor already calls back, so what its methods need is attached before it runs.
     node = node_class.__new__(node_class)
-    node.clock = clock
-    node.state_machine = state_machine
-    node.mailroom = Mailroom(others)
-    node.mailroom.on_stream_opened = node.on_stream_opened
-    node.mailroom.on_members_told = node.on_members_told
+    node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
+    node.unknown_outcome = UNKNOWN_OUTCOME
     node.self_member, node.make_node, node.peers, node._told = settings.self_member, node_type, peers, {}
     node.keeper = SnapshotKeeper(
         journal, state_machine, has_room, run_aside=run_aside, chunk_bytes=settings.snapshot_piece_bytes
     )
-    node.has_room = has_room
-    node.unknown_outcome = UNKNOWN_OUTCOME
     node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
-    node.reads = ConfirmedReads(
-        node,
-        node.mailroom,
-        clock,
-        retry_seconds=settings.timing.read_retry_seconds,
-        first_request_id=first_request_id,
-    )
+    # Request ids of an earlier life must not be answered in this one.
+    first_request_id = int(dice.random() * 2**52)
+    _attach_mail_and_reads(node, others, clock, settings.timing, first_request_id)
     conf = library_conf(library, settings, journal, node.keeper)
     node.__init__(node_type(self_id), others, conf=conf, transport=node.mailroom)
     node._SyncObj__commandsLocalCounter = first_request_id
     return node
+
+
+def _attach_mail_and_reads(
+    node: Any, others: list[Any], clock: Callable[[], float], timing: RaftTiming, first_request_id: int
+) -> None:
+    node.mailroom = Mailroom(others)
+    node.mailroom.on_stream_opened = node.on_stream_opened
+    node.mailroom.on_members_told = node.on_members_told
+    node.reads = ConfirmedReads(
+        node, node.mailroom, clock, retry_seconds=timing.read_retry_seconds, first_request_id=first_request_id
+    )
 
 
 def library_conf(library: Any, settings: ReplicationSettings, journal: Journal, keeper: SnapshotKeeper) -> Any:

@@ -19,10 +19,12 @@ from stampede_rt_supernode.replication.node_builder import build_node
 from stampede_rt_supernode.replication.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
+from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest, SnapshotRequests
 from stampede_rt_supernode.replication.snapshots import RunAside, run_at_once
 from stampede_rt_supernode.replication.storage import Store
 
 CHANGES_MAX = 100
+SNAPSHOTS_MAX = 10
 
 
 class Network(Protocol):
@@ -86,6 +88,7 @@ class Replica:
         self._new_proposals: deque[Proposal] = deque()
         self._new_reads: deque[Read] = deque()
         self._new_changes: deque[MemberChange | HandOver] = deque()
+        self._new_snapshots: deque[SnapshotRequest] = deque()
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._journal = Journal(store)
@@ -101,17 +104,22 @@ class Replica:
         )
         self._node.open_snapshot()
         self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
-        self._changes = MemberChanges(
-            self._node,
-            clock,
-            self._completions.append,
-            round_seconds=settings.timing.election_timeout_min_seconds,
-            alive_seconds=settings.timing.leader_fallback_seconds,
-        )
+        self._changes = self._make_changes()
+        self._snapshots = SnapshotRequests(self._node, self._journal, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
         self.roster = Roster((), {}, frozenset())
         self._publish_roster()
         self._status = self._observe()
+
+    def _make_changes(self) -> MemberChanges:
+        timing = self._settings.timing
+        return MemberChanges(
+            self._node,
+            self._clock,
+            self._completions.append,
+            round_seconds=timing.election_timeout_min_seconds,
+            alive_seconds=timing.leader_fallback_seconds,
+        )
 
     # -- any thread ----------------------------------------------------------------------------------------------
 
@@ -145,6 +153,13 @@ class Replica:
         self._new_changes.append(change)
         self._wake()
 
+    def take_snapshot(self, request: SnapshotRequest) -> None:
+        """Queue a wish for a snapshot. Raises Unavailable when too many wait."""
+        if len(self._new_snapshots) >= SNAPSHOTS_MAX:
+            raise Unavailable(f"{SNAPSHOTS_MAX} wait for a snapshot already: try again in a while")
+        self._new_snapshots.append(request)
+        self._wake()
+
     def changes_are_settled(self) -> bool:
         """Whether this replica leads and no change of the members is on its way; after the last step."""
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._new_changes
@@ -172,6 +187,7 @@ class Replica:
             self._node.send_now()
         self._node.reads.finish()
         self._changes.advance()
+        self._snapshots.advance()
         self._journal.sync()
         self._release()
         return bool(self._inbox) or self._commits_alone()
@@ -180,8 +196,11 @@ class Replica:
         """End everything that waits, write everything down and let go of the store."""
         for proposal in self._new_proposals:
             self._proposals.add(proposal)
+        for request in self._new_snapshots:
+            self._snapshots.add(request)
         self._proposals.close()
         self._changes.close()
+        self._snapshots.close()
         for read in self._new_reads:
             self._node.reads.add(self._later(read))
         self._node.reads.close()
@@ -199,6 +218,8 @@ class Replica:
                 self._changes.hand_over(change)
             else:
                 self._changes.add(change)
+        for _ in range(len(self._new_snapshots)):
+            self._snapshots.add(self._new_snapshots.popleft())
         takes = self._leader_reachable() and not self._changes.hands_over
         self._proposals.advance(leader_reachable=takes, now=self._clock())
 

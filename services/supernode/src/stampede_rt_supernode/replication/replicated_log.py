@@ -17,6 +17,7 @@ from stampede_rt_supernode.replication.interface import (
     Member,
     ReplicationStatus,
     StateMachine,
+    TakenSnapshot,
     Unavailable,
 )
 from stampede_rt_supernode.replication.links import Dial, Links
@@ -27,6 +28,7 @@ from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica
 from stampede_rt_supernode.replication.servicer import RaftServicer
 from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.snapshots import RunAside
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage import MemoryStore, Store
@@ -127,6 +129,20 @@ class PySyncObjLog:
                 return await answer
         except TimeoutError:
             return not self.status().is_leader
+
+    async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
+        """See ReplicatedLog."""
+        self._refuse_when_closed()
+        answer: asyncio.Future[SnapshotOutcome] = asyncio.get_running_loop().create_future()
+        self._replica.take_snapshot(SnapshotRequest(self._into(answer)))
+        try:
+            async with asyncio.timeout(timeout):
+                outcome = await answer
+        except TimeoutError:
+            raise Unavailable(f"no snapshot was written within {timeout:.1f} s") from None
+        if isinstance(outcome, Unavailable):
+            raise outcome
+        return TakenSnapshot(log_index=outcome.last_log_index, record=outcome.record)
 
     async def close(self) -> None:
         """See ReplicatedLog. Whatever still waits ends Unavailable or Ambiguous. Safe to call twice."""

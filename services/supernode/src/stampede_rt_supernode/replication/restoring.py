@@ -52,7 +52,8 @@ def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> Stor
         term=term,
         voted_for=None,
         commit_index=state.commit_index,
-        snapshot=state.snapshot,
+        pieces=list(state.snapshot.pieces()) if state.snapshot else [],
+        seal=state.snapshot.seal() if state.snapshot else None,
     )
 
 

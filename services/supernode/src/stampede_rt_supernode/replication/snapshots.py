@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 from stampede_rt.v1 import raft_service_pb2 as pb
@@ -35,29 +35,30 @@ class Result(Protocol):
     def done(self) -> bool:
         """Whether it is finished."""
 
-    def result(self) -> bytes:
+    def result(self) -> StoredSnapshot:
         """What it gave, once it is finished. Raises what it raised."""
 
 
-RunAside = Callable[[Callable[[], bytes]], Result]
+RunAside = Callable[[Callable[[], StoredSnapshot]], Result]
 
 
-def run_at_once(work: Callable[[], bytes]) -> Result:
+def run_at_once(work: Callable[[], StoredSnapshot]) -> Result:
     """Do the work here and now."""
-    finished: Future[bytes] = Future()
+    finished: Future[StoredSnapshot] = Future()
     finished.set_result(work())
     return finished
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Taking:
-    """A snapshot on its way to bytes."""
+    """A snapshot on its way to bytes, and then, piece by piece, to the disk."""
 
-    record: Result
+    encoded: Result
     previous: Entry
     last: Entry
     configuration: Configuration
     id: int
+    pieces_written: int = 0
 
 
 @dataclass
@@ -96,51 +97,58 @@ class SnapshotKeeper:
         # Member id -> how many bytes of the present snapshot it was sent.
         self._sent: dict[str, int] = {}
         self._incoming: _Incoming | None = None
-        self._received: bytes | None = None
-        self._sha256 = b""
+        self._received: StoredSnapshot | None = None
 
     def begin_step(self) -> None:
         """Allow the next pieces to be sent."""
         self._chunks_left = self._chunks_per_step
 
     def checkSerializing(self) -> tuple[int, int | None]:
-        """SERIALIZING until the snapshot is encoded, then SUCCESS once, with snapshot and log on their way to the disk.
+        """SERIALIZING until the snapshot is encoded and all but its seal written; then SUCCESS once, with the seal and
+        the log's new beginning on their way to the disk.
 
-        Raises what encoding it has raised.
+        One piece is written in each step: nobody waits for more. Raises what encoding it has raised.
         """
         taking = self._taking
         if taking is None:
             return NOT_SERIALIZING, None
-        if not taking.record.done():
+        if not taking.encoded.done():
             return SERIALIZING, None
-        self._taking = None
-        record = taking.record.result()
-        if taking.last.log_index > self._journal[0].log_index:  # else a leader has sent a newer one meanwhile
-            stored = StoredSnapshot(last_log_index=taking.last.log_index, record=record)
+        stored = taking.encoded.result()
+        present = self._journal.snapshot
+        if present is None or stored.last_log_index > present.last_log_index:  # else a leader has sent a newer one
+            if taking.pieces_written < stored.pieces_count:
+                self._journal.write_piece(stored.piece(taking.pieces_written))
+                taking.pieces_written += 1
+                return SERIALIZING, None
             self._adopt(stored, taking.previous, taking.last, taking.configuration)
+        self._taking = None
         return SUCCESS, taking.id
 
+    @property
+    def is_taking(self) -> bool:
+        """Whether a snapshot is on its way."""
+        return self._taking is not None
+
     def serialize(self, data: tuple[Any, Any, Any, Any], id: int) -> None:
-        """Begin a snapshot as of the last applied entry. It and the log's new beginning reach the disk together."""
+        """Begin a snapshot as of the last applied entry."""
         _, last, previous, _ = data
         last, previous = Entry(*last), Entry(*previous)
         configuration = self._journal.configurations.at(last.log_index)
         encode_state = self._state_machine.begin_snapshot()
 
-        def encode() -> bytes:
+        def encode() -> StoredSnapshot:
             state = encode_state()
-            return codec.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
+            record = codec.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
+            return StoredSnapshot.of(last.log_index, record)
 
         self._taking = _Taking(self._run_aside(encode), previous, last, configuration, id)
 
     def deserialize(self) -> tuple[None, Entry, Entry, list[str]]:
         """Open the present snapshot into the state machine, as the unchanged library asks for it."""
-        if self._received is not None:
-            record, self._received = self._received, None
-        else:
-            assert self._journal.snapshot is not None
-            record = self._journal.snapshot.record
-        snapshot = codec.decode_snapshot(record)
+        stored, self._received = self._received or self._journal.snapshot, None
+        assert stored is not None
+        snapshot = codec.decode_snapshot(stored.record)
         self._state_machine.restore(snapshot.state)
         return None, snapshot.last, snapshot.previous, []
 
@@ -166,12 +174,14 @@ class SnapshotKeeper:
         Raises what decoding and the state machine raise.
         """
         assert self._received is not None
-        record, self._received = self._received, None
-        snapshot = codec.decode_snapshot(record)
+        received, self._received = self._received, None
+        snapshot = codec.decode_snapshot(received.record)
         last = snapshot.last
         if last.log_index > newer_than:
             self._state_machine.restore(snapshot.state)
-            stored = StoredSnapshot(last_log_index=last.log_index, record=record)
+            stored = replace(received, last_log_index=last.log_index)
+            for piece in stored.pieces():
+                self._journal.write_piece(piece)
             # Without one the sender has never seen a change, and neither has this log.
             configuration = snapshot.configuration or self._journal.configurations.current
             self._adopt(stored, snapshot.previous, last, configuration)
@@ -183,8 +193,6 @@ class SnapshotKeeper:
         if snapshot is None or self._chunks_left == 0 or not self._has_room(transmissionID.id):
             return None
         self._chunks_left -= 1
-        if not self._sha256:
-            self._sha256 = hashlib.sha256(snapshot.record).digest()
         offset = self._sent.get(transmissionID.id, 0)
         data = snapshot.record[offset : offset + self._chunk_bytes]
         end = offset + len(data)
@@ -194,7 +202,7 @@ class SnapshotKeeper:
             last_log_index=snapshot.last_log_index,
             offset_bytes=offset,
             total_bytes=len(snapshot.record),
-            sha256=self._sha256,
+            sha256=snapshot.sha256,
             data=data,
         )
         return Piece(chunk, offset == 0, is_last)
@@ -220,7 +228,9 @@ class SnapshotKeeper:
         self._incoming = None
         if hashlib.sha256(incoming.data).digest() != incoming.sha256:
             return False
-        self._received = bytes(incoming.data)
+        self._received = StoredSnapshot(
+            last_log_index=incoming.last_log_index, record=bytes(incoming.data), sha256=incoming.sha256
+        )
         return True
 
     def cancelTransmisstion(self, id: Any) -> None:
@@ -230,7 +240,6 @@ class SnapshotKeeper:
     def _adopt(self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration) -> None:
         self._journal.adopt_snapshot(snapshot, previous, last, configuration)
         self._sent.clear()
-        self._sha256 = b""
 
 
 def _continues(incoming: _Incoming, chunk: pb.RaftSnapshotChunk) -> bool:

@@ -1,7 +1,11 @@
 """The store on disk: one SQLite database for log, term, vote, commit index and snapshot.
 
-Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Every row carries a checksum, and
+Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Everything carries a checksum, and
 every commit is counted, so that damage is found when the store is opened, and never applied.
+
+A snapshot is written piece by piece, in commits of its own; the one that seals it also drops the entries it stands for.
+Until then the one before is whole, and its pieces go, a few with each commit, after that. Whenever the process is
+killed, one snapshot is sealed, and the log goes on where it ends.
 """
 
 from __future__ import annotations
@@ -10,10 +14,13 @@ import hashlib
 import os
 import sqlite3
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 
 from stampede_rt_supernode.replication.storage import (
     Entry,
+    SnapshotPiece,
+    SnapshotSeal,
     StoreChanges,
     StoreDamaged,
     StoredSnapshot,
@@ -22,7 +29,9 @@ from stampede_rt_supernode.replication.storage import (
 )
 from stampede_rt_supernode.replication.watermark import Watermark
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+FORMAT_VERSION_WITH_WHOLE_SNAPSHOTS = 1  # the record was a column of `snapshot`
+OLD_PIECES_PER_COMMIT = 2
 DATABASE_NAME = "replicated_log.sqlite3"
 WATERMARK_NAME = "replicated_log.watermark"
 
@@ -35,9 +44,14 @@ CREATE TABLE hard_state (
     commit_index INTEGER NOT NULL, commits INTEGER NOT NULL, checksum INTEGER NOT NULL) STRICT;
 CREATE TABLE entry (
     log_index INTEGER PRIMARY KEY, term INTEGER NOT NULL, command BLOB NOT NULL, checksum INTEGER NOT NULL) STRICT;
+"""
+_SNAPSHOT_SCHEMA = """
 CREATE TABLE snapshot (
     id INTEGER PRIMARY KEY CHECK (id = 1), last_log_index INTEGER NOT NULL,
-    record BLOB NOT NULL, sha256 BLOB NOT NULL) STRICT;
+    pieces_count INTEGER NOT NULL, sha256 BLOB NOT NULL) STRICT;
+CREATE TABLE snapshot_piece (
+    last_log_index INTEGER NOT NULL, number INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (last_log_index, number)) STRICT;
 """
 
 
@@ -74,6 +88,8 @@ class SqliteStore:
         self._path = data_dir / DATABASE_NAME
         # How many transactions the store has seen; also beside the database, see watermark.py.
         self._commits = 0
+        # Whether there may be pieces of earlier snapshots, this process's or a killed one's.
+        self._has_old_pieces = True
         existed = holds_store(data_dir)
         if not existed and not create:
             raise StoreRefused(
@@ -109,9 +125,9 @@ class SqliteStore:
         has_schema = self._db.execute("SELECT 1 FROM sqlite_master WHERE name = 'identity'").fetchone()
         if not has_schema:
             # A file without a schema was left by a crash within the very first transaction: nothing was promised.
-            for statement in _SCHEMA.split(";")[:-1]:
-                self._db.execute(statement)
+            self._create(_SCHEMA + _SNAPSHOT_SCHEMA)
             self._db.execute("INSERT INTO identity VALUES (1, ?, ?, ?)", (FORMAT_VERSION, cluster_id, member_id))
+        self._split_whole_snapshot()
         self._db.execute("COMMIT")
         row = self._db.execute("SELECT format_version, cluster_id, member_id FROM identity").fetchone()
         if row is None:
@@ -122,6 +138,24 @@ class SqliteStore:
                 f"{self._path} has format {row[0]} and belongs to member {row[2]!r} of cluster {row[1]!r}, not to "
                 f"{member_id!r} of {cluster_id!r} (format {FORMAT_VERSION}): use that member's own folder"
             )
+
+    def _create(self, schema: str) -> None:
+        for statement in schema.split(";")[:-1]:
+            self._db.execute(statement)
+
+    def _split_whole_snapshot(self) -> None:
+        """Bring a store of an earlier version to the present form, within the transaction that is open."""
+        where = "WHERE format_version = ?"
+        if not self._db.execute(f"SELECT 1 FROM identity {where}", (FORMAT_VERSION_WITH_WHOLE_SNAPSHOTS,)).fetchone():
+            return
+        row = self._db.execute("SELECT last_log_index, record, sha256 FROM snapshot").fetchone()
+        self._db.execute("DROP TABLE snapshot")
+        self._create(_SNAPSHOT_SCHEMA)
+        if row is not None:
+            whole = StoredSnapshot(last_log_index=row[0], record=row[1], sha256=row[2])
+            self._write_pieces(whole.pieces())
+            self._write_seal(whole.seal())
+        self._db.execute("UPDATE identity SET format_version = ?", (FORMAT_VERSION,))
 
     def load(self) -> StoredState:
         """Read everything and check it; blocks. Raises StoreDamaged."""
@@ -174,12 +208,17 @@ class SqliteStore:
         return entries
 
     def _load_snapshot(self) -> StoredSnapshot | None:
-        row = self._db.execute("SELECT last_log_index, record, sha256 FROM snapshot").fetchone()
+        row = self._db.execute("SELECT last_log_index, pieces_count, sha256 FROM snapshot").fetchone()
         if row is None:
             return None
-        if hashlib.sha256(row[1]).digest() != row[2]:
+        seal = SnapshotSeal(*row)
+        pieces = self._db.execute(
+            "SELECT data FROM snapshot_piece WHERE last_log_index = ? AND number < ? ORDER BY number", seal[:2]
+        )
+        record = b"".join(data for (data,) in pieces)
+        if hashlib.sha256(record).digest() != seal.sha256:
             raise StoreDamaged(f"{self._path}: the snapshot fails its checksum: {_REJOIN}")
-        return StoredSnapshot(last_log_index=row[0], record=row[1])
+        return StoredSnapshot(last_log_index=seal.last_log_index, record=record, sha256=seal.sha256)
 
     def commit(self, changes: StoreChanges) -> None:
         """One transaction, on the disk when this returns. Raises sqlite3.Error, after which nothing is certain."""
@@ -193,13 +232,30 @@ class SqliteStore:
         hard_state = (changes.term, changes.voted_for, changes.commit_index, self._commits + 1)
         row = (*hard_state, _hard_state_checksum(*hard_state))
         db.execute("INSERT OR REPLACE INTO hard_state VALUES (1, ?, ?, ?, ?, ?)", row)
-        if changes.snapshot is not None:
-            record = changes.snapshot.record
-            sealed = (changes.snapshot.last_log_index, record, hashlib.sha256(record).digest())
-            db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?, ?)", sealed)
+        self._write_pieces(changes.pieces)
+        if changes.seal is not None:
+            self._write_seal(changes.seal)
+        elif self._has_old_pieces:
+            self._drop_old_pieces()
         db.execute("COMMIT")
         self._commits += 1
         self._watermark.note(self._commits)
+
+    def _write_pieces(self, pieces: Iterable[SnapshotPiece]) -> None:
+        # One that a killed process has left behind under the same position is not counted, and goes.
+        self._db.executemany("INSERT OR REPLACE INTO snapshot_piece VALUES (?, ?, ?)", pieces)
+
+    def _write_seal(self, seal: SnapshotSeal) -> None:
+        self._db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?, ?)", seal)
+        self._has_old_pieces = True
+
+    def _drop_old_pieces(self) -> None:
+        """A few of those before the present snapshot: snapshots only grow, so nobody will ask for them."""
+        old = "SELECT rowid FROM snapshot_piece WHERE last_log_index < (SELECT last_log_index FROM snapshot)"
+        dropped = self._db.execute(
+            f"DELETE FROM snapshot_piece WHERE rowid IN ({old} LIMIT ?)", (OLD_PIECES_PER_COMMIT,)
+        ).rowcount
+        self._has_old_pieces = dropped == OLD_PIECES_PER_COMMIT
 
     def close(self) -> None:
         """Let go of the database and its lock."""

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
+
+# So much of a snapshot is written at once: a few milliseconds on a disk, for whoever waits for the log.
+PIECE_BYTES = 1 << 20
 
 
 class Entry(NamedTuple):
@@ -22,12 +27,53 @@ class StoreRefused(RuntimeError):
     """The folder cannot serve this replica: none there, another member's, or in use."""
 
 
+class SnapshotPiece(NamedTuple):
+    """A part of an encoded snapshot on its way to the disk; it counts once the seal is there, too."""
+
+    last_log_index: int
+    number: int
+    data: bytes
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StoredSnapshot:
-    """An encoded snapshot, and the last position that it covers."""
+    """An encoded snapshot, its checksum, and the last position that it covers."""
 
     last_log_index: int
     record: bytes
+    sha256: bytes
+
+    @classmethod
+    def of(cls, last_log_index: int, record: bytes) -> StoredSnapshot:
+        """With the checksum of the record; takes a while for a large one."""
+        return cls(last_log_index=last_log_index, record=record, sha256=hashlib.sha256(record).digest())
+
+    @property
+    def pieces_count(self) -> int:
+        """How many pieces it is written in."""
+        return -(-len(self.record) // PIECE_BYTES)
+
+    def piece(self, number: int) -> SnapshotPiece:
+        """One of them, from 0 on."""
+        return SnapshotPiece(
+            self.last_log_index, number, self.record[number * PIECE_BYTES : (number + 1) * PIECE_BYTES]
+        )
+
+    def pieces(self) -> Iterator[SnapshotPiece]:
+        """All of them."""
+        return map(self.piece, range(self.pieces_count))
+
+    def seal(self) -> SnapshotSeal:
+        """What makes the pieces the present snapshot."""
+        return SnapshotSeal(self.last_log_index, self.pieces_count, self.sha256)
+
+
+class SnapshotSeal(NamedTuple):
+    """Which pieces are the present snapshot: the first so many of that position, with this checksum in all."""
+
+    last_log_index: int
+    pieces_count: int
+    sha256: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -45,7 +91,8 @@ class StoredState:
 class StoreChanges:
     """What one sync makes durable, all or nothing.
 
-    Entries at or past `replace_from` are replaced by `entries`; then those before `first_index` are dropped.
+    Entries at or past `replace_from` are replaced by `entries`; then those before `first_index` are dropped. Pieces of
+    a snapshot may come with any number of commits before, and at the latest with, the one that has its seal.
     """
 
     replace_from: int | None
@@ -54,7 +101,8 @@ class StoreChanges:
     term: int
     voted_for: str | None
     commit_index: int
-    snapshot: StoredSnapshot | None
+    pieces: list[SnapshotPiece] = field(default_factory=list)
+    seal: SnapshotSeal | None = None
 
 
 class Store(Protocol):
