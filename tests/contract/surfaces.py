@@ -26,7 +26,9 @@ class Blocking:
             return value
 
         async def call(*args: Any, **kwargs: Any) -> Any:
-            return await asyncio.get_running_loop().run_in_executor(self._pool, lambda: value(*args, **kwargs))
+            loop = asyncio.get_running_loop()
+            bare, named = [_bare(one) for one in args], {name: _bare(one) for name, one in kwargs.items()}
+            return await loop.run_in_executor(self._pool, lambda: value(*bare, **named))
 
         return call
 
@@ -35,6 +37,24 @@ class Blocking:
 
     def producer(self) -> BlockingProducer:
         return BlockingProducer(self._wrapped.producer(), self._pool)
+
+
+def _bare(argument: Any) -> Any:
+    """What the client knows: its own objects, not those that await them."""
+    if isinstance(argument, list):
+        return [_bare(one) for one in argument]
+    return argument._wrapped if isinstance(argument, Blocking) else argument
+
+
+class BlockingGroup(Blocking):
+    """A group; its descriptors are awaited, too."""
+
+    def __getitem__(self, channel: Any) -> Blocking:
+        return Blocking(self._wrapped[_bare(channel)], self._pool)
+
+    def match(self, *args: Any, **kwargs: Any) -> BlockingIterator:
+        bare = [_bare(one) for one in args]
+        return BlockingIterator(lambda: self._wrapped.match(*bare, **kwargs), self._pool)
 
 
 class BlockingIterator:
@@ -86,6 +106,13 @@ class Surface:
     async def channel(self, name: str | None = None, **policy: Any) -> Any:
         channel = await self.connection.channel(name or f"contract/{next(_names)}-{st.now()}", **policy)
         return Blocking(channel, self._pool) if self._pool else channel
+
+    async def group(self, name: str, *args: Any, **settings: Any) -> Any:
+        group = await self.connection.group(name, *args, **settings)
+        return BlockingGroup(group, self._pool) if self._pool else group
+
+    async def cross_section(self, *args: Any, **settings: Any) -> Any:
+        return await self.connection.cross_section(*args, **settings)
 
 
 async def take(items: AsyncIterator[Any], count: int) -> list[Any]:

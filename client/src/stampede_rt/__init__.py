@@ -12,7 +12,10 @@ from stampede_rt import grpc_quiet as _grpc_quiet  # isort: skip  # noqa: F401  
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.connection import Connection
+from stampede_rt._sync.cuts import CutSubscription
+from stampede_rt._sync.group import Group, GroupChannel
 from stampede_rt._sync.listener import Listener
+from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.producer import Producer
 from stampede_rt._sync.sampler import Sampler
 from stampede_rt._sync.session import Session as _Session
@@ -49,6 +52,7 @@ from stampede_rt.errors import (
     VersionMismatch,
     WatchRestart,
 )
+from stampede_rt.grouping import ByChannel, CrossSection, Cut, GroupInfo, GroupStatus, Matched, MemberStatus
 from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Item, Items, Policy, Reason, SupernodeInfo
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
 from stampede_rt.tls import TlsFiles
@@ -59,6 +63,7 @@ __all__ = [
     "NOW",
     "OLDEST",
     "Bound",
+    "ByChannel",
     "Change",
     "Channel",
     "ChannelExists",
@@ -69,9 +74,16 @@ __all__ = [
     "Codec",
     "CodecError",
     "Connection",
+    "CrossSection",
+    "Cut",
+    "CutSubscription",
     "DeadlineExceeded",
+    "Group",
+    "GroupChannel",
     "GroupExists",
+    "GroupInfo",
     "GroupNotFound",
+    "GroupStatus",
     "HostExists",
     "HostInfo",
     "HostNotFound",
@@ -85,6 +97,9 @@ __all__ = [
     "Items",
     "LeaseExpired",
     "Listener",
+    "MatchSubscription",
+    "Matched",
+    "MemberStatus",
     "Overloaded",
     "PeerExists",
     "PeerNotFound",

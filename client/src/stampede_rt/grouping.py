@@ -15,6 +15,7 @@ from stampede_rt.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64
 BOUNDS = ("start", "end")
+OLDEST_REFERENCE = "oldest"
 MAX_LEAD_DEFAULT = "5s"
 
 Value = TypeVar("Value")
@@ -66,6 +67,21 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
 
     def __repr__(self) -> str:
         return repr({one.info.name: self._values[one.info.channel_id] for one in self._channels})
+
+
+class Matched(ByChannel[Key, Item]):
+    """One item and the nearest of every other member: `matched[channel]` is an Item.
+
+    `time` is that of the item which the others were matched to; `missing` are members that have none within the
+    tolerance.
+    """
+
+    def __init__(
+        self, channels: Sequence[Key], values: Mapping[bytes, Item], *, missing: Sequence[Key], time: int
+    ) -> None:
+        super().__init__(channels, values)
+        self.missing = tuple(missing)
+        self.time = time
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -135,9 +151,12 @@ class Cut(Generic[Key]):
 
 @dataclass(frozen=True, kw_only=True)
 class CrossSection(Generic[Key]):
-    """What each channel holds at the instant of one item of the reference: `section[channel]`, Items."""
+    """What each channel holds at one item of the reference: `section[channel]`, Items.
 
-    time: int
+    `time` is that item's; None if the reference holds nothing there, and its Items say why.
+    """
+
+    time: int | None
     items: ByChannel[Key, Items]
 
     def __getitem__(self, channel: Named | str) -> Items:
@@ -164,6 +183,19 @@ def parse_members(channels: Sequence[Key]) -> list[Key]:
     if doubled:
         raise InvalidArgument(f"{', '.join(sorted(doubled))} would be in the group twice; name each channel once")
     return members
+
+
+def parse_reference(reference: Named | str, members: Sequence[Named]) -> bytes | None:
+    """The id of the reference, one of the `members` by handle or name; None for "oldest". Raises InvalidArgument."""
+    if reference == OLDEST_REFERENCE:
+        return None
+    for member in members:
+        if reference == member.info.name or (
+            not isinstance(reference, str) and reference.info.channel_id == member.info.channel_id
+        ):
+            return member.info.channel_id
+    name = reference if isinstance(reference, str) else reference.info.name
+    raise InvalidArgument(f'the reference {name!r} is no member of the group; name one of its channels, or "oldest"')
 
 
 def parse_tolerance(tolerance: DurationLike) -> int:

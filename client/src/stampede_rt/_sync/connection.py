@@ -3,19 +3,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
 from stampede_rt._sync.channel import Channel
-from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._sync.cross_section import cross_section
+from stampede_rt._sync.group import Group, GroupChannel, member_handles
+from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt._sync.watch import Watch
 from stampede_rt.codecs import Codec, Coding
 from stampede_rt.errors import HostNotFound
+from stampede_rt.grouping import (
+    MAX_LEAD_DEFAULT,
+    OLDEST_REFERENCE,
+    CrossSection,
+    GroupInfo,
+    parse_group_bound,
+    parse_members,
+    parse_reference,
+)
 from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.timeline import DurationLike
+from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
+from stampede_rt.wire.groups import group_info, group_spec
 from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
 
 PAGES_MAX = 10_000
@@ -86,6 +100,66 @@ class Connection:
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
         info = self._session.open_channel(name, stated, host, create)
         return Channel(self._session, ChannelState(info, stated, create, coding))
+
+    def group(
+        self,
+        name: str,
+        channels: Sequence[Channel] | None = None,
+        *,
+        reference: Channel | str = OLDEST_REFERENCE,
+        bound: str = "start",
+        idle_after: DurationLike | None = None,
+        max_lead: DurationLike = MAX_LEAD_DEFAULT,
+    ) -> Group:
+        """Get or create a group of channels that are read in step (paper, section 3.3); by name alone: get it.
+
+        Through the group only items before its cut are visible. `reference` "oldest": the cut is the smallest of all
+        members'; a channel: that one's. `bound` "start": a channel's cut is its newest item's time; "end": where that
+        item's duration ends, at most `max_lead` later. `idle_after`: how long a member may be silent before it is left
+        out of "oldest"; None: never. Raises GroupExists if a group of the name is set up otherwise, GroupNotFound.
+        """
+        if channels is None:
+            request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=parse_name(name, "group"))
+        else:
+            members = parse_members(channels)
+            spec = group_spec(
+                [member.info.channel_id for member in members],
+                parse_reference(reference, members),
+                parse_group_bound(bound),
+                None if idle_after is None else parse_duration(idle_after, "idle_after"),
+                parse_duration(max_lead, "max_lead"),
+            )
+            request = group_directory_pb.OpenGroupRequest(
+                request_id=request_id(), name=parse_name(name, "group"), spec=spec, create=True
+            )
+        response = self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
+        return Group(self._session, group_info(response.group), member_handles(self._session, response, channels or ()))
+
+    def groups(self, name_glob: str = "*") -> list[GroupInfo]:
+        """The groups whose names match, see `channels`; in the order of names."""
+        found: list[GroupInfo] = []
+        for page in self._pages("ListGroups", group_directory_pb.ListGroupsRequest(name_glob=name_glob)):
+            found += [group_info(record) for record in page.groups]
+        return found
+
+    def cross_section(
+        self,
+        reference: Channel | GroupChannel,
+        others: Sequence[Channel | GroupChannel],
+        at: BoundLike = NOW,
+        *,
+        over: str = "start",
+        complete: bool = False,
+        payloads: bool = True,
+        timeout: float | None = 0,
+    ) -> CrossSection[Channel | GroupChannel]:
+        """What every channel holds at one item of `reference`: the last one whose span holds `at`.
+
+        `over` "start": the items of `others` whose span holds that item's time; "span": all that share an instant with
+        its span. With `complete` each channel is waited for until it has passed that, `timeout` seconds in all at the
+        most, None: for ever. `section.time` is None, and every channel but the reference left out, if it holds nothing.
+        """
+        return cross_section(reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout)
 
     def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
         """The channels whose names match; "*" stands for any run of characters, "?" for one. In the order of names."""

@@ -8,7 +8,10 @@ from typing import Any
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.connection import Connection
+from stampede_rt._async.cuts import CutSubscription
+from stampede_rt._async.group import Group, GroupChannel
 from stampede_rt._async.listener import Listener
+from stampede_rt._async.matches import MatchSubscription
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.sampler import Sampler
 from stampede_rt._async.session import Session as _Session
@@ -18,7 +21,20 @@ from stampede_rt.connecting import Target as _Target
 from stampede_rt.connecting import parse_target as _parse_target
 from stampede_rt.tls import TlsFiles
 
-__all__ = ["Channel", "Connection", "Listener", "Producer", "Sampler", "Subscription", "Watch", "connect"]
+__all__ = [
+    "Channel",
+    "Connection",
+    "CutSubscription",
+    "Group",
+    "GroupChannel",
+    "Listener",
+    "MatchSubscription",
+    "Producer",
+    "Sampler",
+    "Subscription",
+    "Watch",
+    "connect",
+]
 
 
 class _Connecting:

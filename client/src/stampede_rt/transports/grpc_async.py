@@ -65,6 +65,10 @@ class Port(Stubs):
         """One request, many responses."""
         return Stream(method(request, metadata=self.metadata), self.target)
 
+    def converse(self, method: Callable[..., Any]) -> Conversation[Any]:
+        """A stream in both directions."""
+        return Conversation(method(metadata=self.metadata), self.target)
+
     def gets(self) -> GetExchange:
         """The open stream for gets."""
         if self._gets is None or self._gets.broken:
@@ -140,6 +144,17 @@ class Stream(Generic[Response]):
         """Give the stream up."""
         self._cancelled = True
         self._call.cancel()
+
+
+class Conversation(Stream[Response]):
+    """A stream in both directions: `say` sends, the iteration gives what comes."""
+
+    async def say(self, request: Any) -> None:
+        """Send `request`; blocks while the connection's window is full. Raises Unavailable if the stream is broken."""
+        try:
+            await self._call.write(request)
+        except (grpc.RpcError, asyncio.InvalidStateError) as error:
+            raise Unavailable(f"the stream to {self._target} is broken") from error
 
 
 class _Exchange:

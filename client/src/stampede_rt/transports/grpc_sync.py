@@ -70,6 +70,10 @@ class Port(Stubs):
         except ValueError as error:
             raise closed(self.target) from error
 
+    def converse(self, method: Callable[..., Any]) -> Conversation[Any]:
+        """A stream in both directions."""
+        return Conversation(self, method, self._watchdog)
+
     def gets(self) -> GetExchange:
         """This thread's open stream for gets."""
         exchange: GetExchange | None = getattr(self._of_thread, "gets", None)
@@ -136,6 +140,23 @@ class Stream(Generic[Response]):
         """Give the stream up."""
         self._cancelled = True
         self._call.cancel()
+
+
+class Conversation(Stream[Response]):
+    """A stream in both directions: `say` sends, the iteration gives what comes."""
+
+    def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
+        self._requests: SimpleQueue[Any] = SimpleQueue()
+        super().__init__(port.begin(method, iter(self._requests.get, None)), port.target, watchdog)
+
+    def say(self, request: Any) -> None:
+        """Send `request`. That the stream is broken is found out by the iteration."""
+        self._requests.put(request)
+
+    def cancel(self) -> None:
+        """Give the stream up."""
+        super().cancel()
+        self._requests.put(None)
 
 
 class _Exchange:

@@ -1,0 +1,249 @@
+"""A channel group's handle: descriptors of its channels, and reads of all of them at one cut (paper, section 3.3)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from stampede_rt._async.channel import Channel
+from stampede_rt._async.cuts import CutSubscription
+from stampede_rt._async.matches import MatchSubscription
+from stampede_rt._async.reader import Reader
+from stampede_rt._async.reads import read
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt.binding import Binding
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.grouping import ByChannel, GroupInfo, GroupStatus, GroupView, Named, parse_tolerance
+from stampede_rt.model import Item, Items
+from stampede_rt.reading import Read, parse_limit
+from stampede_rt.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    BoundLike,
+    DurationLike,
+    Match,
+    parse_duration,
+    parse_interval,
+    parse_match,
+)
+from stampede_rt.transports.concurrency_async import together
+from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
+from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.wire.groups import group_info, member_status
+
+CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already seen may wait to catch up
+
+
+class GroupChannel(Reader):
+    """A channel as a group shows it: only items before the group's cut, and a clock that stands at the cut.
+
+    Read like the channel itself, which is not touched and still sees everything. Nothing can be put through it.
+    """
+
+    def __repr__(self) -> str:
+        return f"<GroupChannel {self.name!r} at host {self.host!r}>"
+
+
+class Group:
+    """A set of channels that are read in step. Handles of one group are equal; any process may hold some."""
+
+    def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel]) -> None:
+        self._session = session
+        self._view = GroupView(info.group_id)
+        self.info = info
+        self.channels = tuple(channels)
+        """The members, in the order in which they were named."""
+
+    @property
+    def name(self) -> str:
+        """The group's name."""
+        return self.info.name
+
+    @property
+    def incarnation(self) -> int:
+        """Which life of the group this is, as last known; in another one the cut may have begun anew."""
+        return self.info.incarnation
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Group) and other.info.group_id == self.info.group_id
+
+    def __hash__(self) -> int:
+        return hash(self.info.group_id)
+
+    def __repr__(self) -> str:
+        return f"<Group {self.name!r} of {', '.join(channel.name for channel in self.channels)}>"
+
+    def __getitem__(self, channel: Named | str) -> GroupChannel:
+        """The descriptor of a member, by its handle or name. Raises InvalidArgument for a channel that is none."""
+        member = self._member(channel)
+        return GroupChannel(self._session, member._state, self._view)
+
+    def __iter__(self) -> Iterator[GroupChannel]:
+        return (self[channel] for channel in self.channels)
+
+    def __len__(self) -> int:
+        return len(self.channels)
+
+    async def get(
+        self,
+        start: BoundLike,
+        end: BoundLike,
+        *,
+        bounds: str = "[]",
+        match: str | Match = "span",
+        limit: int | None = None,
+        newest_first: bool = False,
+        payloads: bool = True,
+    ) -> ByChannel[Channel, Items]:
+        """What each channel shows in an interval, all at one cut, on all hosts; see `Channel.get`.
+
+        A meta-time is each channel's own. Raises GroupNotFound, InvalidInterval, Unavailable.
+        """
+        interval = parse_interval(start, end, bounds)
+        return await self._read(
+            Read(
+                interval,
+                match=parse_match(match),
+                limit=parse_limit(limit),
+                newest_first=newest_first,
+                payloads=payloads,
+            )
+        )
+
+    async def newest(self, *, payloads: bool = True) -> ByChannel[Channel, Item | None]:
+        """The newest visible item of each channel, all at one cut; None where nothing is visible."""
+        interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
+        answers = await self._read(Read(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
+        found = {channel.info.channel_id: (items[0] if items else None) for channel, items in answers.items()}
+        return ByChannel(self.channels, found)
+
+    async def _read(self, query: Read) -> ByChannel[Channel, Items]:
+        query = replace(query, cut=await self._cut())
+        answers = await together(
+            [functools.partial(read, self._session, one._state, query, self._view) for one in self.channels]
+        )
+        ids = (channel.info.channel_id for channel in self.channels)
+        return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
+
+    async def _cut(self) -> int | None:
+        """One cut for one read of all channels; None: nothing is visible yet."""
+
+        async def cut_at(binding: Binding) -> group_pb.GetCutResponse:
+            port = self._session.ports.to(binding.target)
+            request = group_pb.GetCutRequest(
+                group_id=self.info.group_id, cut_floor_unix_nano=self._view.cut_floor, wait_nanos=CUT_WAIT_NANOS
+            )
+            response: group_pb.GetCutResponse = await port.call(port.groups.GetCut, request, CALL_TIMEOUT_S)
+            return response
+
+        response = await self._session.perform(self.channels[0]._state, cut_at)
+        if not response.HasField("floor"):
+            return None
+        if (response.floor.spec_version, response.floor.incarnation) != (self.info.spec_version, self.incarnation):
+            await self.refresh()
+        self._view.saw(response.floor.cut_unix_nano)
+        return int(response.floor.cut_unix_nano)
+
+    def subscribe(self, max_wait: DurationLike = "1s", *, payloads: bool = True) -> CutSubscription:
+        """Events that say what became visible, in step over all channels: an iterator and context manager.
+
+        An event comes when the cut has advanced and every member has caught up with it, or `max_wait` later. A slow
+        reader gets merged events.
+        """
+        return CutSubscription(self, parse_duration(max_wait, "max_wait"), payloads=payloads)
+
+    def match(
+        self, per: Named | str, tolerance: DurationLike, *, partial: bool = False, payloads: bool = True
+    ) -> MatchSubscription:
+        """For each new item of `per`, the nearest item of every other member within `tolerance`: an iterator.
+
+        A match comes as soon as every other member has passed its time + tolerance. Items without a partner are
+        counted (`unmatched`); with `partial` they come, too, and `missing` names who has none for them.
+        """
+        member = self._member(per)
+        return MatchSubscription(self, member, parse_tolerance(tolerance), partial=partial, payloads=payloads)
+
+    async def status(self) -> GroupStatus[Channel]:
+        """The cut, who holds it back, and how far each member is, as the host of the first member sees it."""
+
+        async def status_at(binding: Binding) -> group_pb.GetGroupStatusResponse:
+            port = self._session.ports.to(binding.target)
+            request = group_pb.GetGroupStatusRequest(group_id=self.info.group_id)
+            response: group_pb.GetGroupStatusResponse = await port.call(
+                port.groups.GetGroupStatus, request, CALL_TIMEOUT_S
+            )
+            return response
+
+        status = (await self._session.perform(self.channels[0]._state, status_at)).status
+        if status.record.spec_version != self.info.spec_version:
+            await self.refresh()
+        by_id = {channel.info.channel_id: channel for channel in self.channels}
+        return GroupStatus(
+            cut=status.cut_unix_nano if status.HasField("cut_unix_nano") else None,
+            waiting_on=tuple(by_id[one] for one in status.waiting_on_channel_ids if one in by_id),
+            members=ByChannel(self.channels, {one.times.channel_id: member_status(one) for one in status.members}),
+            host_time=status.host_time_unix_nano,
+        )
+
+    async def add(self, channel: Channel) -> None:
+        """Make a channel a member. The cut stays; what the channel holds below it is readable at once."""
+        await self._update(group_directory_pb.UpdateGroupRequest(add_channel_ids=[channel.info.channel_id]), [channel])
+
+    async def remove(self, channel: Channel) -> None:
+        """Make a channel leave the group. Raises InvalidArgument for the reference and the last member."""
+        await self._update(group_directory_pb.UpdateGroupRequest(remove_channel_ids=[channel.info.channel_id]), [])
+
+    async def _update(self, request: group_directory_pb.UpdateGroupRequest, known: Sequence[Channel]) -> None:
+        request.request_id, request.group_id = request_id(), self.info.group_id
+        await self._session.supernodes.call("UpdateGroup", request, CALL_TIMEOUT_S)
+        await self.refresh(known)
+
+    async def refresh(self, known: Sequence[Channel] = ()) -> None:
+        """Learn the members anew, which other processes may have changed. Raises GroupNotFound."""
+        request = group_directory_pb.ResolveGroupRequest(group_id=self.info.group_id)
+        response = await self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
+        info = group_info(response.group)
+        if info.incarnation != self.incarnation:
+            self._view.cut_floor = None
+        self.channels = member_handles(self._session, response, [*self.channels, *known])
+        self.info = info
+
+    async def delete(self) -> None:
+        """Forget the group, for everyone; its channels stay."""
+        request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
+        await self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)
+
+    async def targets(self) -> list[str]:
+        """The data endpoints of the hosts that own members, each once."""
+        bindings = await together([functools.partial(self._session.place, one._state) for one in self.channels])
+        return list(dict.fromkeys(binding.target for binding in bindings))
+
+    def forget_places(self) -> None:
+        """Look for the members' hosts anew."""
+        for channel in self.channels:
+            self._session.cache.forget(channel.info.channel_id)
+
+    def _member(self, channel: Named | str) -> Channel:
+        for member in self.channels:
+            if channel == member.name or (
+                not isinstance(channel, str) and channel.info.channel_id == member.info.channel_id
+            ):
+                return member
+        name = channel if isinstance(channel, str) else channel.info.name
+        members = ", ".join(member.name for member in self.channels)
+        raise InvalidArgument(f"{name!r} is no member of the group {self.name!r}, whose members are {members}")
+
+
+def member_handles(
+    session: Session,
+    response: group_directory_pb.OpenGroupResponse | group_directory_pb.ResolveGroupResponse,
+    known: Sequence[Channel],
+) -> tuple[Channel, ...]:
+    """Handles of a group's members: those that are `known`, with their codecs, and new ones."""
+    hosts = {host.host_id: host for host in response.hosts}
+    handles = {channel.info.channel_id: channel for channel in known}
+    return tuple(
+        handles.get(record.channel_id) or Channel(session, session.found(record, hosts.get(record.host_id)))
+        for record in response.channels
+    )

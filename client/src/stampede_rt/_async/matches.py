@@ -1,0 +1,151 @@
+"""Matches: for each item of one channel, the nearest of every other member of a group (paper, section 5: stereo)."""
+
+from __future__ import annotations
+
+import functools
+from collections import deque
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from stampede_rt._async.channel import Channel
+from stampede_rt._async.reads import read
+from stampede_rt.binding import Binding
+from stampede_rt.errors import StampedeError
+from stampede_rt.grouping import Matched
+from stampede_rt.model import Item
+from stampede_rt.reading import Read, Wait
+from stampede_rt.timeline import Match, parse_interval
+from stampede_rt.transports.concurrency_async import together
+from stampede_rt.transports.grpc_async import Stream
+from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.v1 import item_pb2
+
+if TYPE_CHECKING:
+    from stampede_rt._async.group import Group
+
+
+class MatchSubscription:
+    """An iterator over `Matched` items (see `Group.match`), and a context manager. `close` may be called from anywhere.
+
+    `unmatched` counts items that some member had nothing for, `dropped` those that retention took before they could be
+    matched, or that came after their place had been settled. Goes on by itself when a host is lost.
+    """
+
+    def __init__(self, group: Group, per: Channel, tolerance_nanos: int, *, partial: bool, payloads: bool) -> None:
+        self._group = group
+        self._per = per
+        self._tolerance_nanos = tolerance_nanos
+        self._partial = partial
+        self._payloads = payloads
+        self._stream: Stream[group_pb.SubscribeMatchesResponse] | None = None
+        self._responses: Any = None
+        self._ready: deque[Matched[Channel]] = deque()
+        self._after: item_pb2.ItemPosition | None = None
+        self._unmatched_before = self._dropped_before = 0  # of streams that ended; the host counts anew on each
+        self._closed = False
+        self.unmatched = 0
+        self.dropped = 0
+
+    async def __aenter__(self) -> MatchSubscription:
+        await self._open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __aiter__(self) -> MatchSubscription:
+        return self
+
+    async def __anext__(self) -> Matched[Channel]:
+        while not self._ready and not self._closed:
+            await self._open()
+            await self._receive()
+        if self._closed:
+            raise StopAsyncIteration
+        return self._ready.popleft()
+
+    def close(self) -> None:
+        """End the subscription; callable from any thread."""
+        self._closed = True
+        stream = self._stream
+        if stream is not None:
+            stream.cancel()
+
+    async def _open(self) -> None:
+        """Begin, or go on behind the last item, at the owner of the channel whose items each get a match."""
+        if self._stream is not None or self._closed:
+            return
+
+        async def open_at(binding: Binding) -> None:
+            port = self._group._session.ports.to(binding.target)
+            stream = port.stream(port.groups.SubscribeMatches, self._request(binding.epoch))
+            responses = stream.__aiter__()
+            first = await responses.__anext__()  # says that the subscription holds
+            self._stream, self._responses = stream, responses
+            await self._take(first)
+
+        await self._group._session.perform(self._per._state, open_at)
+
+    def _request(self, epoch: int) -> group_pb.SubscribeMatchesRequest:
+        return group_pb.SubscribeMatchesRequest(
+            group_id=self._group.info.group_id,
+            per_channel_id=self._per.info.channel_id,
+            epoch=epoch,
+            tolerance_nanos=self._tolerance_nanos,
+            after=self._after,
+            without_payloads=not self._payloads,
+        )
+
+    async def _receive(self) -> None:
+        try:
+            await self._take(await self._responses.__anext__())
+        except StopAsyncIteration:
+            self._resume()
+        except StampedeError as error:
+            self._resume()
+            if not error.retryable or self._group._session.closed:
+                self._closed = True
+                raise
+            self._group.forget_places()
+
+    def _resume(self) -> None:
+        self._stream = None
+        self._unmatched_before, self._dropped_before = self.unmatched, self.dropped
+
+    async def _take(self, response: group_pb.SubscribeMatchesResponse) -> None:
+        self.unmatched = self._unmatched_before + response.unmatched
+        self.dropped = self._dropped_before + response.dropped
+        for message in response.matches:
+            matched = await self._matched(message)
+            run = message.item.run
+            self._after = item_pb2.ItemPosition(
+                time_unix_nano=run.time_unix_nano[0], seq=run.first_seq, incarnation=self._per.incarnation
+            )
+            if self._partial or not matched.missing:
+                self._ready.append(matched)
+
+    async def _matched(self, message: group_pb.ItemMatch) -> Matched[Channel]:
+        """All items of a match; those of other hosts are fetched from there, at the same time."""
+        by_id = {channel.info.channel_id: channel for channel in self._group.channels}
+        mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
+        others = [one for one in message.matched if one.channel_id in by_id]
+        fetched = await together([functools.partial(self._item, by_id[one.channel_id], one) for one in others])
+        found = {one.channel_id: item for one, item in zip(others, fetched, strict=True) if item is not None}
+        found[self._per.info.channel_id] = mine
+        missing = [channel for channel in self._group.channels if channel.info.channel_id not in found]
+        return Matched(self._group.channels, found, missing=missing, time=mine.time)
+
+    async def _item(self, channel: Channel, matched: group_pb.MatchedItem) -> Item | None:
+        """The item itself; None if retention at its host was faster."""
+        position = matched.position
+        if matched.HasField("item"):
+            decoder = channel._state.decoder(position.incarnation, payloads=self._payloads)
+            return decoder.decode([matched.item])[0]
+        interval = parse_interval(position.time_unix_nano, position.time_unix_nano)
+        query = Read(interval, match=Match.START, payloads=self._payloads, wait=Wait(0))
+        items = await read(self._group._session, channel._state, query)
+        found = [item for item in items if (item.seq, item.incarnation) == (position.seq, position.incarnation)]
+        self.dropped += not found
+        return found[0] if found else None

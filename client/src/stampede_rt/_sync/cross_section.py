@@ -1,0 +1,55 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Cross-sections: what several channels hold at one item of a reference, without a group (paper, section 3.3)."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import TypeVar
+
+from stampede_rt._sync.reader import Reader
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.grouping import ByChannel, CrossSection
+from stampede_rt.model import Item, Items
+from stampede_rt.reading import Wait
+from stampede_rt.timeline import NOW, BoundLike
+from stampede_rt.transports.concurrency_sync import monotonic_s, together
+
+Key = TypeVar("Key", bound=Reader)
+
+
+def cross_section(
+    reference: Key,
+    others: Sequence[Key],
+    at: BoundLike,
+    *,
+    over: str,
+    complete: bool,
+    payloads: bool,
+    timeout: float | None,
+) -> CrossSection[Key]:
+    """See `Connection.cross_section`."""
+    if over not in ("start", "span"):
+        raise InvalidArgument(f'over is {over!r}; write "start" or "span" (of the reference\'s item)')
+    wait, began_s = Wait.parse(timeout), monotonic_s()
+    held = reference.at(at, payloads=payloads, timeout=timeout)
+    found = {reference.info.channel_id: held}
+    if held:
+
+        def beside(other: Key) -> Items:
+            left = wait.after(monotonic_s() - began_s)
+            return _beside(other, held[-1], over, complete=complete, payloads=payloads, timeout=left.seconds)
+
+        ids = (other.info.channel_id for other in others)
+        reads = [functools.partial(beside, other) for other in others]
+        found |= dict(zip(ids, together(reads), strict=True))
+    return CrossSection(time=held[-1].time if held else None, items=ByChannel([reference, *others], found))
+
+
+def _beside(other: Reader, item: Item, over: str, *, complete: bool, payloads: bool, timeout: float | None) -> Items:
+    """What `other` holds at the item's time, or over its span; an open span reaches to now."""
+    end: BoundLike = item.time
+    bounds = "[]"
+    if over == "span" and item.end != item.time:
+        end, bounds = (NOW, "[]") if item.end is None else (item.end, "[)")
+    return other.get(item.time, end, bounds=bounds, payloads=payloads, timeout=timeout, complete=complete)

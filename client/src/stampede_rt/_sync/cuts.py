@@ -1,0 +1,191 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Cut events: what a group makes visible, in step over all hosts of its members (paper, section 3.3)."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.grouping import ByChannel, Cut
+from stampede_rt.retry import Backoff
+from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
+from stampede_rt.transports.grpc_sync import Conversation
+from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.wire.groups import cut_items
+
+if TYPE_CHECKING:
+    from stampede_rt._sync.group import Group
+
+REOPEN_TIMEOUT_S = 10.0
+
+
+class _Talk:
+    """The stream to one host, and what it brought to the event under way."""
+
+    def __init__(self, conversation: Conversation[group_pb.SubscribeCutsResponse]) -> None:
+        self.conversation = conversation
+        self._responses: Any = conversation.__iter__()
+
+    def open(self, request: group_pb.SubscribeCutsOpen) -> group_pb.CutCursor:
+        """Begin; where the subscription begins, as the host says."""
+        self.conversation.say(group_pb.SubscribeCutsRequest(open=request))
+        response = self._responses.__next__()
+        cursor: group_pb.CutCursor = response.opened
+        return cursor
+
+    def event(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
+        """Gather this host's parts of the next event; its boundary. Blocks until it comes."""
+        while True:
+            response = self._responses.__next__()
+            parts.extend(response.parts)
+            if response.HasField("boundary"):
+                boundary: group_pb.CutBoundary = response.boundary
+                return boundary
+
+
+class CutSubscription:
+    """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. `close` works from anywhere.
+
+    One host decides when an event is due, and the others bring theirs up to the same cut. When a host is lost, or the
+    members change, it goes on behind the last event by itself. Raises GroupNotFound once the group is deleted,
+    IncarnationLost if all its hosts were lost.
+    """
+
+    def __init__(self, group: Group, max_wait_nanos: int, *, payloads: bool) -> None:
+        self._group = group
+        self._max_wait_nanos = max_wait_nanos
+        self._payloads = payloads
+        self._talks: list[_Talk] = []  # the first decides
+        self._cursor: group_pb.CutCursor | None = None
+        self._closed = False
+
+    def __enter__(self) -> CutSubscription:
+        self._open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> CutSubscription:
+        return self
+
+    def __next__(self) -> Cut[Channel]:
+        while not self._closed:
+            try:
+                self._open()
+                parts: list[group_pb.CutPart] = []
+                boundary = self._next_boundary(parts)
+                return self._cut(boundary, parts)
+            except StopIteration:  # closed meanwhile
+                self._hang_up()
+            except StampedeError as error:
+                self._hang_up()
+                if self._closed or self._group._session.closed:
+                    break
+                if not error.retryable:
+                    self._closed = True
+                    raise
+        raise StopIteration
+
+    def close(self) -> None:
+        """End the subscription; callable from any thread."""
+        self._closed = True
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        talks, self._talks = self._talks, []
+        for talk in talks:
+            talk.conversation.cancel()
+        if not self._closed:
+            self._group.forget_places()
+
+    def _open(self) -> None:
+        """Begin, or go on behind the last event, with one stream to each host that owns members."""
+        backoff = Backoff(monotonic_s() + REOPEN_TIMEOUT_S)
+        while not self._talks and not self._closed:
+            try:
+                self._open_each()
+            except StampedeError as error:
+                self._hang_up()
+                if not error.retryable or self._closed or self._group._session.closed:
+                    raise
+                delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
+                if delay_s is None:
+                    raise
+                sleep(delay_s)
+
+    def _open_each(self) -> None:
+        if self._cursor is not None:
+            self._group.refresh()
+        talks: list[_Talk] = []
+        try:
+            for target in self._group.targets():
+                port = self._group._session.ports.to(target)
+                talk = _Talk(port.converse(port.groups.SubscribeCuts))
+                talks.append(talk)
+                opened = talk.open(self._opening(decides=len(talks) == 1))
+                self._cursor = self._cursor or opened
+                self._learn(opened)
+        except StopIteration:
+            raise Unavailable("a host ended the subscription while it began") from None
+        except BaseException:
+            for talk in talks:
+                talk.conversation.cancel()
+            raise
+        self._talks = talks
+        if self._closed:  # while it was being opened
+            self._hang_up()
+
+    def _opening(self, *, decides: bool) -> group_pb.SubscribeCutsOpen:
+        return group_pb.SubscribeCutsOpen(
+            group_id=self._group.info.group_id,
+            decides=decides,
+            max_wait_nanos=self._max_wait_nanos,
+            after=self._cursor,
+            without_payloads=not self._payloads,
+        )
+
+    def _learn(self, opened: group_pb.CutCursor) -> None:
+        """Where a host begins with its channels; the decider's cut is where all begin."""
+        assert self._cursor is not None
+        known = {channel.channel_id for channel in self._cursor.channels}
+        self._cursor.channels.extend(one for one in opened.channels if one.channel_id not in known)
+
+    def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
+        decider, *others = self._talks
+        boundary = decider.event(parts)
+        for talk in others:
+            talk.conversation.say(group_pb.SubscribeCutsRequest(boundary=boundary))
+        for talk in others:
+            talk.event(parts)
+        return boundary
+
+    def _cut(self, boundary: group_pb.CutBoundary, parts: list[group_pb.CutPart]) -> Cut[Channel]:
+        assert self._cursor is not None
+        since, channels = self._cursor.cut_unix_nano, self._group.channels
+        items, late = {}, {}
+        for channel in channels:
+            mine = [part for part in parts if part.channel_id == channel.info.channel_id]
+            decoder = channel._state.decoder(mine[-1].cursor.incarnation if mine else 0, payloads=self._payloads)
+            found = cut_items(mine, decoder, since, boundary.cut_unix_nano)
+            items[channel.info.channel_id], late[channel.info.channel_id] = found
+        self._advance(boundary, parts)
+        incomplete = set(boundary.incomplete_channel_ids)
+        return Cut(
+            time=boundary.cut_unix_nano,
+            items=ByChannel(channels, items),
+            late=ByChannel(channels, late),
+            incomplete=tuple(channel for channel in channels if channel.info.channel_id in incomplete),
+        )
+
+    def _advance(self, boundary: group_pb.CutBoundary, parts: list[group_pb.CutPart]) -> None:
+        assert self._cursor is not None
+        cursors = {one.channel_id: one for one in self._cursor.channels}
+        cursors |= {part.channel_id: part.cursor for part in parts if part.HasField("cursor")}
+        self._cursor = group_pb.CutCursor(
+            incarnation=boundary.incarnation, cut_unix_nano=boundary.cut_unix_nano, channels=cursors.values()
+        )

@@ -1,0 +1,83 @@
+"""Groups, cuts and matches, from their protobuf form (`group.proto`, `group_service.proto`), and specs to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt.grouping import GroupInfo, MemberStatus
+from stampede_rt.model import Item, Items
+from stampede_rt.timeline import ResolvedInterval
+from stampede_rt.v1 import group_pb2, group_service_pb2
+from stampede_rt.wire.reads import reason_from_message
+from stampede_rt.wire.runs import ItemDecoder
+
+_BOUNDS = {"start": group_pb2.GROUP_BOUND_START, "end": group_pb2.GROUP_BOUND_END}
+MAX_LEAD_DEFAULT_NANOS = 5_000_000_000
+
+
+def group_spec(
+    channel_ids: Sequence[bytes],
+    reference_id: bytes | None,
+    bound: str,
+    idle_after_nanos: int | None,
+    max_lead_nanos: int,
+) -> group_pb2.GroupSpec:
+    """A set-up, as its creator states it."""
+    return group_pb2.GroupSpec(
+        channel_ids=channel_ids,
+        reference=group_pb2.GROUP_REFERENCE_CHANNEL if reference_id else group_pb2.GROUP_REFERENCE_OLDEST,
+        reference_channel_id=reference_id or b"",
+        bound=_BOUNDS[bound],
+        idle_after_nanos=idle_after_nanos,
+        max_lead_nanos=max_lead_nanos,
+    )
+
+
+def group_info(record: group_pb2.GroupRecord) -> GroupInfo:
+    """A group as callers see it."""
+    spec = record.spec
+    by_channel = spec.reference == group_pb2.GROUP_REFERENCE_CHANNEL
+    return GroupInfo(
+        group_id=record.group_id,
+        name=record.name,
+        channel_ids=tuple(spec.channel_ids),
+        reference_id=spec.reference_channel_id if by_channel else None,
+        bound="end" if spec.bound == group_pb2.GROUP_BOUND_END else "start",
+        idle_after_nanos=spec.idle_after_nanos if spec.HasField("idle_after_nanos") else None,
+        max_lead_nanos=spec.max_lead_nanos if spec.HasField("max_lead_nanos") else MAX_LEAD_DEFAULT_NANOS,
+        incarnation=record.incarnation,
+        spec_version=record.spec_version,
+    )
+
+
+def member_status(message: group_pb2.GroupMemberStatus) -> MemberStatus:
+    """One member's place."""
+    times = message.times
+    return MemberStatus(
+        newest=times.newest_unix_nano if times.HasField("newest_unix_nano") else None,
+        advance=times.advance_unix_nano if times.HasField("advance_unix_nano") else None,
+        cut=message.cut_unix_nano if message.HasField("cut_unix_nano") else None,
+        lead_nanos=message.lead_nanos if message.HasField("lead_nanos") else None,
+        hidden=message.hidden_items if message.HasField("hidden_items") else None,
+        idle=message.idle,
+        window_too_short=message.window_too_short,
+        heard_ago_nanos=message.heard_ago_nanos,
+    )
+
+
+def cut_items(
+    parts: Sequence[group_service_pb2.CutPart], decoder: ItemDecoder, since: int, cut: int
+) -> tuple[Items, Sequence[Item]]:
+    """What one channel brought to one event, from its parts: the items since the cut `since`, and the late ones."""
+    losses = [part.loss for part in parts if part.HasField("loss")]
+    items = Items(
+        decoder.decode([run for part in parts for run in part.runs]),
+        interval=ResolvedInterval(since, cut, False, True),
+        complete=True,
+        truncated=bool(losses),
+        more=False,
+        reason=reason_from_message(losses[-1].reason, losses[-1].detail) if losses else None,
+        incarnation=parts[-1].cursor.incarnation if parts else 0,
+        cut=cut,
+    )
+    return items, decoder.decode([run for part in parts for run in part.late_runs])
