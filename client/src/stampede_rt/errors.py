@@ -22,12 +22,12 @@ class StampedeError(Exception):
         if reason is not None:
             self.reason = reason
 
-    def concerning(self, channel: str) -> None:
-        """Name the channel, unless the message does already."""
-        if channel not in self.message:
-            self.message = f"channel {channel!r}: {self.message}"
+    def concerning(self, kind: str, name: str) -> None:
+        """Name the thing, such as "channel" and its name, unless the message does already."""
+        if name not in self.message:
+            self.message = f"{kind} {name!r}: {self.message}"
             self.args = (self.message,)
-        self.metadata.setdefault("channel", channel)
+        self.metadata.setdefault(kind, name)
 
 
 class InvalidArgument(StampedeError, ValueError):

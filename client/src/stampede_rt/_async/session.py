@@ -7,12 +7,12 @@ supernodes gone, the front-end. What fails as stale is forgotten and counts as a
 from __future__ import annotations
 
 import os
-import random
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
+from stampede_rt._async.attempts import attempt
 from stampede_rt._async.ports import Ports
 from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S, Supernodes
 from stampede_rt.binding import Binding, BindingCache, Owner
@@ -20,8 +20,7 @@ from stampede_rt.codecs import Coding
 from stampede_rt.credentials import Credentials
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.model import ChannelInfo, Policy
-from stampede_rt.retry import Backoff
-from stampede_rt.transports.concurrency_async import sleep, thread_id
+from stampede_rt.transports.concurrency_async import thread_id
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, policy_to_spec
 from stampede_rt.wire.runs import ItemDecoder
@@ -131,22 +130,7 @@ class Session:
 
         `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met.
         """
-        if self.closed:
-            raise Unavailable("this connection is closed; connect() again")
-        backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
-        while True:
-            try:
-                return await operation(await self.bind(state, backoff.deadline_s))
-            except StampedeError as error:
-                error.concerning(state.info.name)
-                if error.retryable or isinstance(error, DeadlineExceeded):  # a host that hangs may be lost soon
-                    self.cache.forget(state.info.channel_id)
-                if not error.retryable or self.closed:
-                    raise
-                delay_s = backoff.next_delay_s(time.monotonic(), random.random())
-                if delay_s is None:
-                    raise
-            await sleep(delay_s)
+        return await attempt(ChannelPlace(self, state), operation, timeout_s)
 
     async def bind(self, state: ChannelState, deadline_s: float = float("inf")) -> Binding:
         """Where the channel's data is, from the caches or by asking."""
@@ -163,9 +147,9 @@ class Session:
 
     async def _resolve(self, state: ChannelState, deadline_s: float) -> None:
         """Ask a supernode who owns the channel; one whose owner is lost is opened anew, as its handle was."""
-        left_s = _left_s(deadline_s)
+        timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
-        response = await self.supernodes.call("ResolveChannel", request, left_s)
+        response = await self.supernodes.call("ResolveChannel", request, timeout_s)
         if response.host.alive:
             state.info = self._learn(response.channel, response.host)
             return
@@ -175,7 +159,7 @@ class Session:
                 "may not create the channel anew; wait for the host, or open the channel with create=True",
                 reason="NO_HOST",
             )
-        info = await self.open_channel(state.info.name, state.stated, None, True, left_s)
+        info = await self.open_channel(state.info.name, state.stated, None, True, timeout_s)
         if info.channel_id != state.info.channel_id:
             raise ChannelNotFound(f"the channel {info.name!r} was deleted, and another now has its name; open it again")
         state.info = info
@@ -188,9 +172,7 @@ class Session:
         for target in self.cache.gatekeepers(owner.host_id):
             port = self.ports.to(target)
             try:
-                response = await port.call(
-                    port.gatekeeper.BindChannel, request, min(_left_s(deadline_s), TRY_TIMEOUT_S)
-                )
+                response = await port.call(port.gatekeeper.BindChannel, request, min(left_s(deadline_s), TRY_TIMEOUT_S))
             except (Unavailable, DeadlineExceeded) as error:
                 failure = Unavailable(
                     f"the host {state.info.host!r} of channel {state.info.name!r} at {target} cannot be reached: "
@@ -213,5 +195,31 @@ class Session:
         return binding
 
 
-def _left_s(deadline_s: float) -> float:
+@dataclass(frozen=True, slots=True)
+class ChannelPlace:
+    """Where a channel is, as far as a session knows."""
+
+    session: Session
+    state: ChannelState
+
+    async def find(self, deadline_s: float) -> Binding:
+        """The cached data endpoint, or one found anew."""
+        return await self.session.bind(self.state, deadline_s)
+
+    def forget(self) -> None:
+        """Forget the channel's place, and its host's endpoint."""
+        self.session.cache.forget(self.state.info.channel_id)
+
+    def explain(self, error: StampedeError) -> None:
+        """Name the channel."""
+        error.concerning("channel", self.state.info.name)
+
+    @property
+    def closed(self) -> bool:
+        """The connection is closed."""
+        return self.session.closed
+
+
+def left_s(deadline_s: float) -> float:
+    """How long one call may take that is to be over by `deadline_s`."""
     return max(0.1, min(deadline_s - time.monotonic(), CALL_TIMEOUT_S))

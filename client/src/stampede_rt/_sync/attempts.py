@@ -1,0 +1,60 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Tries an operation at the place of a channel or queue, and again at its new place if that one is stale or gone."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+from stampede_rt.binding import Binding
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.retry import Backoff
+from stampede_rt.transports.concurrency_sync import sleep
+
+Result = TypeVar("Result")
+
+
+class Place(Protocol):
+    """Where a channel or queue is, as far as it is known; what turns out to be stale counts as a miss."""
+
+    def find(self, deadline_s: float) -> Binding:
+        """The place, from a cache or by asking, until `deadline_s` on the monotonic clock."""
+        ...
+
+    def forget(self) -> None:
+        """The place turned out to be stale."""
+        ...
+
+    def explain(self, error: StampedeError) -> None:
+        """Name the thing in `error`."""
+        ...
+
+    @property
+    def closed(self) -> bool:
+        """The connection is closed: nothing is tried again."""
+        ...
+
+
+def attempt(place: Place, operation: Callable[[Binding], Result], timeout_s: float | None) -> Result:
+    """Run `operation` where the thing is, again and again while what it raises is retryable.
+
+    `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met.
+    """
+    if place.closed:
+        raise Unavailable("this connection is closed; connect() again")
+    backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
+    while True:
+        try:
+            return operation(place.find(backoff.deadline_s))
+        except StampedeError as error:
+            place.explain(error)
+            if error.retryable or isinstance(error, DeadlineExceeded):  # a host that hangs may be lost soon
+                place.forget()
+            if not error.retryable or place.closed:
+                raise
+            delay_s = backoff.next_delay_s(time.monotonic(), random.random())
+            if delay_s is None:
+                raise
+        sleep(delay_s)
