@@ -8,7 +8,14 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt.v1 import channel_service_pb2, directory_service_pb2, frontend_service_pb2, gatekeeper_service_pb2
+from stampede_rt.v1 import (
+    channel_service_pb2,
+    directory_service_pb2,
+    frontend_service_pb2,
+    gatekeeper_service_pb2,
+    group_directory_service_pb2,
+    group_service_pb2,
+)
 
 METHODS = {
     "Bind": st.connect,
@@ -29,21 +36,51 @@ METHODS = {
     "Subscribe": st.Channel.subscribe,
     "Advance": st.Channel.advance,
     "GetChannelStatus": st.Channel.stats,
+    "OpenGroup": st.Connection.group,
+    "ResolveGroup": st.Group.refresh,
+    "UpdateGroup": st.Group.add,
+    "DeleteGroup": st.Group.delete,
+    "ListGroups": st.Connection.groups,
+    "GetCut": st.Group.get,
+    "SubscribeCuts": st.Group.subscribe,
+    "SubscribeMatches": st.Group.match,
+    "GetGroupStatus": st.Group.status,
 }
-OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel"}  # what hosts ask of supernodes
+# What hosts ask of supernodes, and of each other.
+OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel", "ExchangeTimes"}
 OF_CONNECTIONS = {"Ping"}  # to measure round trips
 NOT_YET = {"Consume"}  # comes with consumers= as a retention policy
 
 
 def test_every_rpc_for_callers_has_a_method() -> None:
-    modules = (channel_service_pb2, directory_service_pb2, frontend_service_pb2, gatekeeper_service_pb2)
+    modules = (
+        channel_service_pb2,
+        directory_service_pb2,
+        frontend_service_pb2,
+        gatekeeper_service_pb2,
+        group_directory_service_pb2,
+        group_service_pb2,
+    )
     services = [service for module in modules for service in module.DESCRIPTOR.services_by_name.values()]
     rpcs = {method.name for service in services for method in service.methods}
     assert rpcs == set(METHODS) | OF_SERVICES | OF_CONNECTIONS | NOT_YET
     assert all(callable(method) and method.__doc__ for method in METHODS.values())
 
 
-@pytest.mark.parametrize("name", ["Channel", "Connection", "Producer", "Subscription", "Watch"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "Channel",
+        "Connection",
+        "CutSubscription",
+        "Group",
+        "GroupChannel",
+        "MatchSubscription",
+        "Producer",
+        "Subscription",
+        "Watch",
+    ],
+)
 def test_both_clients_have_the_same_names_and_arguments(name: str) -> None:
     blocking, awaited = getattr(st, name), getattr(aio, name)
     names = {one for one in dir(blocking) if not one.startswith("_")}
