@@ -36,20 +36,26 @@ def parse_policy(
     """The stated set-up; None stands for not stated. Raises InvalidArgument, naming the argument."""
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
-    if content_type is not None and not (content_type.isascii() and 0 < len(content_type) <= 255):
-        raise InvalidArgument(f"content_type is {content_type!r}; write a MIME type of 255 characters at most")
     return Policy(
-        max_age_nanos=_duration("max_age", max_age, least=1),
-        max_items=_count("max_items", max_items),
-        max_bytes=_count("max_bytes", max_bytes),
-        consumers=_count("consumers", consumers),
+        max_age_nanos=duration_of("max_age", max_age, least=1),
+        max_items=count_of("max_items", max_items),
+        max_bytes=count_of("max_bytes", max_bytes),
+        consumers=count_of("consumers", consumers),
         on_full=on_full,
-        max_future_nanos=_duration("max_future", max_future, least=0),
-        content_type=content_type,
+        max_future_nanos=duration_of("max_future", max_future, least=0),
+        content_type=content_type_of(content_type),
     )
 
 
-def _duration(what: str, value: DurationLike | None, *, least: int) -> int | None:
+def content_type_of(value: str | None) -> str | None:
+    """A MIME type; None as it is. Raises InvalidArgument."""
+    if value is not None and not (value.isascii() and 0 < len(value) <= 255):
+        raise InvalidArgument(f"content_type is {value!r}; write a MIME type of 255 characters at most")
+    return value
+
+
+def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | None:
+    """Nanoseconds, `least` or more; None as it is. Raises InvalidArgument, naming `what`."""
     if value is None:
         return None
     nanos = parse_duration(value, what)
@@ -58,7 +64,8 @@ def _duration(what: str, value: DurationLike | None, *, least: int) -> int | Non
     return nanos
 
 
-def _count(what: str, value: int | None) -> int | None:
+def count_of(what: str, value: int | None) -> int | None:
+    """A whole number, 1 or more; None as it is. Raises InvalidArgument, naming `what`."""
     if value is None:
         return None
     try:
