@@ -26,7 +26,7 @@ class VerbParser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> Any:
         """What argparse asks of a verb's parser; the second pass of an intermixed parse comes here, too."""
-        if self._intermixed:
+        if self._intermixed or self._subparsers is not None:  # a noun: its verbs parse the rest
             return super().parse_known_args(args, namespace)
         self._intermixed = True
         try:

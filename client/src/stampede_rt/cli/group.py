@@ -1,0 +1,231 @@
+"""`stampede group ...`: channels that are read in step."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from stampede_rt import Channel, Connection, Group
+from stampede_rt.cli.arguments import VerbParser, add_verb, connected, existing, parse_bound_text, parse_count
+from stampede_rt.cli.output import item_line, item_row, print_rows
+from stampede_rt.grouping import Cut, GroupInfo, GroupStatus, Matched
+from stampede_rt.model import Item
+from stampede_rt.timeline import format_duration, format_instant
+
+NOTHING = 3
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verbs."""
+    text = "channels that are read in step"
+    noun = subparsers.add_parser("group", help=text, description=text)
+    verbs = noun.add_subparsers(dest="group_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    ls = add_verb(verbs, "ls", "list groups", run_ls)
+    ls.add_argument("glob", nargs="?", default="*", metavar="GLOB")
+    create = add_verb(verbs, "create", "make a group of channels", run_create, output=False)
+    create.add_argument("group")
+    create.add_argument("channels", nargs="+", metavar="CHANNEL")
+    create.add_argument("--reference", default="oldest", metavar="CHANNEL", help="whose cut counts; default: oldest")
+    create.add_argument("--bound", choices=("start", "end"), default="start", help="where a newest item is cut")
+    create.add_argument("--idle-after", metavar="DURATION", help='leave silent members out after so long, "2s"')
+    create.add_argument("--max-lead", default="5s", metavar="DURATION", help='with --bound end; default "5s"')
+    for name, what, run in (
+        ("status", "the cut, who holds it back, and each member's place", run_status),
+        ("newest", "the newest visible item of each channel", run_newest),
+        ("watch", "print what becomes visible, cut by cut", run_watch),
+        ("delete", "forget a group; its channels stay", run_delete),
+    ):
+        verb = add_verb(verbs, name, what, run, output=name != "delete")
+        verb.add_argument("group")
+        if name == "watch":
+            verb.add_argument("--max-wait", default="1s", metavar="DURATION", help="for members that lag; default 1s")
+            verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N cuts")
+    get = add_verb(verbs, "get", "what each channel shows in an interval", run_get)
+    get.add_argument("group")
+    get.add_argument("start", type=parse_bound_text, help='a time, or now, newest, oldest with an offset: "newest-1s"')
+    get.add_argument("end", type=parse_bound_text)
+    match = add_verb(verbs, "match", "print the items that belong together", run_match)
+    match.add_argument("group")
+    match.add_argument("--per", required=True, metavar="CHANNEL", help="whose items each get a match")
+    match.add_argument("--tolerance", required=True, metavar="DURATION", help='how far apart at the most, "10ms"')
+    match.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N matches")
+    for name, what in (("add", "make a channel a member"), ("remove", "make a channel leave")):
+        change = add_verb(verbs, name, what, run_change, output=False)
+        change.add_argument("group")
+        change.add_argument("channel")
+        change.set_defaults(change=name)
+
+
+def run_ls(arguments: argparse.Namespace) -> int:
+    """List groups from the directory."""
+    with connected(arguments) as rt:
+        groups = rt.groups(arguments.glob)
+        names = {info.channel_id: info.name for info in rt.channels()} if groups else {}
+    rows = [_group_row(info, names) for info in groups]
+    print_rows(rows, arguments.output, none=f"no group matches {arguments.glob!r}")
+    return 0
+
+
+def _group_row(info: GroupInfo, names: dict[bytes, str]) -> dict[str, Any]:
+    return {
+        "group": info.name,
+        "channels": [names.get(one, "?") for one in info.channel_ids],
+        "reference": names.get(info.reference_id, "?") if info.reference_id else "oldest",
+        "bound": info.bound,
+        "idle_after": None if info.idle_after_nanos is None else format_duration(info.idle_after_nanos),
+    }
+
+
+def run_create(arguments: argparse.Namespace) -> int:
+    """Make a group."""
+    with connected(arguments) as rt:
+        members = [existing(rt, name) for name in arguments.channels]
+        group = rt.group(
+            arguments.group,
+            members,
+            reference=arguments.reference,
+            bound=arguments.bound,
+            idle_after=arguments.idle_after,
+            max_lead=arguments.max_lead,
+        )
+    print(f"{group.name}: {', '.join(channel.name for channel in group.channels)}")
+    return 0
+
+
+def run_status(arguments: argparse.Namespace) -> int:
+    """Tell a group's cut and its members' places."""
+    with connected(arguments) as rt:
+        status = rt.group(arguments.group).status()
+    if arguments.output == "table":
+        print(_status_line(status))
+    rows = [_member_row(status, channel, arguments.output) for channel in status.members]
+    print_rows(rows, arguments.output, none="the group has no member")
+    return 0
+
+
+def _status_line(status: GroupStatus[Channel]) -> str:
+    waiting = ", ".join(channel.name for channel in status.waiting_on)
+    if status.cut is None:
+        return f"nothing is visible yet; waiting for {waiting or 'its members'}"
+    ago = format_duration(status.host_time - status.cut)
+    return f"cut at {format_instant(status.cut)}, {ago} ago; " + (f"held by {waiting}" if waiting else "held by nobody")
+
+
+def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> dict[str, Any]:
+    member = status.members[channel]
+    people = form == "table"
+    lead = member.lead_nanos
+    return {
+        "channel": channel.name,
+        "newest": format_instant(member.newest) if people and member.newest is not None else member.newest,
+        "ahead": format_duration(lead) if people and lead is not None else lead,
+        "hidden": member.hidden,
+        "holds_the_cut": channel in status.waiting_on,
+        "idle": member.idle,
+        "window_too_short": member.window_too_short,
+    }
+
+
+def run_newest(arguments: argparse.Namespace) -> int:
+    """Print the newest visible item of each channel."""
+    with connected(arguments) as rt:
+        found = rt.group(arguments.group).newest()
+    items = {channel.name: ([] if item is None else [item]) for channel, item in found.items()}
+    return _print_items(items, arguments.output)
+
+
+def run_get(arguments: argparse.Namespace) -> int:
+    """Print what each channel shows in an interval."""
+    with connected(arguments) as rt:
+        found = rt.group(arguments.group).get(arguments.start, arguments.end)
+    return _print_items({channel.name: list(items) for channel, items in found.items()}, arguments.output)
+
+
+def _print_items(items: dict[str, list[Item]], form: str) -> int:
+    if form == "table":
+        for name, held in items.items():
+            print("\n".join(f"{name}  {item_line(item)}" for item in held) or f"{name}  nothing visible")
+    else:
+        print(json.dumps({name: [item_row(one) for one in held] for name, held in items.items()}))
+    return 0 if any(items.values()) else NOTHING
+
+
+def run_watch(arguments: argparse.Namespace) -> int:
+    """Print cut events as they come."""
+    with connected(arguments) as rt, rt.group(arguments.group).subscribe(arguments.max_wait) as cuts:
+        for count, cut in enumerate(cuts, 1):
+            print(_cut_text(cut) if arguments.output == "table" else json.dumps(_cut_row(cut)), flush=True)
+            if count == arguments.count:
+                break
+    return 0
+
+
+def _cut_text(cut: Cut[Channel]) -> str:
+    lacking = f"  without {', '.join(channel.name for channel in cut.incomplete)}" if cut.incomplete else ""
+    lines = [f"cut {format_instant(cut.time)}{lacking}"]
+    for channel in cut:
+        lines += [f"  {channel.name}  {item_line(item)}" for item in cut[channel]]
+        lines += [f"  {channel.name}  late  {item_line(item)}" for item in cut.late[channel]]
+    return "\n".join(lines)
+
+
+def _cut_row(cut: Cut[Channel]) -> dict[str, Any]:
+    return {
+        "cut": cut.time,
+        "items": {channel.name: [item_row(item) for item in cut[channel]] for channel in cut},
+        "late": {channel.name: [item_row(item) for item in cut.late[channel]] for channel in cut},
+        "incomplete": [channel.name for channel in cut.incomplete],
+    }
+
+
+def run_match(arguments: argparse.Namespace) -> int:
+    """Print matches as they come."""
+    with connected(arguments) as rt, _matches(rt.group(arguments.group), arguments) as matches:
+        for count, matched in enumerate(matches, 1):
+            print(_match_text(matched) if arguments.output == "table" else json.dumps(_match_row(matched)), flush=True)
+            if count == arguments.count:
+                break
+    return 0
+
+
+def _matches(group: Group, arguments: argparse.Namespace) -> Any:
+    return group.match(arguments.per, arguments.tolerance, partial=True)
+
+
+def _match_text(matched: Matched[Channel]) -> str:
+    lines = [f"match {format_instant(matched.time)}"]
+    lines += [f"  {channel.name}  {item_line(item)}" for channel, item in matched.items()]
+    return "\n".join(lines + [f"  {channel.name}  nothing within the tolerance" for channel in matched.missing])
+
+
+def _match_row(matched: Matched[Channel]) -> dict[str, Any]:
+    return {
+        "time": matched.time,
+        "items": {channel.name: item_row(item) for channel, item in matched.items()},
+        "missing": [channel.name for channel in matched.missing],
+    }
+
+
+def run_change(arguments: argparse.Namespace) -> int:
+    """Let a channel in, or out."""
+    with connected(arguments) as rt:
+        group, channel = _group_and_channel(rt, arguments)
+        if arguments.change == "add":
+            group.add(channel)
+        else:
+            group.remove(channel)
+        print(f"{group.name}: {', '.join(channel.name for channel in group.channels)}")
+    return 0
+
+
+def _group_and_channel(rt: Connection, arguments: argparse.Namespace) -> tuple[Group, Channel]:
+    return rt.group(arguments.group), existing(rt, arguments.channel)
+
+
+def run_delete(arguments: argparse.Namespace) -> int:
+    """Forget a group."""
+    with connected(arguments) as rt:
+        rt.group(arguments.group).delete()
+    print(f"{arguments.group} is deleted; its channels stay")
+    return 0
