@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from stampede_rt._async.attempts import Place, attempt
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
 from stampede_rt.codecs import Coding
@@ -16,7 +19,7 @@ from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.transports.concurrency_async import Mutex, callers, thread_id
-from stampede_rt.transports.grpc_async import PutExchange
+from stampede_rt.transports.grpc_async import Port, PutExchange
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.put_frames import put_head, put_request
 from stampede_rt.wire.runs import run_parts
@@ -24,56 +27,58 @@ from stampede_rt.wire.runs import run_parts
 STREAMS_MAX = 256
 
 
-class PutStreams:
-    """The open put streams of one handle, one for each thread and place of the channel."""
+class Numbers:
+    """A producer's identity and the numbers of its puts, by which a put that is sent again is recognised."""
 
-    def __init__(self, session: Session, state: ChannelState) -> None:
+    def __init__(self) -> None:
+        self.producer_id = int.from_bytes(os.urandom(8), "little") | 1
+        self._numbers = itertools.count(1)
+
+    def next(self) -> int:
+        """A number that no put before had; callable from several threads."""
+        return next(self._numbers)
+
+
+class PutStreams:
+    """The open put streams of one handle, one for each thread and place of the channel or queue."""
+
+    def __init__(self, session: Session, place: Place, open_stream: Callable[[Port], PutExchange]) -> None:
         self._session = session
-        self._state = state
+        self._place = place
+        self._open_stream = open_stream
         self._streams: dict[int, tuple[Binding, PutExchange]] = {}
         self._mutex = Mutex()
 
-    async def put(
-        self,
-        numbers: Iterator[int],
-        payload: Any,
-        time: InstantLike | None,
-        duration: DurationLike | int | None,
-        attributes: Mapping[str, str] | None,
-        content_type: str | None,
-        timeout: float | None,
-    ) -> Item:
-        """Put one item under the producer's next number, which makes it safe to send it again.
+    async def put(self, numbers: Numbers, item: Single, wait: Wait) -> channel_pb.PutAck:
+        """Put one item under the producer's next number, which makes it safe to send it again; its ack.
 
-        A wait without limit on a full channel is renewed from time to time, so that a host that hangs is noticed.
+        `wait` is for one that may have to wait for room. A wait without limit is renewed from time to time, so that a
+        host that hangs is noticed.
         """
-        item = _Single.parse(self._state.coding, payload, time, duration, attributes, content_type)
-        wait = Wait.parse(timeout)
-        if self._state.info.policy.on_full != "block":
-            return await self._put(next(numbers), item, Wait(0))
         while wait.seconds is None:
             try:
-                return await self._put(next(numbers), item, Wait(RENEW_S))
+                return await self._put(numbers, item, Wait(RENEW_S))
             except ChannelFull:
                 continue
-        return await self._put(next(numbers), item, wait)
+        return await self._put(numbers, item, wait)
 
-    async def _put(self, number: int, item: _Single, wait: Wait) -> Item:
+    async def _put(self, numbers: Numbers, item: Single, wait: Wait) -> channel_pb.PutAck:
         limit_s = (wait.seconds or 0.0) + CALL_TIMEOUT_S
+        number = numbers.next()
 
-        async def put_at(binding: Binding) -> Item:
-            head = put_head(binding.channel_id, binding.epoch, self._state.producer_id)
+        async def put_at(binding: Binding) -> channel_pb.PutAck:
+            head = put_head(binding.channel_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), wait.nanos)
-            return self._accepted(item, await self._stream(binding).put(request, limit_s))
+            return _accepted(await self._stream(binding).put(request, limit_s))
 
-        return await self._session.perform(self._state, put_at, limit_s)
+        return await attempt(self._place, put_at, limit_s)
 
     def _stream(self, binding: Binding) -> PutExchange:
         key = thread_id()
         entry = self._streams.get(key)
         if entry is not None and (entry[0] is binding or entry[0] == binding) and not entry[1].broken:
             return entry[1]
-        stream = self._session.ports.to(binding.target).puts()
+        stream = self._open_stream(self._session.ports.to(binding.target))
         with self._mutex:
             former = self._streams.pop(key, None)
             if former is not None:
@@ -85,28 +90,17 @@ class PutStreams:
             self._streams[key] = (binding, stream)
         return stream
 
-    def _accepted(self, item: _Single, ack: channel_pb.PutAck) -> Item:
-        if ack.HasField("error"):
-            raise from_error_message(ack.error)
-        if ack.rejections:
-            raise from_error_message(ack.rejections[0].error)
-        time = ack.stamped_unix_nano if item.time is None else item.time
-        fields = (
-            time,
-            None if item.duration is None else time + item.duration,
-            item.duration,
-            ack.first_seq,
-            item.payload,
-            item.attributes,
-            item.content_type or self._state.info.policy.content_type or "",
-            len(item.payload),
-            ack.incarnation,
-        )
-        return self._state.coding.item(fields) if self._state.coding else Item._make(fields)
+
+def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
+    if ack.HasField("error"):
+        raise from_error_message(ack.error)
+    if ack.rejections:
+        raise from_error_message(ack.rejections[0].error)
+    return ack
 
 
 @dataclass(frozen=True, slots=True)
-class _Single:
+class Single:
     """One item as its caller stated it, checked."""
 
     payload: bytes
@@ -124,7 +118,8 @@ class _Single:
         duration: DurationLike | int | None,
         attributes: Mapping[str, str] | None,
         content_type: str | None,
-    ) -> _Single:
+    ) -> Single:
+        """Raises InvalidArgument, ItemTooLarge, CodecError."""
         check_attributes(attributes)
         return cls(
             coding.encode(payload) if coding else check_payload(payload),
@@ -134,7 +129,24 @@ class _Single:
             content_type or (coding.content_type if coding else ""),
         )
 
+    def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:
+        """The item as its channel's host accepted it."""
+        time = ack.stamped_unix_nano if self.time is None else self.time
+        fields = (
+            time,
+            None if self.duration is None else time + self.duration,
+            self.duration,
+            ack.first_seq,
+            self.payload,
+            self.attributes,
+            self.content_type or state.info.policy.content_type or "",
+            len(self.payload),
+            ack.incarnation,
+        )
+        return state.coding.item(fields) if state.coding else Item._make(fields)
+
     def run_parts(self) -> list[bytes]:
+        """The item as a run of its own."""
         return run_parts(
             (self.payload,),
             times=None if self.time is None else (self.time,),

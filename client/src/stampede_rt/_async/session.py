@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from stampede_rt._async.attempts import attempt
@@ -52,7 +52,6 @@ class ChannelState:
     stated: Policy
     create: bool
     coding: Coding | None = None
-    producer_id: int = field(default_factory=lambda: int.from_bytes(os.urandom(8), "little") | 1)
 
     def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
         """What makes Items of the runs that the host sends."""

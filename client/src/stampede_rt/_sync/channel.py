@@ -3,20 +3,28 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from stampede_rt._sync.producer import Producer
-from stampede_rt._sync.puts import PutStreams
+from stampede_rt._sync.puts import Numbers, PutStreams, Single
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.sampler import MonotonicClock, Sampler
-from stampede_rt._sync.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelState, Session, request_id
+from stampede_rt._sync.session import (
+    CALL_TIMEOUT_S,
+    TRY_TIMEOUT_S,
+    ChannelPlace,
+    ChannelState,
+    Session,
+    request_id,
+)
 from stampede_rt.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.model import ChannelStats, Item, Policy
 from stampede_rt.policy import parse_policy
+from stampede_rt.reading import Wait
 from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
+from stampede_rt.transports.grpc_sync import Port
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
@@ -29,8 +37,8 @@ class Channel(Reader):
 
     def __init__(self, session: Session, state: ChannelState) -> None:
         super().__init__(session, state)
-        self._puts = PutStreams(session, state)
-        self._numbers = itertools.count(1)
+        self._puts = PutStreams(session, ChannelPlace(session, state), Port.puts)
+        self._numbers = Numbers()
 
     def __repr__(self) -> str:
         return f"<Channel {self.name!r} at host {self.host!r}>"
@@ -52,7 +60,12 @@ class Channel(Reader):
         limit. A put that was tried again is never doubled.
         Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
-        return self._puts.put(self._numbers, payload, time, duration, attributes, content_type, timeout)
+        item = Single.parse(self._state.coding, payload, time, duration, attributes, content_type)
+        wait = Wait.parse(timeout)
+        if self.info.policy.on_full != "block":
+            wait = Wait(0)
+        ack = self._puts.put(self._numbers, item, wait)
+        return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:
         """A context manager for many puts that do not each wait for their ack."""
