@@ -11,6 +11,7 @@ from stampede_rt_supernode.replication.interface import (
     Member,
     ReplicationStatus,
     StateMachine,
+    TakenSnapshot,
     Unavailable,
 )
 
@@ -37,6 +38,7 @@ class MemoryLog:
         self.quorum = True
         # What every change of the members ends with; None: it succeeds.
         self.change_fails: Exception | None = None
+        self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
         self.fates: deque[Fate] = deque()
         self.reads_may_end = asyncio.Event()
@@ -89,6 +91,11 @@ class MemoryLog:
             raise self.change_fails
         self.index += 1
         return self.index
+
+    async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
+        if self.snapshot_fails is not None:
+            raise self.snapshot_fails
+        return TakenSnapshot(log_index=self.index, record=self.machine.begin_snapshot()())
 
     async def hand_over(self, *, timeout: float) -> bool:
         return False

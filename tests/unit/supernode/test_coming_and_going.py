@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import os
 import signal
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.unit.supernode.processes import PATIENCE_SECONDS, Supernode, attempts, clean_environment, free_ports
+from tests.unit.supernode.processes import (
+    PATIENCE_SECONDS,
+    Supernode,
+    attempts,
+    clean_environment,
+    free_ports,
+    open_channel,
+    register,
+    resolve,
+)
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -61,6 +72,47 @@ async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_pat
         await founder.close()
         if newcomer is not None:
             await newcomer.close()
+
+
+async def test_a_backup_of_a_running_cluster_founds_another_one_that_knows_all_that_was_acknowledged(
+    tmp_path: Path,
+) -> None:
+    ports, backup = free_ports(2), tmp_path / "backup"
+    founder = await prepared("init", "a", ports[0], tmp_path)
+    restored = None
+    try:
+        await founder.start()
+        await register(founder, 1)
+        opened = await open_channel(founder, "cam/kept")
+        code, printed = await command("snapshot", "--member", founder.address, "--out", str(backup), "-o", "json")
+        facts = json.loads(printed)
+        assert (code, facts["supernode"], facts["size_bytes"]) == (0, "a", backup.stat().st_size)
+        assert backup.stat().st_mode & 0o077 == 0
+        code, printed = await command("snapshot", "a", "--member", founder.address)
+        assert (code, f"index       {facts['index']}" in printed) == (0, True), printed
+        await founder.end(signal.SIGKILL)
+        restored = await prepared("init", "r", ports[1], tmp_path, "--restore", str(backup))
+        await restored.start()
+        assert (await resolve(restored, "cam/kept")).channel.channel_id == opened.channel.channel_id
+        assert sorted(os.listdir(tmp_path)) == ["a", "backup", "r"]
+    finally:
+        await founder.close()
+        if restored is not None:
+            await restored.close()
+
+
+async def test_who_is_no_member_cannot_be_asked_for_a_snapshot(tmp_path: Path) -> None:
+    address = f"127.0.0.1:{free_ports(1)[0]}"
+    one = Supernode("s1", address, ["--id", "s1", "--listen", address])
+    try:
+        await one.start()
+        await status_has(address, "1 of 1 serve")
+        code, printed = await command("snapshot", "s9", "--member", address)
+        assert (code, printed) == (1, "stampede supernode: no member is called s9; there are s1\n")
+        code, printed = await command("snapshot", "--member", address, "--out", "/nowhere/backup")
+        assert (code, "cannot be written: No such file" in printed) == (1, True), printed
+    finally:
+        await one.close()
 
 
 async def test_a_folder_that_is_in_use_is_not_prepared_again_and_a_lost_disk_is_noticed(tmp_path: Path) -> None:

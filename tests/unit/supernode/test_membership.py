@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from stampede_rt_runtime.server import serving
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.joining.founding import Founding, check_unused, note_started, read_founding, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, valid_until
-from stampede_rt_supernode.servicers.membership_servicer import MembershipServicer
+from stampede_rt_supernode.servicers.membership_servicer import SNAPSHOTS_MAX, MembershipServicer
 from stampede_rt_supernode.settings import SupernodeSettings
 from tests.unit.supernode.node import Node, reason_of, running_node
 
@@ -62,7 +63,7 @@ def test_a_token_is_good_for_a_day_at_most() -> None:
 @pytest_asyncio.fixture
 async def rig() -> AsyncIterator[tuple[Node, Any]]:
     async with running_node() as node:
-        members: Any = type("Nobody", (), {"records": lambda self: ([], 1)})()
+        members: Any = type("Nobody", (), {"records": lambda self: ([], 1), "self_id": "s1"})()
         servicer = MembershipServicer(node.log, node.replica, members, TOKENS, node.clock, log_cluster_id="log")
         register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
         async with (
@@ -126,6 +127,42 @@ async def test_what_the_log_says_of_a_change_reaches_the_caller(
     node.log.change_fails = failure
     error = await reason_of(stub.RemoveSupernode(pb.RemoveSupernodeRequest(supernode_id="s2"), timeout=10))
     assert error.reason == reason
+
+
+async def test_a_snapshot_comes_with_its_facts_first_and_then_the_backup_if_asked_for(rig: tuple[Node, Any]) -> None:
+    node, stub = rig
+    await node.register(1)
+    [facts] = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10)]
+    assert (facts.supernode_id, facts.log_index, len(facts.sha256)) == ("s1", node.log.index, 32)
+    again, *parts = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(include_data=True), timeout=10)]
+    assert again == facts
+    assert sum(len(part.data) for part in parts) == facts.size_bytes
+
+
+async def test_without_a_majority_only_a_stale_snapshot_can_be_had(rig: tuple[Node, Any]) -> None:
+    node, stub = rig
+    node.log.quorum = False
+    error = await reason_of(stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10).read())
+    assert error.reason == "NO_QUORUM"
+    [facts] = [one async for one in stub.TakeSnapshot(pb.TakeSnapshotRequest(stale_ok=True), timeout=10)]
+    assert facts.log_index == node.log.index
+
+
+async def test_a_few_snapshots_are_asked_for_at_once_and_no_more(rig: tuple[Node, Any]) -> None:
+    node, stub = rig
+    node.log.reads_may_end.clear()
+    waiting = [stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10) for _ in range(SNAPSHOTS_MAX)]
+    firsts = [asyncio.ensure_future(call.read()) for call in waiting]
+    # Those that came first are still waiting: one more is refused, whichever it is.
+    extra = stub.TakeSnapshot(pb.TakeSnapshotRequest(), timeout=10)
+    refused = await first_refused([*firsts, asyncio.ensure_future(extra.read())])
+    assert refused.reason == "OVERLOADED"
+    node.log.reads_may_end.set()
+
+
+async def first_refused(pending: list[asyncio.Future[Any]]) -> StampedeError:
+    done, _ = await asyncio.wait(pending, return_when=asyncio.FIRST_COMPLETED)
+    return await reason_of(done.pop())
 
 
 FOUNDING = Founding(supernode_id="a", address="h:1", members={"a": "h:1"}, log_cluster_id="c", token="t")

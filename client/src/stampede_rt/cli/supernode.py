@@ -1,4 +1,4 @@
-"""`stampede supernode status|add|remove`: look at the supernodes of a running cluster, and let them come and go."""
+"""`stampede supernode status|add|remove|snapshot`: look at a running cluster's supernodes, and take care of them."""
 
 from __future__ import annotations
 
@@ -9,24 +9,31 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+import grpc
+
 from stampede_rt._sync.ports import Ports
+from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.connecting import parse_target
 from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
-from stampede_rt.timeline import format_duration
+from stampede_rt.status import from_rpc_error
+from stampede_rt.timeline import format_duration, format_instant
 from stampede_rt.transports.grpc_sync import Port
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
+from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-ADMINISTERING = ("status", "add", "remove")
+ADMINISTERING = ("status", "add", "remove", "snapshot")
 FAILED = 1
 CALL_SECONDS = 3.0
 CHANGE_SECONDS = 30.0
+SNAPSHOT_SECONDS = 120.0
 BACKOFF_SECONDS = 0.5
 
 
@@ -46,13 +53,22 @@ def administer(argv: Sequence[str]) -> int:
     add.add_argument("--valid-hours", type=float, default=1.0, metavar="HOURS", help="how long it can be used; 1")
     remove = _verb(verbs, "remove", "remove a supernode for ever", _run_remove)
     remove.add_argument("id", help="its id, see `stampede supernode status`")
-    for each in (status, add, remove):
+    snapshot = _verb(verbs, "snapshot", "have a supernode write a snapshot now, and fetch it as a backup", run_snapshot)
+    snapshot.add_argument("id", nargs="?", help="the supernode; left out: the leader")
+    snapshot.add_argument("--out", type=Path, metavar="FILE", help="write a backup there, for `init --restore`")
+    snapshot.add_argument(
+        "--stale-ok", action="store_true", help="what this replica holds will do; works without a majority, too"
+    )
+    for each in (status, add, remove, snapshot):
         add_place(each)
     parsed = parser.parse_args(argv)
     try:
         return int(parsed.run(parsed))
     except StampedeError as error:
         print(f"stampede supernode: {error.message}", file=sys.stderr)
+        return FAILED
+    except OSError as error:
+        print(f"stampede supernode: {error.filename} cannot be written: {error.strerror}", file=sys.stderr)
         return FAILED
 
 
@@ -111,6 +127,16 @@ class Cluster:
                 time.sleep(BACKOFF_SECONDS)
             else:
                 return removed
+
+    def snapshot(self, address: str, *, include_data: bool, stale_ok: bool) -> Iterator[pb.TakeSnapshotResponse]:
+        """What the supernode at `address` answers, part by part. Raises StampedeError."""
+        port = self._ports.to(address)
+        request = pb.TakeSnapshotRequest(include_data=include_data, stale_ok=stale_ok)
+        responses = port.call(_membership(port).TakeSnapshot, request, SNAPSHOT_SECONDS)
+        try:
+            yield from responses
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, f"the supernode at {address}") from error
 
     def _first(self, ask: Callable[[Port], Any]) -> Any:
         failure: StampedeError = Unavailable("no supernode is known")
@@ -201,3 +227,33 @@ def _run_remove(arguments: argparse.Namespace) -> int:
     else:
         print(f"{arguments.id} is no member any more; there remain {', '.join(remaining)}.")
     return 0
+
+
+def run_snapshot(arguments: argparse.Namespace) -> int:
+    """Have a snapshot written, and fetch it if a file is named."""
+    with reached(arguments.frontend, arguments.member) as cluster:
+        address = _address_of(cluster.members().supernodes, arguments.id)
+        responses = cluster.snapshot(address, include_data=arguments.out is not None, stale_ok=arguments.stale_ok)
+        taken = next(responses) if arguments.out is None else write_backup(responses, arguments.out)
+    facts = {
+        "supernode": taken.supernode_id,
+        "index": taken.log_index,
+        "size_bytes": taken.size_bytes,
+        "time": taken.time_unix_nano if arguments.output == "json" else format_instant(taken.time_unix_nano),
+        "took": taken.took_nanos if arguments.output == "json" else format_duration(taken.took_nanos),
+    }
+    if arguments.out is not None:
+        facts |= {"backup": str(arguments.out), "sha256": taken.sha256.hex()}
+    print_facts(facts, arguments.output)
+    return 0
+
+
+def _address_of(members: Sequence[SupernodeRecord], supernode_id: str | None) -> str:
+    """Where to ask: at the member with that id, or the leader. Raises StampedeError."""
+    for member in members:
+        if member.supernode_id == supernode_id or (supernode_id is None and member.is_leader):
+            return member.endpoint.target
+    known = ", ".join(member.supernode_id for member in members)
+    if supernode_id is not None:
+        raise StampedeError(f"no member is called {supernode_id}; there are {known}")
+    raise Unavailable(f"nobody leads; name one of {known}, and say --stale-ok, for what it holds by itself")

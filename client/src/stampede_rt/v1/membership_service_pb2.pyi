@@ -64,3 +64,29 @@ class RemoveSupernodeResponse(_message.Message):
     supernodes: _containers.RepeatedCompositeFieldContainer[_directory_pb2.SupernodeRecord]
     index: int
     def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., index: _Optional[int] = ...) -> None: ...
+
+class TakeSnapshotRequest(_message.Message):
+    __slots__ = ("include_data", "stale_ok")
+    INCLUDE_DATA_FIELD_NUMBER: _ClassVar[int]
+    STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    include_data: bool
+    stale_ok: bool
+    def __init__(self, include_data: bool = ..., stale_ok: bool = ...) -> None: ...
+
+class TakeSnapshotResponse(_message.Message):
+    __slots__ = ("supernode_id", "log_index", "size_bytes", "sha256", "time_unix_nano", "took_nanos", "data")
+    SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
+    LOG_INDEX_FIELD_NUMBER: _ClassVar[int]
+    SIZE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    TOOK_NANOS_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    supernode_id: str
+    log_index: int
+    size_bytes: int
+    sha256: bytes
+    time_unix_nano: int
+    took_nanos: int
+    data: bytes
+    def __init__(self, supernode_id: _Optional[str] = ..., log_index: _Optional[int] = ..., size_bytes: _Optional[int] = ..., sha256: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., took_nanos: _Optional[int] = ..., data: _Optional[bytes] = ...) -> None: ...

@@ -52,6 +52,11 @@ class MembershipServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_membership__service__pb2.RemoveSupernodeRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_membership__service__pb2.RemoveSupernodeResponse.FromString,
                 _registered_method=True)
+        self.TakeSnapshot = channel.unary_stream(
+                '/stampede_rt.v1.MembershipService/TakeSnapshot',
+                request_serializer=stampede__rt_dot_v1_dot_membership__service__pb2.TakeSnapshotRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_membership__service__pb2.TakeSnapshotResponse.FromString,
+                _registered_method=True)
 
 
 class MembershipServiceServicer(object):
@@ -87,6 +92,16 @@ class MembershipServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def TakeSnapshot(self, request, context):
+        """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
+        what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
+        have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
+        stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_MembershipServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -104,6 +119,11 @@ def add_MembershipServiceServicer_to_server(servicer, server):
                     servicer.RemoveSupernode,
                     request_deserializer=stampede__rt_dot_v1_dot_membership__service__pb2.RemoveSupernodeRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_membership__service__pb2.RemoveSupernodeResponse.SerializeToString,
+            ),
+            'TakeSnapshot': grpc.unary_stream_rpc_method_handler(
+                    servicer.TakeSnapshot,
+                    request_deserializer=stampede__rt_dot_v1_dot_membership__service__pb2.TakeSnapshotRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_membership__service__pb2.TakeSnapshotResponse.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -190,6 +210,33 @@ class MembershipService(object):
             '/stampede_rt.v1.MembershipService/RemoveSupernode',
             stampede__rt_dot_v1_dot_membership__service__pb2.RemoveSupernodeRequest.SerializeToString,
             stampede__rt_dot_v1_dot_membership__service__pb2.RemoveSupernodeResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def TakeSnapshot(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_stream(
+            request,
+            target,
+            '/stampede_rt.v1.MembershipService/TakeSnapshot',
+            stampede__rt_dot_v1_dot_membership__service__pb2.TakeSnapshotRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_membership__service__pb2.TakeSnapshotResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -51,6 +51,12 @@ class MembershipServiceStub:
     removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
     (the last member, or one without which no majority would be alive), AMBIGUOUS.
     """
+    TakeSnapshot: _grpc.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]
+    """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
+    what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
+    have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
+    stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
+    """
 
 @_typing.type_check_only
 class MembershipServiceAsyncStub(MembershipServiceStub):
@@ -74,6 +80,12 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     """Remove a member for ever; its id never comes back. Idempotent: an absent one is no error. A leader that is to be
     removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
     (the last member, or one without which no majority would be alive), AMBIGUOUS.
+    """
+    TakeSnapshot: _aio.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]  # type: ignore[assignment]
+    """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
+    what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
+    have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
+    stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
     """
 
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -113,6 +125,18 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         """Remove a member for ever; its id never comes back. Idempotent: an absent one is no error. A leader that is to be
         removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
         (the last member, or one without which no majority would be alive), AMBIGUOUS.
+        """
+
+    @_abc_1.abstractmethod
+    def TakeSnapshot(
+        self,
+        request: _membership_service_pb2.TakeSnapshotRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_abc.Iterator[_membership_service_pb2.TakeSnapshotResponse], _abc.AsyncIterator[_membership_service_pb2.TakeSnapshotResponse]]:
+        """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
+        what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
+        have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
+        stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
         """
 
 def add_MembershipServiceServicer_to_server(servicer: MembershipServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

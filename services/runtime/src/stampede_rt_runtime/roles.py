@@ -45,6 +45,7 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "DirectoryService/DeregisterHost": _HOSTS,
     "GatekeeperService/Ping": _ALL,
     "MembershipService/CreateJoinToken": _OPERATORS,
+    "MembershipService/TakeSnapshot": _OPERATORS,
     "MigrationDirectoryService/GetMove": _CALLERS,
     "MigrationDirectoryService/ListMoves": _CALLERS,
     "MigrationService/HoldSubject": _HOSTS,

@@ -28,7 +28,10 @@ def prepare(argv: Sequence[str]) -> int:
     init = verbs.add_parser("init", help="found a cluster, once", description="Found a cluster of one, once.")
     init.set_defaults(run=_run_init)
     init.add_argument(
-        "--restore", type=Path, metavar="DIR", help="take over what this folder of a stopped, lost member holds"
+        "--restore",
+        type=Path,
+        metavar="PATH",
+        help="take over what a backup holds (see `stampede supernode snapshot`), or a lost member's folder",
     )
     join = verbs.add_parser("join", help="enter a cluster", description="Enter a running cluster, under a new id.")
     join.set_defaults(run=_run_join)
@@ -42,6 +45,9 @@ def prepare(argv: Sequence[str]) -> int:
     parsed = parser.parse_args(argv)
     try:
         return int(parsed.run(parsed))
+    except OSError as error:
+        sys.stderr.write(f"stampede supernode: {error.filename} cannot be used: {error.strerror}\n")
+        return FAILED
     except (StampedeError, ValueError) as error:
         sys.stderr.write(f"stampede supernode: {error}\n")
         return FAILED if isinstance(error, StampedeError) else MISUSED

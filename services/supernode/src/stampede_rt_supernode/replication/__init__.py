@@ -10,6 +10,7 @@ runs PySyncObj on a thread of its own; only this package imports that library, a
 On the way out, close the log before the server is stopped.
 """
 
+from stampede_rt_supernode.replication.backups import Backup, BackupHeader, make_backup
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     ChangeRefused,
@@ -19,6 +20,7 @@ from stampede_rt_supernode.replication.interface import (
     ReplicatedLog,
     ReplicationStatus,
     StateMachine,
+    TakenSnapshot,
     TicketSpent,
     Unavailable,
 )
@@ -34,6 +36,8 @@ __all__ = [
     "CHANNEL_OPTIONS",
     "COMMAND_BYTES_MAX",
     "Ambiguous",
+    "Backup",
+    "BackupHeader",
     "ChangeRefused",
     "ChangeUnderWay",
     "LibraryMismatch",
@@ -46,9 +50,11 @@ __all__ = [
     "StateMachine",
     "StoreDamaged",
     "StoreRefused",
+    "TakenSnapshot",
     "TicketSpent",
     "Unavailable",
     "holds_store",
+    "make_backup",
     "open_replicated_log",
     "restore_from",
 ]

@@ -1,4 +1,4 @@
-"""A new cluster from what one member of a lost one has kept: when a majority of the members is gone for good.
+"""A new cluster from what one member of a lost one has kept, or from a backup: when a majority is gone for good.
 
 What the member holds is taken over; what only the others held is lost, acknowledged or not. The new cluster has an id
 of its own, so that an old member that comes back after all cannot disturb it.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from stampede_rt_supernode.replication.backups import read_backup
 from stampede_rt_supernode.replication.codec import decode_configuration, decode_snapshot, encode_configuration
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
@@ -16,13 +17,30 @@ from stampede_rt_supernode.replication.sqlite_store import SqliteStore, holds_st
 from stampede_rt_supernode.replication.storage import Entry, StoreChanges, StoredState, StoreRefused
 
 
-def restore_from(old_dir: Path, new_dir: Path, *, founder: Member, cluster_id: str) -> int:
-    """Write a store of one member into `new_dir`, with all that `old_dir` holds; returns its last log position.
+def restore_from(source: Path, new_dir: Path, *, founder: Member, cluster_id: str) -> int:
+    """Write a store of one member into `new_dir`, with all that `source` holds; returns its last log position.
 
-    The old member must be stopped; its folder stays as it is. Blocks. Raises StoreRefused or StoreDamaged.
+    `source` is a backup, or the data folder of an old member, which must be stopped; it stays as it is. Blocks. Raises
+    StoreRefused, StoreDamaged or OSError.
     """
+    if source.is_file():
+        header, state = read_backup(source)
+        old_member_id = header.member_id
+    else:
+        old_member_id, state = _read_folder(source)
+    new = SqliteStore(new_dir, cluster_id=cluster_id, member_id=founder.member_id, create=True)
+    try:
+        new.commit(_taken_over(state, founder, old_member_id))
+    finally:
+        new.close()
+    return state.entries[-1].log_index
+
+
+def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
     if not holds_store(old_dir):
-        raise StoreRefused(f"{old_dir} holds no replicated log: name the data folder of a member of the lost cluster")
+        raise StoreRefused(
+            f"{old_dir} holds no replicated log: name the data folder of a member of the lost cluster, or a backup"
+        )
     old_cluster_id, old_member_id = read_identity(old_dir)
     old = SqliteStore(old_dir, cluster_id=old_cluster_id, member_id=old_member_id, create=False)
     try:
@@ -31,12 +49,7 @@ def restore_from(old_dir: Path, new_dir: Path, *, founder: Member, cluster_id: s
         old.close()
     if not state.entries:
         raise StoreRefused(f"{old_dir} has never held anything: there is nothing to restore")
-    new = SqliteStore(new_dir, cluster_id=cluster_id, member_id=founder.member_id, create=True)
-    try:
-        new.commit(_taken_over(state, founder, old_member_id))
-    finally:
-        new.close()
-    return state.entries[-1].log_index
+    return old_member_id, state
 
 
 def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:

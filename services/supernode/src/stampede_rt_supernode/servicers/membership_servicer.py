@@ -3,7 +3,8 @@
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
 
-from collections.abc import Awaitable
+import asyncio
+from collections.abc import AsyncIterator, Awaitable
 from typing import Any
 
 from stampede_rt.errors import (
@@ -31,6 +32,8 @@ PROTOCOL_VERSION = 1
 WAIT_SECONDS_MAX = 60.0
 ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears the reason and not just the deadline
 MEMBER_ID_CHARACTERS_MAX = 128
+SNAPSHOTS_MAX = 4
+QUORUM_SECONDS = 5.0  # a majority that is there answers at once, or elects a leader within 4 s
 
 
 class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
@@ -52,6 +55,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         self._tokens = tokens
         self._clock = clock
         self._log_cluster_id = log_cluster_id
+        self._snapshots_under_way = 0
 
     async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Any) -> pb.CreateJoinTokenResponse:
         """See the contract."""
@@ -75,6 +79,48 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             await abort(context, error)
         records, _ = self._members.records()
         return pb.AddSupernodeResponse(supernodes=records, cluster_id=self._cluster_id(), index=index)
+
+    async def TakeSnapshot(
+        self, request: pb.TakeSnapshotRequest, context: Any
+    ) -> AsyncIterator[pb.TakeSnapshotResponse]:
+        """See the contract."""
+        try:
+            if self._snapshots_under_way >= SNAPSHOTS_MAX:
+                raise Overloaded(f"{SNAPSHOTS_MAX} snapshots are asked for already; try again in a moment")
+            self._snapshots_under_way += 1
+            try:
+                backup, facts = await self._taken(stale_ok=request.stale_ok, seconds=_seconds(context))
+                yield facts
+                for data in backup.parts() if request.include_data else ():
+                    yield pb.TakeSnapshotResponse(data=data)
+            finally:
+                self._snapshots_under_way -= 1
+        except StampedeError as error:
+            await abort(context, error)
+
+    async def _taken(self, *, stale_ok: bool, seconds: float) -> tuple[replication.Backup, pb.TakeSnapshotResponse]:
+        """A snapshot as a file, and what is said of it. Raises Unavailable."""
+        began = self._clock.boottime_nanos()
+        try:
+            if not stale_ok:
+                await self._log.confirm_read(timeout=min(seconds, QUORUM_SECONDS))
+            taken = await self._log.take_snapshot(timeout=seconds)
+        except replication.Unavailable as error:
+            raise Unavailable(str(error), reason="NO_QUORUM") from error
+        took, now, member_id = self._clock.boottime_nanos() - began, self._clock.time_unix_nano(), self._members.self_id
+        cluster_id = self._replica.read(lambda directory: directory.cluster_id)
+        header = replication.BackupHeader(
+            member_id=member_id, cluster_id=cluster_id, log_index=taken.log_index, time_unix_nano=now
+        )
+        backup = await asyncio.to_thread(replication.make_backup, header, taken.record)
+        return backup, pb.TakeSnapshotResponse(
+            supernode_id=member_id,
+            log_index=taken.log_index,
+            size_bytes=backup.size_bytes,
+            sha256=backup.sha256,
+            time_unix_nano=now,
+            took_nanos=took,
+        )
 
     async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Any) -> pb.RemoveSupernodeResponse:
         """See the contract."""

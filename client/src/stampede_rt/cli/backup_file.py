@@ -1,0 +1,50 @@
+"""A backup on its way to a file: whole and checked, or not there at all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import membership_service_pb2 as pb
+
+SHA256_BYTES = 32
+
+
+def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.TakeSnapshotResponse:
+    """Write the backup that `responses` bring to `out`, readable by its user only; return the first one, the facts.
+
+    A file that is there is replaced, once the new one is whole and on the disk. Raises OSError, StampedeError if it is
+    not what was announced, and what `responses` raise.
+    """
+    draft = out.parent / f".{out.name}.{secrets.token_hex(4)}"
+    descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            facts = next(responses)
+            _copy(responses, facts, file)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(out)
+    finally:
+        draft.unlink(missing_ok=True)
+    return facts
+
+
+def _copy(responses: Iterator[pb.TakeSnapshotResponse], facts: pb.TakeSnapshotResponse, file: BinaryIO) -> None:
+    # The SHA-256 is the file's own end; what it is of comes before.
+    digest, tail, size_bytes = hashlib.sha256(), b"", 0
+    for response in responses:
+        file.write(response.data)
+        size_bytes += len(response.data)
+        joined = tail + response.data
+        digest.update(joined[:-SHA256_BYTES])
+        tail = joined[-SHA256_BYTES:]
+    if size_bytes != facts.size_bytes or not digest.digest() == tail == facts.sha256:
+        raise StampedeError(
+            f"the backup came damaged: {size_bytes} of {facts.size_bytes} bytes, or with another checksum; try again"
+        )
