@@ -45,7 +45,7 @@ class ShortOfMemory(_Leases):
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         await super()._take_over(status)
-        self._table.ttl_nanos //= 4
+        self._hosts.ttl_nanos //= 4
 
 
 class NeverFenced(HostLease):

@@ -107,8 +107,8 @@ class _Leases(LeaseKeeper):
 
     async def _end_due_leases(self) -> None:
         now = self._clock.boottime_nanos()
-        self._table.follow(self._replica.read(lambda directory: list(directory.tables.live_hosts())), now)
-        for lease in self._table.due(now):
+        self._hosts.follow(self._replica.read(lambda directory: list(directory.tables.live_hosts())), now)
+        for lease in self._hosts.due(now):
             await self._end(*lease)
 
 

@@ -20,7 +20,9 @@ from stampede_rt_supernode.core.commands import (
 )
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
-from stampede_rt_supernode.core.records import Endpoint, GroupSpec, ReplicaKind
+from stampede_rt_supernode.core.peers.commands import DeregisterPeer, ExpirePeers, PeerLease, RegisterPeer
+from stampede_rt_supernode.core.queues.commands import DeleteQueue, OpenQueue, UpdateQueue
+from stampede_rt_supernode.core.records import Endpoint, GroupSpec, QueueSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 
 TTL_NANOS = 5 * 10**9
@@ -140,3 +142,50 @@ def set_in_sync(
     return SetReplicaInSync(
         channel_id=channel_id, epoch=epoch, host_id=id_of(host), boot_incarnation=boot, in_sync=in_sync
     )
+
+
+def open_queue(
+    name: str, *, host: str = "", create: bool = True, incarnation: int = 66, as_of: int = 0, **spec: Any
+) -> OpenQueue:
+    return OpenQueue(
+        name=name,
+        spec=QueueSpec(**spec),
+        create=create,
+        host_name=host,
+        new_queue_id=id_of(next(_channel_numbers)),
+        new_incarnation=incarnation,
+        as_of_index=as_of,
+    )
+
+
+def update_queue(queue_id: bytes, epoch: int = 1, **spec: Any) -> UpdateQueue:
+    return UpdateQueue(queue_id=queue_id, epoch=epoch, spec=QueueSpec(**spec))
+
+
+def delete_queue(queue_id: bytes) -> DeleteQueue:
+    return DeleteQueue(queue_id=queue_id)
+
+
+def register_peer(
+    number: int, name: str = "", *, boot: int = 1, proof: int = 0, incarnation: int = 55, **fields: Any
+) -> RegisterPeer:
+    """`proof` 0: none."""
+    return RegisterPeer(
+        peer_id=id_of(number),
+        name=name,
+        boot_incarnation=boot,
+        proof_sha256=bytes([proof]) * 32 if proof else b"",
+        new_mailbox_id=id_of(next(_channel_numbers)),
+        new_incarnation=incarnation,
+        **fields,
+    )
+
+
+def deregister_peer(number: int, *, boot: int = 1) -> DeregisterPeer:
+    return DeregisterPeer(peer_id=id_of(number), boot_incarnation=boot)
+
+
+def expire_peers(*leases: tuple[int, int], boot: int = 1, tenure: int = 1) -> ExpirePeers:
+    """`leases`: (number, registered index) of each."""
+    ended = (PeerLease(peer_id=id_of(one), boot_incarnation=boot, registered_index=at) for one, at in leases)
+    return ExpirePeers(leases=tuple(ended), tenure=tenure)

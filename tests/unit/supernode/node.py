@@ -18,6 +18,8 @@ from stampede_rt.v1 import (
     directory_pb2,
     directory_service_pb2_grpc,
     group_directory_service_pb2_grpc,
+    peer_service_pb2_grpc,
+    queue_directory_service_pb2_grpc,
     replica_directory_service_pb2_grpc,
 )
 from stampede_rt.v1 import directory_service_pb2 as pb
@@ -55,6 +57,8 @@ class Node:
     stub: Any
     groups: Any
     replicas: Any
+    queues: Any
+    peers: Any
 
     async def open(self, name: str, **fields: Any) -> pb.OpenChannelResponse:
         fields = {"request_id": secrets.token_bytes(16), "create": True, **fields}
@@ -110,7 +114,8 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
 
     def register(server: grpc.aio.Server) -> None:
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
-        register_record_services(server, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock))
+        loads = LoadKeeper(log, replica, clock=clock)
+        register_record_services(server, DirectoryCalls(replica, submission), loads, leases, watches)
 
     async with (
         serving(register) as server,
@@ -119,7 +124,10 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
         groups = group_directory_service_pb2_grpc.GroupDirectoryServiceStub(channel)
         replicas = replica_directory_service_pb2_grpc.ReplicaDirectoryServiceStub(channel)
-        yield Node(log, replica, leases, watches, probe, submission, clock, server.address, stub, groups, replicas)
+        queues = queue_directory_service_pb2_grpc.QueueDirectoryServiceStub(channel)
+        peers = peer_service_pb2_grpc.PeerServiceStub(channel)
+        parts = (log, replica, leases, watches, probe, submission, clock, server.address)
+        yield Node(*parts, stub, groups, replicas, queues, peers)
         watches.close()
 
 

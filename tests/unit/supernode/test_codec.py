@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -21,25 +22,45 @@ from stampede_rt_supernode.core.commands import (
     TenureBegun,
 )
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
-from stampede_rt_supernode.core.records import Channel, Endpoint, Group, GroupSpec, Host, Replica, ReplicaKind
+from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
+from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
+from stampede_rt_supernode.core.records import (
+    Channel,
+    Endpoint,
+    Group,
+    GroupSpec,
+    Host,
+    Peer,
+    Queue,
+    QueueSpec,
+    Replica,
+    ReplicaKind,
+)
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import COMMAND_BYTES_MAX
+from stampede_rt_supernode.servicers.lease_keeper import PEERS_PER_ENTRY_MAX
 from tests.unit.supernode.deeds import (
     add_replica,
     begin_tenure,
     delete,
     delete_group,
+    delete_queue,
     deregister,
+    deregister_peer,
     expire,
+    expire_peers,
     id_of,
     open_channel,
     open_group,
+    open_queue,
     register,
+    register_peer,
     remove_replica,
     set_in_sync,
     update,
     update_group,
+    update_queue,
 )
 
 EVERYTHING: dict[str, Any] = {
@@ -51,6 +72,25 @@ EVERYTHING: dict[str, Any] = {
     "max_future_nanos": 0,
     "content_type": "",
     "max_item_bytes": 5,
+}
+EVERYTHING_OF_QUEUES: dict[str, Any] = {
+    "max_items": 1,
+    "max_bytes": 2**64 - 1,
+    "on_full": "drop_oldest",
+    "copies": 2**32 - 1,
+    "lease_nanos": 2**63 - 1,
+    "max_deliveries": 3,
+    "dead_letter_queue_id": id_of(9),
+    "content_type": "",
+    "max_item_bytes": 4,
+}
+EVERYTHING_OF_PEERS: dict[str, Any] = {
+    "mailbox": QueueSpec(**EVERYTHING_OF_QUEUES),
+    "mailbox_host_name": "rig",
+    "host_id": id_of(3),
+    "zone": "lab",
+    "version": "0.1.0",
+    "attributes": (("", "x"), ("a", ""), ("role", "planner")),
 }
 DEEDS: list[Deed] = [
     open_channel("cam", host="rig", create=False, **EVERYTHING),
@@ -71,6 +111,16 @@ DEEDS: list[Deed] = [
     add_replica(id_of(2)),
     remove_replica(id_of(2), 3),
     set_in_sync(id_of(2), 3, epoch=4, boot=5),
+    open_queue("jobs", host="rig", create=False, as_of=9, **EVERYTHING_OF_QUEUES),
+    open_queue("jobs"),
+    update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
+    delete_queue(id_of(2)),
+    register_peer(1, "planner", boot=2**64 - 1, proof=7, **EVERYTHING_OF_PEERS),
+    register_peer(1, "planner", mailbox=QueueSpec()),
+    register_peer(1),
+    deregister_peer(1, boot=2),
+    expire_peers((1, 2), (3, 2**64 - 1), boot=9, tenure=8),
+    expire_peers(),
 ]
 HOST = Host(
     host_id=id_of(1),
@@ -109,6 +159,31 @@ REPLICA = Replica(
     acknowledged=True,
     epoch=3,
 )
+QUEUE = Queue(
+    queue_id=id_of(5),
+    name="jobs",
+    host_id=id_of(1),
+    epoch=3,
+    incarnation=2**64 - 1,
+    spec=QueueSpec(**EVERYTHING_OF_QUEUES),
+    spec_version=2,
+)
+MAILBOX = replace(QUEUE, queue_id=id_of(6), name="", spec=QueueSpec(), mailbox_peer_id=id_of(7))
+PEER = Peer(
+    peer_id=id_of(7),
+    name="planner",
+    boot_incarnation=8,
+    mailbox_queue_id=id_of(6),
+    host_id=id_of(1),
+    zone="lab",
+    version="0.1.0",
+    attributes=(("a", ""), ("role", "planner")),
+    registered_unix_nano=-1,
+    proof_sha256=bytes(32),
+    registered_index=9,
+    ended_index=10,
+)
+BARE_PEER = Peer(peer_id=id_of(8), name="", boot_incarnation=8, registered_unix_nano=1, registered_index=9)
 RESULTS: list[Result] = [
     Refused(reason="NO_HOST", message="none", metadata={"channel": "cam"}),
     ChannelOpened(channel=CHANNEL, host=HOST, created=True),
@@ -124,6 +199,13 @@ RESULTS: list[Result] = [
     ReplicaAdded(replica=REPLICA, host=HOST),
     ReplicaRemoved(),
     ReplicaInSyncSet(replica=REPLICA),
+    QueueOpened(queue=QUEUE, host=HOST, created=True),
+    QueueUpdated(queue=MAILBOX),
+    QueueDeleted(queue=QUEUE),
+    PeerRegistered(peer=PEER, mailbox=MAILBOX, mailbox_host=HOST, mailbox_kept=True, cluster_id="c"),
+    PeerRegistered(peer=BARE_PEER, mailbox=None, mailbox_host=None, mailbox_kept=False, cluster_id="c"),
+    PeerDeregistered(),
+    PeersExpired(expired=3),
 ]
 
 
@@ -142,18 +224,24 @@ def test_every_kind_of_command_and_result_is_covered() -> None:
     kinds = directory_command_pb2.DirectoryCommand.DESCRIPTOR.oneofs_by_name["kind"].fields
     outcomes = directory_command_pb2.DirectoryResult.DESCRIPTOR.oneofs_by_name["outcome"].fields
     assert len({type(deed) for deed in DEEDS}) == len(kinds)
-    assert len(RESULTS) == len(outcomes)
+    assert len({type(result) for result in RESULTS}) == len(outcomes)
 
 
 def test_the_greatest_command_fits_the_log() -> None:
     widest = "x" * 256
-    from dataclasses import replace
-
     members = tuple(id_of(number) for number in range(64))
     deeds: list[Deed] = [
         replace(register(1), gatekeepers=(Endpoint(target=widest, zone="z" * 64),) * 16, version="v" * 64),
         open_group("x" * 128, members, reference_channel_id=members[0], idle_after_nanos=1, max_lead_nanos=1),
         update_group(id_of(1), add=members, remove=members, version=2**64 - 1),
+        register_peer(
+            1,
+            "x" * 128,
+            boot=2**64 - 1,
+            proof=255,
+            **EVERYTHING_OF_PEERS | {"attributes": tuple((f"{number:032}", "v" * 96) for number in range(32))},
+        ),
+        expire_peers(*((number, 2**64 - 1) for number in range(PEERS_PER_ENTRY_MAX)), boot=2**64 - 1, tenure=2**64 - 1),
     ]
     for deed in deeds:
         assert len(encode_command(Command(op_id=id_of(1), time_unix_nano=0, deed=deed))) < COMMAND_BYTES_MAX
@@ -199,5 +287,5 @@ def test_a_group_that_this_version_cannot_read_is_refused(field: str, value: Any
 
 
 def test_a_snapshot_of_another_form_is_not_taken_for_ours() -> None:
-    with pytest.raises(VersionMismatch, match="format 3"):
-        decode_snapshot(directory_command_pb2.DirectorySnapshot(format_version=3).SerializeToString())
+    with pytest.raises(VersionMismatch, match="format 4"):
+        decode_snapshot(directory_command_pb2.DirectorySnapshot(format_version=4).SerializeToString())

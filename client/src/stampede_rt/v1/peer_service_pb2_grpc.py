@@ -29,7 +29,6 @@ class PeerServiceStub(object):
     """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve peers yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel):
@@ -74,7 +73,6 @@ class PeerServiceServicer(object):
     """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve peers yet answers UNIMPLEMENTED.
     """
 
     def RegisterPeer(self, request, context):
@@ -168,7 +166,6 @@ class PeerService(object):
     """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve peers yet answers UNIMPLEMENTED.
     """
 
     @staticmethod

@@ -30,7 +30,6 @@ class PeerServiceStub:
     """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve peers yet answers UNIMPLEMENTED.
     """
 
     @_typing.overload
@@ -62,7 +61,6 @@ class PeerServiceAsyncStub(PeerServiceStub):
     """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve peers yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -90,7 +88,6 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
     """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
-    A server that does not serve peers yet answers UNIMPLEMENTED.
     """
 
     @_abc_1.abstractmethod

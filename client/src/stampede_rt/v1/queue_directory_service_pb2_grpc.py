@@ -29,7 +29,6 @@ class QueueDirectoryServiceStub(object):
     """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
     answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel):
@@ -69,7 +68,6 @@ class QueueDirectoryServiceServicer(object):
     """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
     answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
     """
 
     def OpenQueue(self, request, context):
@@ -152,7 +150,6 @@ class QueueDirectoryService(object):
     """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
     answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
     """
 
     @staticmethod

@@ -30,7 +30,6 @@ class QueueDirectoryServiceStub:
     """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
     answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
     """
 
     @_typing.overload
@@ -61,7 +60,6 @@ class QueueDirectoryServiceAsyncStub(QueueDirectoryServiceStub):
     """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
     answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -88,7 +86,6 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
     promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
     answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
     """
 
     @_abc_1.abstractmethod

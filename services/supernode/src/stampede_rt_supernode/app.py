@@ -124,7 +124,8 @@ def _register(parts: _Parts, server: grpc.aio.Server) -> None:
     log, replica, submission, clock = parts.log, parts.replica, parts.submission, parts.clock
     servicer = DirectoryServicer(replica, submission, parts.leases, parts.watches, parts.members, clock)
     directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
-    register_record_services(server, DirectoryCalls(replica, submission), LoadKeeper(log, replica, clock=clock))
+    loads = LoadKeeper(log, replica, clock=clock)
+    register_record_services(server, DirectoryCalls(replica, submission), loads, parts.leases, parts.watches)
     membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server)
 
 

@@ -14,13 +14,26 @@ from stampede_rt_supernode.codecs.group_codec import (
     read_group_result,
     write_group_deed,
 )
+from stampede_rt_supernode.codecs.host_codec import endpoint_message, endpoints_from, host_entry, host_from
+from stampede_rt_supernode.codecs.peer_codec import (
+    PEER_DEEDS,
+    PEER_OUTCOMES,
+    peer_result_message,
+    read_peer_deed,
+    read_peer_result,
+    write_peer_deed,
+)
+from stampede_rt_supernode.codecs.queue_codec import (
+    QUEUE_DEEDS,
+    QUEUE_OUTCOMES,
+    queue_result_message,
+    read_queue_deed,
+    read_queue_result,
+    write_queue_deed,
+)
 from stampede_rt_supernode.codecs.record_codec import (
     channel_from,
     channel_record,
-    endpoint_message,
-    endpoints_from,
-    host_entry,
-    host_from,
     policy_from,
     spec_of,
 )
@@ -59,6 +72,22 @@ from stampede_rt_supernode.core.groups.commands import (
     GroupUpdated,
     OpenGroup,
     UpdateGroup,
+)
+from stampede_rt_supernode.core.peers.commands import (
+    DeregisterPeer,
+    ExpirePeers,
+    PeerDeregistered,
+    PeerRegistered,
+    PeersExpired,
+    RegisterPeer,
+)
+from stampede_rt_supernode.core.queues.commands import (
+    DeleteQueue,
+    OpenQueue,
+    QueueDeleted,
+    QueueOpened,
+    QueueUpdated,
+    UpdateQueue,
 )
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
@@ -99,6 +128,10 @@ def _write_deed(message: pb.DirectoryCommand, deed: Deed) -> None:
             write_group_deed(message, deed)
         case AddReplica() | RemoveReplica() | SetReplicaInSync():
             write_replica_deed(message, deed)
+        case OpenQueue() | UpdateQueue() | DeleteQueue():
+            write_queue_deed(message, deed)
+        case RegisterPeer() | DeregisterPeer() | ExpirePeers():
+            write_peer_deed(message, deed)
 
 
 def _open_message(deed: OpenChannel) -> pb.OpenChannelCommand:
@@ -109,6 +142,7 @@ def _open_message(deed: OpenChannel) -> pb.OpenChannelCommand:
         host_name=deed.host_name,
         new_channel_id=deed.new_channel_id,
         new_incarnation=deed.new_incarnation,
+        as_of_index=deed.as_of_index,
     )
 
 
@@ -174,6 +208,10 @@ def _read_deed(message: pb.DirectoryCommand) -> Deed:
             return read_group_deed(message)
         case kind if kind in REPLICA_DEEDS:
             return read_replica_deed(message)
+        case kind if kind in QUEUE_DEEDS:
+            return read_queue_deed(message)
+        case kind if kind in PEER_DEEDS:
+            return read_peer_deed(message)
         case _:
             raise VersionMismatch(
                 "this supernode does not know that kind of directory command; bring all supernodes to one version"
@@ -188,6 +226,7 @@ def _read_open(message: pb.OpenChannelCommand) -> OpenChannel:
         host_name=message.host_name,
         new_channel_id=message.new_channel_id,
         new_incarnation=message.new_incarnation,
+        as_of_index=message.as_of_index,
     )
 
 
@@ -246,6 +285,10 @@ def result_message(result: Result) -> pb.DirectoryResult:
             return group_result_message(result)
         case ReplicaAdded() | ReplicaRemoved() | ReplicaInSyncSet():
             return replica_result_message(result)
+        case QueueOpened() | QueueUpdated() | QueueDeleted():
+            return queue_result_message(result)
+        case PeerRegistered() | PeerDeregistered() | PeersExpired():
+            return peer_result_message(result)
 
 
 def encode_result(result: Result) -> bytes:
@@ -281,6 +324,10 @@ def read_result(message: pb.DirectoryResult) -> Result:
             return read_group_result(message)
         case outcome if outcome in REPLICA_OUTCOMES:
             return read_replica_result(message)
+        case outcome if outcome in QUEUE_OUTCOMES:
+            return read_queue_result(message)
+        case outcome if outcome in PEER_OUTCOMES:
+            return read_peer_result(message)
         case _:
             raise StampedeError("the replicated log gave a result that this supernode does not know; report this")
 

@@ -1,15 +1,17 @@
-"""Hosts, channels and their changes, to and from the messages that carry them. Thin: no decision is made here."""
+"""Channels, and changes of all kinds, to and from the messages that carry them. Thin: no decision is made here."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Policy
-from stampede_rt.v1 import channel_pb2, directory_command_pb2, directory_pb2
+from stampede_rt.v1 import channel_pb2, directory_pb2, peer_pb2
 from stampede_rt_supernode.codecs.group_codec import group_record
-from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Endpoint, Host
+from stampede_rt_supernode.codecs.host_codec import host_record
+from stampede_rt_supernode.codecs.peer_codec import peer_record
+from stampede_rt_supernode.codecs.queue_codec import queue_record
+from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Peer, Queue
 
 _ON_FULL_TO_WIRE = {
     None: channel_pb2.ON_FULL_UNSPECIFIED,
@@ -77,56 +79,24 @@ def channel_record(channel: Channel) -> channel_pb2.ChannelRecord:
     )
 
 
-def endpoints_from(endpoints: Iterable[directory_pb2.Endpoint]) -> tuple[Endpoint, ...]:
-    """From a repeated Endpoint."""
-    return tuple(Endpoint(target=one.target, zone=one.zone) for one in endpoints)
-
-
-def endpoint_message(endpoint: Endpoint) -> directory_pb2.Endpoint:
-    """An endpoint as it travels."""
-    return directory_pb2.Endpoint(target=endpoint.target, zone=endpoint.zone)
-
-
-def host_record(host: Host) -> directory_pb2.HostRecord:
-    """The host as clients see it."""
-    return directory_pb2.HostRecord(
-        host_id=host.host_id,
-        name=host.name,
-        gatekeepers=[endpoint_message(endpoint) for endpoint in host.gatekeepers],
-        boot_incarnation=host.boot_incarnation,
-        alive=host.alive,
-        channels=host.channels,
-        version=host.version,
-    )
-
-
-def host_entry(host: Host) -> directory_command_pb2.HostEntry:
-    """The host as supernodes keep it."""
-    return directory_command_pb2.HostEntry(record=host_record(host), registered_index=host.registered_index)
-
-
-def host_from(entry: directory_command_pb2.HostEntry) -> Host:
-    """The host of an entry that this codec wrote."""
-    record = entry.record
-    return Host(
-        host_id=record.host_id,
-        name=record.name,
-        gatekeepers=endpoints_from(record.gatekeepers),
-        boot_incarnation=record.boot_incarnation,
-        version=record.version,
-        alive=record.alive,
-        channels=record.channels,
-        registered_index=entry.registered_index,
-    )
-
-
 def change_message(change: Change) -> directory_pb2.DirectoryChange:
-    """The change as watchers see it."""
+    """The change as watchers of channels, hosts, groups and queues see it."""
     message = directory_pb2.DirectoryChange(index=change.index, kind=_CHANGE_KINDS[change.kind])
-    if isinstance(change.subject, Channel):
-        message.channel.CopyFrom(channel_record(change.subject))
-    elif isinstance(change.subject, Host):
-        message.host.CopyFrom(host_record(change.subject))
-    else:
-        message.group.CopyFrom(group_record(change.subject))
+    match change.subject:
+        case Channel() as channel:
+            message.channel.CopyFrom(channel_record(channel))
+        case Host() as host:
+            message.host.CopyFrom(host_record(host))
+        case Group() as group:
+            message.group.CopyFrom(group_record(group))
+        case Queue() as queue:
+            message.queue.CopyFrom(queue_record(queue))
+        case Peer(peer_id=peer_id):
+            raise AssertionError(f"peer {peer_id.hex()} is among changes that are not of peers")
     return message
+
+
+def peer_change_message(change: Change) -> peer_pb2.PeerChange:
+    """The change as watchers of peers see it."""
+    assert isinstance(change.subject, Peer)  # the ring of peers holds nothing else
+    return peer_pb2.PeerChange(index=change.index, kind=_CHANGE_KINDS[change.kind], peer=peer_record(change.subject))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import replica_pb2, subject_pb2
-from stampede_rt_supernode.codecs.record_codec import host_entry, host_from
+from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
 from stampede_rt_supernode.core.commands import ReplicaDeed, ReplicaSuccess
 from stampede_rt_supernode.core.records import Replica, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import (

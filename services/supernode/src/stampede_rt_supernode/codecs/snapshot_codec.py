@@ -14,16 +14,21 @@ from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import read_result, result_message
 from stampede_rt_supernode.codecs.group_codec import group_entry, group_entry_from
-from stampede_rt_supernode.codecs.record_codec import channel_from, channel_record, host_entry, host_from
+from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
+from stampede_rt_supernode.codecs.peer_codec import peer_entry, peer_from
+from stampede_rt_supernode.codecs.queue_codec import queue_from, queue_record
+from stampede_rt_supernode.codecs.record_codec import channel_from, channel_record
 from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_record
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
-from stampede_rt_supernode.core.records import Channel, Replica
+from stampede_rt_supernode.core.records import Channel, Peer, Queue, Replica
+from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
 FORMAT_VERSION_WITH_GROUPS = 2  # or copies of channels, which a reader of form 1 would lose without a word
+FORMAT_VERSION_WITH_QUEUES = 3  # or peers
 
 T = TypeVar("T")
 
@@ -37,6 +42,8 @@ class SnapshotWriter:
         self._replicas: _Parts[tuple[Replica, ...]] = _Parts(
             lambda copies: pb.DirectorySnapshot(replicas=[replica_record(one) for one in copies])
         )
+        self._queues: _Parts[Queue] = _Parts(lambda one: pb.DirectorySnapshot(queues=[queue_record(one)]))
+        self._peers: _Parts[Peer] = _Parts(lambda one: pb.DirectorySnapshot(peers=[peer_entry(one)]))
         self._answers: _Parts[Answer] = _Parts(
             lambda answer: pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
         )
@@ -51,6 +58,8 @@ class SnapshotWriter:
                 *self._channels.encode((one, tables.channels[one]) for one in ids),
                 *self._groups.encode(tables.groups.entries()),
                 *self._replicas.encode((one, copies) for one in ids if (copies := tables.replicas.of(one))),
+                *self._queues.encode(sorted(tables.queues.by_id.items())),
+                *self._peers.encode(sorted(tables.peers.by_id.items())),
                 *self._answers.encode((answer.op_id, answer) for answer in directory.answered),
             ]
         )
@@ -78,13 +87,20 @@ class _Parts(Generic[T]):
 def _head(directory: Directory) -> bytes:
     tables, hosts = directory.tables, directory.tables.hosts
     return pb.DirectorySnapshot(
-        format_version=FORMAT_VERSION_WITH_GROUPS if tables.groups or tables.replicas else FORMAT_VERSION,
+        format_version=_form_of(tables),
         applied_index=directory.applied_index,
         tenure=directory.tenure,
         cluster_id=directory.cluster_id,
         lease_ttl_nanos=directory.lease_ttl_nanos,
         hosts=[host_entry(hosts[host_id]) for host_id in sorted(hosts)],
     ).SerializeToString()
+
+
+def _form_of(tables: Tables) -> int:
+    """The least that holds all of it, so that supernodes of an older version read what they can."""
+    if tables.queues or tables.peers:
+        return FORMAT_VERSION_WITH_QUEUES
+    return FORMAT_VERSION_WITH_GROUPS if tables.groups or tables.replicas else FORMAT_VERSION
 
 
 def _remembered(answer: Answer) -> pb.RememberedOperation:
@@ -101,10 +117,10 @@ def encode_snapshot(directory: Directory) -> bytes:
 def decode_snapshot(encoded: bytes) -> Directory:
     """The directory that was written. Raises DecodeError or VersionMismatch: do not go on without it."""
     message = pb.DirectorySnapshot.FromString(encoded)
-    if message.format_version not in (FORMAT_VERSION, FORMAT_VERSION_WITH_GROUPS):
+    if not FORMAT_VERSION <= message.format_version <= FORMAT_VERSION_WITH_QUEUES:
         raise VersionMismatch(
-            f"the snapshot has format {message.format_version}, this supernode reads {FORMAT_VERSION} and "
-            f"{FORMAT_VERSION_WITH_GROUPS}; run the version that wrote it"
+            f"the snapshot has format {message.format_version}, this supernode reads {FORMAT_VERSION} to "
+            f"{FORMAT_VERSION_WITH_QUEUES}; run the version that wrote it"
         )
     return Directory(
         index=message.applied_index,
@@ -115,6 +131,8 @@ def decode_snapshot(encoded: bytes) -> Directory:
         channels=[channel_from(record) for record in message.channels],
         groups=[group_entry_from(entry) for entry in message.groups],
         replicas=[replica_from(record) for record in message.replicas],
+        queues=[queue_from(record) for record in message.queues],
+        peers=[peer_from(entry) for entry in message.peers],
         answers=[_answer(operation) for operation in message.remembered_operations],
     )
 

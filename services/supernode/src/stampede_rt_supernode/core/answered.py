@@ -37,6 +37,10 @@ class Answered:
     def __len__(self) -> int:
         return len(self._answers)
 
+    def newest_first(self) -> Iterator[Answer]:
+        """In falling order of their indexes."""
+        return reversed(self._answers.values())
+
     def find(self, op_id: bytes, subject: str) -> Success | None:
         """The result of that operation, or None. Raises InvalidArgument if the id was used for something else."""
         answer = self._answers.get(op_id)

@@ -21,6 +21,22 @@ from stampede_rt_supernode.core.groups.commands import (
     OpenGroup,
     UpdateGroup,
 )
+from stampede_rt_supernode.core.peers.commands import (
+    DeregisterPeer,
+    ExpirePeers,
+    PeerDeregistered,
+    PeerRegistered,
+    PeersExpired,
+    RegisterPeer,
+)
+from stampede_rt_supernode.core.queues.commands import (
+    DeleteQueue,
+    OpenQueue,
+    QueueDeleted,
+    QueueOpened,
+    QueueUpdated,
+    UpdateQueue,
+)
 from stampede_rt_supernode.core.records import Channel, Endpoint, Host
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
@@ -34,7 +50,10 @@ from stampede_rt_supernode.core.replicas.commands import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenChannel:
-    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
+    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew.
+
+    `as_of_index`: how far the proposer's state reached when the request came; 0: not known. See `Directory.apply`.
+    """
 
     name: str
     policy: Policy = field(default_factory=Policy)
@@ -42,6 +61,7 @@ class OpenChannel:
     host_name: str = ""
     new_channel_id: bytes
     new_incarnation: int
+    as_of_index: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -104,7 +124,9 @@ ChannelDeed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
 HostDeed: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure
 GroupDeed: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
 ReplicaDeed: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
-Deed: TypeAlias = ChannelDeed | HostDeed | GroupDeed | ReplicaDeed
+QueueDeed: TypeAlias = OpenQueue | UpdateQueue | DeleteQueue
+PeerDeed: TypeAlias = RegisterPeer | DeregisterPeer | ExpirePeers
+Deed: TypeAlias = ChannelDeed | HostDeed | GroupDeed | ReplicaDeed | QueueDeed | PeerDeed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -120,7 +142,7 @@ def subject_of(deed: Deed) -> str:
     """What a deed is about, kind and thing: an operation id that comes back with another subject is a mistake."""
     kind = type(deed).__name__
     match deed:
-        case OpenChannel(name=name) | OpenGroup(name=name):
+        case OpenChannel(name=name) | OpenGroup(name=name) | OpenQueue(name=name):
             return f"{kind} {name}"
         case UpdateChannel(channel_id=thing) | DeleteChannel(channel_id=thing):
             return f"{kind} {thing.hex()}"
@@ -132,6 +154,12 @@ def subject_of(deed: Deed) -> str:
             return f"{kind} {thing.hex()}"
         case AddReplica() | RemoveReplica() | SetReplicaInSync():
             return f"{kind} {deed.channel_id.hex()} {deed.host_id.hex()}"
+        case UpdateQueue(queue_id=thing) | DeleteQueue(queue_id=thing):
+            return f"{kind} {thing.hex()}"
+        case RegisterPeer(peer_id=thing) | DeregisterPeer(peer_id=thing):
+            return f"{kind} {thing.hex()}"
+        case ExpirePeers(leases=leases, tenure=tenure):
+            return f"{kind} {tenure} {len(leases)}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -205,6 +233,8 @@ class TenureBegun:
 
 GroupSuccess: TypeAlias = GroupOpened | GroupUpdated | GroupDeleted
 ReplicaSuccess: TypeAlias = ReplicaAdded | ReplicaRemoved | ReplicaInSyncSet
+QueueSuccess: TypeAlias = QueueOpened | QueueUpdated | QueueDeleted
+PeerSuccess: TypeAlias = PeerRegistered | PeerDeregistered | PeersExpired
 Success: TypeAlias = (
     ChannelOpened
     | ChannelUpdated
@@ -215,5 +245,7 @@ Success: TypeAlias = (
     | TenureBegun
     | GroupSuccess
     | ReplicaSuccess
+    | QueueSuccess
+    | PeerSuccess
 )
 Result: TypeAlias = Refused | Success

@@ -6,7 +6,8 @@ their values come stamped in the commands. A command that makes no sense is refu
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt_supernode.core.answered import Answer, Answered
@@ -24,16 +25,12 @@ from stampede_rt_supernode.core.commands import (
     DeleteChannel,
     DeregisterHost,
     ExpireHost,
-    GroupDeed,
-    GroupSuccess,
     HostDeregistered,
     HostExpired,
     HostRegistered,
     OpenChannel,
     Refused,
     RegisterHost,
-    ReplicaDeed,
-    ReplicaSuccess,
     Result,
     Success,
     TenureBegun,
@@ -49,7 +46,25 @@ from stampede_rt_supernode.core.groups.transitions import (
     update_group,
 )
 from stampede_rt_supernode.core.host_transitions import check_register, deregister_host, expire_host, register_host
-from stampede_rt_supernode.core.records import Channel, Group, Host, Replica
+from stampede_rt_supernode.core.late_opens import check_in_time
+from stampede_rt_supernode.core.peers.checks import check_register_peer
+from stampede_rt_supernode.core.peers.commands import (
+    DeregisterPeer,
+    ExpirePeers,
+    PeerDeregistered,
+    PeersExpired,
+    RegisterPeer,
+)
+from stampede_rt_supernode.core.peers.transitions import deregister_peer, expire_peers, register_peer
+from stampede_rt_supernode.core.queues.commands import DeleteQueue, OpenQueue, UpdateQueue
+from stampede_rt_supernode.core.queues.transitions import (
+    check_open_queue,
+    check_update_queue,
+    delete_queue,
+    open_queue,
+    update_queue,
+)
+from stampede_rt_supernode.core.records import Channel, Group, Host, Peer, Queue, Replica
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 from stampede_rt_supernode.core.replicas.transitions import (
     add_replica,
@@ -62,37 +77,50 @@ from stampede_rt_supernode.core.replicas.transitions import (
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
+_CHECKS: Mapping[type[Deed], Callable[[Any], None]] = {
+    OpenChannel: check_open,
+    UpdateChannel: check_update,
+    DeleteChannel: lambda deed: check_id(deed.channel_id, "channel_id"),
+    RegisterHost: check_register,
+    DeregisterHost: lambda deed: check_id(deed.host_id, "host_id"),
+    OpenGroup: check_open_group,
+    UpdateGroup: check_update_group,
+    DeleteGroup: lambda deed: check_id(deed.group_id, "group_id"),
+    AddReplica: check_add_replica,
+    RemoveReplica: check_remove_replica,
+    SetReplicaInSync: check_set_in_sync,
+    OpenQueue: check_open_queue,
+    UpdateQueue: check_update_queue,
+    DeleteQueue: lambda deed: check_id(deed.queue_id, "queue_id"),
+    RegisterPeer: check_register_peer,
+    DeregisterPeer: lambda deed: check_id(deed.peer_id, "peer_id"),
+}  # what supernodes make themselves needs no check
+
+# What a deed does that concerns the tables alone.
+_TRANSITIONS: Mapping[type[Deed], Callable[[Tables, Any], Success]] = {
+    OpenChannel: open_channel,
+    UpdateChannel: update_channel,
+    DeleteChannel: delete_channel,
+    OpenGroup: open_group,
+    UpdateGroup: update_group,
+    DeleteGroup: delete_group,
+    AddReplica: add_replica,
+    RemoveReplica: remove_replica,
+    SetReplicaInSync: set_in_sync,
+    OpenQueue: open_queue,
+    UpdateQueue: update_queue,
+    DeleteQueue: delete_queue,
+}
+
 
 def check_deed(deed: Deed) -> None:
     """What can be said of `deed` without any state, so that what cannot be meant never comes into the log.
 
     A deed that passes fits into a log entry. Raises InvalidName or InvalidArgument.
     """
-    match deed:
-        case OpenChannel():
-            check_open(deed)
-        case UpdateChannel():
-            check_update(deed)
-        case DeleteChannel(channel_id=channel_id):
-            check_id(channel_id, "channel_id")
-        case RegisterHost():
-            check_register(deed)
-        case DeregisterHost(host_id=host_id):
-            check_id(host_id, "host_id")
-        case ExpireHost() | BeginTenure():
-            pass  # made by supernodes themselves
-        case OpenGroup():
-            check_open_group(deed)
-        case UpdateGroup():
-            check_update_group(deed)
-        case DeleteGroup(group_id=group_id):
-            check_id(group_id, "group_id")
-        case AddReplica():
-            check_add_replica(deed)
-        case RemoveReplica():
-            check_remove_replica(deed)
-        case SetReplicaInSync():
-            check_set_in_sync(deed)
+    check = _CHECKS.get(type(deed))
+    if check is not None:
+        check(deed)
 
 
 class Directory:
@@ -110,12 +138,14 @@ class Directory:
         channels: Iterable[Channel] = (),
         groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
         replicas: Iterable[Replica] = (),
+        queues: Iterable[Queue] = (),
+        peers: Iterable[Peer] = (),
         answers: Iterable[Answer] = (),
     ) -> None:
         self.tenure = tenure
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
-        self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, index=index)
+        self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
         self.answered = Answered()
         for answer in answers:
             self.answered.remember(answer)
@@ -134,12 +164,11 @@ class Directory:
         except StampedeError as error:
             return Refused.because(error)
         finally:
-            self.tables.changes.note_index(index)
+            self.tables.note_index(index)
 
     def skip(self, index: int) -> None:
         """Log position `index` held nothing that this replica could read."""
-        self.tables.index = index
-        self.tables.changes.note_index(index)
+        self.tables.note_index(index)
 
     def _answer(self, index: int, command: Command) -> Success:
         check_id(command.op_id, "request_id")
@@ -147,22 +176,18 @@ class Directory:
         found = self.answered.find(command.op_id, subject)
         if found is not None:
             return found
-        result = self._do(command.deed)
+        result = self._do(command)
         self.answered.remember(Answer(command.op_id, index, subject, result))
         return result
 
-    def _do(self, deed: Deed) -> Success:
+    def _do(self, command: Command) -> Success:
+        deed = command.deed
+        if isinstance(deed, (OpenChannel, OpenGroup, OpenQueue)):
+            check_in_time(self.tables, self.answered, deed)
+        transition = _TRANSITIONS.get(type(deed))
+        if transition is not None:
+            return transition(self.tables, deed)
         match deed:
-            case OpenGroup() | UpdateGroup() | DeleteGroup():
-                return _do_to_group(self.tables, deed)
-            case AddReplica() | RemoveReplica() | SetReplicaInSync():
-                return _do_to_replica(self.tables, deed)
-            case OpenChannel():
-                return open_channel(self.tables, deed)
-            case UpdateChannel():
-                return update_channel(self.tables, deed)
-            case DeleteChannel():
-                return delete_channel(self.tables, deed)
             case RegisterHost():
                 self._check_founded()
                 return HostRegistered(host=register_host(self.tables, deed), cluster_id=self.cluster_id)
@@ -173,6 +198,15 @@ class Directory:
                 return HostExpired(expired=expire_host(self.tables, deed, self.tenure))
             case BeginTenure():
                 return self._begin_tenure(deed)
+            case RegisterPeer():
+                self._check_founded()
+                return register_peer(self.tables, deed, command.time_unix_nano, self.cluster_id)
+            case DeregisterPeer():
+                deregister_peer(self.tables, deed)
+                return PeerDeregistered()
+            case ExpirePeers():
+                return PeersExpired(expired=expire_peers(self.tables, deed, self.tenure))
+        raise NotImplementedError(f"nothing is known to do for a {type(deed).__name__}")
 
     def _check_founded(self) -> None:
         if not self.tenure:
@@ -185,23 +219,3 @@ class Directory:
         self.cluster_id = self.cluster_id or deed.new_cluster_id
         self.lease_ttl_nanos = self.lease_ttl_nanos or deed.new_lease_ttl_nanos
         return TenureBegun(tenure=self.tenure, cluster_id=self.cluster_id)
-
-
-def _do_to_group(tables: Tables, deed: GroupDeed) -> GroupSuccess:
-    match deed:
-        case OpenGroup():
-            return open_group(tables, deed)
-        case UpdateGroup():
-            return update_group(tables, deed)
-        case DeleteGroup():
-            return delete_group(tables, deed)
-
-
-def _do_to_replica(tables: Tables, deed: ReplicaDeed) -> ReplicaSuccess:
-    match deed:
-        case AddReplica():
-            return add_replica(tables, deed)
-        case RemoveReplica():
-            return remove_replica(tables, deed)
-        case SetReplicaInSync():
-            return set_in_sync(tables, deed)

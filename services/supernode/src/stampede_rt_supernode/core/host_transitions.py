@@ -12,6 +12,7 @@ from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
 from stampede_rt_supernode.core.channel_transitions import fresh_incarnation
 from stampede_rt_supernode.core.commands import DeregisterHost, ExpireHost, RegisterHost
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
+from stampede_rt_supernode.core.queues.placement import house_waiting_mailboxes, renew_queues
 from stampede_rt_supernode.core.records import Host
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import end_registration, give_owner
@@ -28,7 +29,8 @@ HOSTS_MAX = 10_000
 
 def register_host(tables: Tables, deed: RegisterHost) -> Host:
     """A host enters, or enters again. A new boot incarnation means that it lost its items: in this one step all its
-    channels get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where they are."""
+    channels and queues get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where
+    they are."""
     check_register(deed)
     _check_name_is_free(tables, deed)
     before = tables.hosts.get(deed.host_id)
@@ -50,6 +52,9 @@ def register_host(tables: Tables, deed: RegisterHost) -> Host:
     if before is not None and before.boot_incarnation != deed.boot_incarnation:
         end_registration(tables, deed.host_id)
         _renew_channels(tables, deed)
+        renew_queues(tables, tables.hosts[deed.host_id], deed.new_incarnation)
+    if len(tables.host_ids) == 1:
+        house_waiting_mailboxes(tables)
     return tables.hosts[deed.host_id]
 
 
@@ -82,7 +87,8 @@ def _renew_channels(tables: Tables, deed: RegisterHost) -> None:
 
 
 def deregister_host(tables: Tables, deed: DeregisterHost) -> None:
-    """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes.
+    """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes. Its
+    mailboxes go to other hosts.
 
     Who is not there has left already. Raises LeaseExpired for another boot.
     """

@@ -1,5 +1,5 @@
-"""The leases of hosts, as their leader keeps them. Pure: every method takes `now`, nanoseconds of a clock that counts
-suspension (CLOCK_BOOTTIME).
+"""The leases of hosts, or of peers, as their leader keeps them. Pure: every method takes `now`, nanoseconds of a clock
+that counts suspension (CLOCK_BOOTTIME).
 
 Renewals leave no trace in the log, so a table is worth something only while its leader leads. What keeps two owners
 apart: a host fences itself 0.8 TTL after it *sent* its last acknowledged renewal; the leader ends a lease no earlier
@@ -10,11 +10,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-
-from stampede_rt_supernode.core.records import Host
+from typing import Protocol
 
 LEASE_TTL_NANOS = 5 * 10**9
 STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not hear renewals either
+
+
+class Registered(Protocol):
+    """What a lease is held for: one registration of a host or peer."""
+
+    @property
+    def holder_id(self) -> bytes:
+        """Whose it is."""
+
+    @property
+    def boot_incarnation(self) -> int:
+        """Of the process that registered."""
+
+    @property
+    def registered_index(self) -> int:
+        """The log position of the registration."""
 
 
 @dataclass(slots=True)
@@ -34,65 +49,65 @@ class LeaseTable:
         self._leases: dict[bytes, _Lease] = {}
         self._looked_nanos = 0
 
-    def lead(self, tenure: int, hosts: Iterable[Host], now: int, *, ttl_nanos: int) -> None:
-        """The tenure is committed: every live host has a full TTL from `now`."""
+    def lead(self, tenure: int, live: Iterable[Registered], now: int, *, ttl_nanos: int) -> None:
+        """The tenure is committed: every live holder has a full TTL from `now`."""
         self.tenure = tenure
         self.ttl_nanos = ttl_nanos
         self._leases.clear()
         self._looked_nanos = now
-        self.follow(hosts, now)
+        self.follow(live, now)
 
     def resign(self) -> None:
         """This supernode does not lead any more: nothing can be granted or ended."""
         self.tenure = 0
         self._leases.clear()
 
-    def follow(self, hosts: Iterable[Host], now: int) -> None:
-        """Take note of the live hosts: a registration not seen before gets a full TTL, one that is gone is dropped.
+    def follow(self, live: Iterable[Registered], now: int) -> None:
+        """Take note of the live holders: a registration not seen before gets a full TTL, one that is gone is dropped.
 
         Later than the registration itself, which only makes the lease longer.
         """
         if not self.tenure:
             return
-        live = {host.host_id: host for host in hosts}
-        for host_id in [one for one in self._leases if one not in live]:
-            del self._leases[host_id]
-        for host in live.values():
-            self._lease_of(host, now)
+        by_id = {one.holder_id: one for one in live}
+        for gone in [one for one in self._leases if one not in by_id]:
+            del self._leases[gone]
+        for one in by_id.values():
+            self._lease_of(one, now)
 
-    def _lease_of(self, host: Host, now: int) -> _Lease:
-        held = self._leases.get(host.host_id)
-        if held is None or held.registered_index != host.registered_index:
-            held = _Lease(host.boot_incarnation, host.registered_index, now + self.ttl_nanos)
-            self._leases[host.host_id] = held
+    def _lease_of(self, holder: Registered, now: int) -> _Lease:
+        held = self._leases.get(holder.holder_id)
+        if held is None or held.registered_index != holder.registered_index:
+            held = _Lease(holder.boot_incarnation, holder.registered_index, now + self.ttl_nanos)
+            self._leases[holder.holder_id] = held
         return held
 
-    def renew(self, host: Host, received: int) -> bool:
-        """Prolong the lease of a live host's registration to `received` + TTL. False: its end is proposed already, and
-        only a new registration can help.
+    def renew(self, holder: Registered, received: int) -> bool:
+        """Prolong the lease of a live holder's registration to `received` + TTL. False: its end is proposed already,
+        and only a new registration can help.
 
         The caller asks for this, and acknowledges it, only after a confirmed read that began after it was received.
         """
-        held = self._lease_of(host, received)
+        held = self._lease_of(holder, received)
         if held.ending:
             return False
         held.ends_nanos = max(held.ends_nanos, received + self.ttl_nanos)
         return True
 
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
-        """(host id, boot incarnation, registered index) of the leases that end now; from here on they are not renewed.
+        """(holder id, boot incarnation, registered index) of the leases that end now; they are renewed no more.
 
-        Given out again by later calls until `follow` sees the host gone, since a proposal can fail. A leader that was
+        Given out again by later calls until `follow` sees the holder gone, since a proposal can fail. A leader that was
         itself stalled could not hear anybody: it grants a full TTL to all instead.
         """
         stalled = now - self._looked_nanos > self.ttl_nanos // STALL_FRACTION
         self._looked_nanos = now
         if stalled:
             self._grant_all(now)
-        ended = [(host_id, lease) for host_id, lease in self._leases.items() if lease.ends_nanos <= now]
+        ended = [(holder_id, lease) for holder_id, lease in self._leases.items() if lease.ends_nanos <= now]
         for _, lease in ended:
             lease.ending = True
-        return [(host_id, lease.boot_incarnation, lease.registered_index) for host_id, lease in ended]
+        return [(holder_id, lease.boot_incarnation, lease.registered_index) for holder_id, lease in ended]
 
     def _grant_all(self, now: int) -> None:
         for lease in self._leases.values():

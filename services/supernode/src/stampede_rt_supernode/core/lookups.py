@@ -1,9 +1,9 @@
-"""Finding channels, hosts and groups by what callers know of them. Pure; each function says what is not there."""
+"""Finding things of the directory by what callers know of them. Pure; each function says what is not there."""
 
 from __future__ import annotations
 
-from stampede_rt.errors import ChannelNotFound, HostNotFound, StampedeError
-from stampede_rt_supernode.core.records import Channel, Group, Host
+from stampede_rt.errors import ChannelNotFound, HostNotFound, StampedeError, error_for
+from stampede_rt_supernode.core.records import Channel, Group, Host, Peer, Queue
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_name
 
@@ -79,3 +79,60 @@ def no_such_group(name: str) -> StampedeError:
     """The error for a name that no group has."""
     text = f"there is no group {name}; open it with create=True to make it, or list the groups for its right name"
     return StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group": name})
+
+
+def queue_by_id(tables: Tables, queue_id: bytes) -> Queue:
+    """A queue or mailbox. Raises InvalidArgument or QUEUE_NOT_FOUND."""
+    check_id(queue_id, "queue_id")
+    queue = tables.queues.by_id.get(queue_id)
+    if queue is None:
+        shown = queue_id.hex()
+        text = f"there is no queue with the id {shown}; it may have been deleted, or be the mailbox of a peer that left"
+        raise error_for("QUEUE_NOT_FOUND", f"{text}: resolve it by name", {"queue_id": shown})
+    return queue
+
+
+def queue_by_name(tables: Tables, name: str) -> Queue:
+    """Raises InvalidName or QUEUE_NOT_FOUND."""
+    check_name(name, "queue")
+    queue = tables.queues.named(name)
+    if queue is None:
+        raise no_such_queue(name)
+    return queue
+
+
+def no_such_queue(name: str) -> StampedeError:
+    """The error for a name that no queue has."""
+    text = f"there is no queue {name}; open it with create=True to make it, or list the queues for its right name"
+    return error_for("QUEUE_NOT_FOUND", text, {"queue": name})
+
+
+def mailbox_of(tables: Tables, peer_name: str) -> Queue:
+    """The mailbox of a live peer. Raises InvalidName or QUEUE_NOT_FOUND."""
+    check_name(peer_name, "peer")
+    peer = tables.peers.live_named(peer_name)
+    if peer is None or peer.mailbox_queue_id is None:
+        text = f"there is no mailbox of {peer_name}: no live peer has that name; list the peers for others"
+        raise error_for("QUEUE_NOT_FOUND", text, {"peer": peer_name})
+    return tables.queues.by_id[peer.mailbox_queue_id]
+
+
+def peer_by_id(tables: Tables, peer_id: bytes) -> Peer:
+    """The peer, alive or not. Raises InvalidArgument or PEER_NOT_FOUND."""
+    check_id(peer_id, "peer_id")
+    peer = tables.peers.by_id.get(peer_id)
+    if peer is None:
+        shown = peer_id.hex()
+        text = f"there is no peer with the id {shown}; it never registered, or it left: list the peers for others"
+        raise error_for("PEER_NOT_FOUND", text, {"peer_id": shown})
+    return peer
+
+
+def peer_by_name(tables: Tables, name: str) -> Peer:
+    """The live peer of that name. Raises InvalidName or PEER_NOT_FOUND."""
+    check_name(name, "peer")
+    peer = tables.peers.live_named(name)
+    if peer is None:
+        text = f"there is no live peer {name}; it never registered, left, or its lease has ended: list the peers"
+        raise error_for("PEER_NOT_FOUND", text, {"peer": name})
+    return peer

@@ -48,6 +48,31 @@ def read_listing(token: str, listing: str) -> str:
     return name
 
 
+def write_place(listing: str, place: tuple[bool, str] | None) -> str:
+    """As `write_listing`, behind one place of a listing in two parts: whether it is in the second, and its name."""
+    return write_listing(listing, None if place is None else f"{int(place[0])}{place[1]}")
+
+
+def read_place(token: str, listing: str) -> tuple[bool, str]:
+    """The place, that of the beginning for an empty token. Raises as `read_listing`."""
+    text = read_listing(token, listing)
+    return text[:1] == "1", text[1:]
+
+
+def write_peer(listing: str, key: tuple[bool, str, bytes] | None) -> str:
+    """As `write_listing`, behind the peer of that name and id; the flag says that it has no name."""
+    return write_listing(listing, None if key is None else f"{int(key[0])}{key[2].hex()}{key[1]}")
+
+
+def read_peer(token: str, listing: str) -> tuple[bool, str, bytes]:
+    """The key of the peer, that of the beginning for an empty token. Raises as `read_listing`."""
+    text = read_listing(token, listing)
+    try:
+        return text[:1] == "1", text[33:], bytes.fromhex(text[1:33])
+    except ValueError:
+        raise _bad(token) from None
+
+
 def _unpack(token: str) -> bytes:
     try:
         return base64.b64decode(token.encode(), altchars=b"-_", validate=True)

@@ -1,7 +1,7 @@
-"""What the directory holds: hosts, channels, groups and copies, and what changed. Pure, immutable values.
+"""What the directory holds: hosts, channels, groups, copies, queues, peers; and what changed. Pure, immutable values.
 
-They are the rows of the four maps of the paper's section 4.3, its groups (3.3) and its proxies (4.1). Ids are 16 opaque
-bytes.
+They are the rows of the four maps of the paper's section 4.3, its groups (3.3), its proxies (4.1), and its queues and
+participants (3.5). Ids are 16 opaque bytes.
 """
 
 from __future__ import annotations
@@ -38,6 +38,11 @@ class Host:
     alive: bool
     channels: int
     registered_index: int
+
+    @property
+    def holder_id(self) -> bytes:
+        """Whose the lease is."""
+        return self.host_id
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -105,6 +110,71 @@ class Replica:
     epoch: int
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueSpec:
+    """How a queue is set up (paper, section 3.5). None: never stated. `on_full`: "block", "reject", "drop_oldest"."""
+
+    max_items: int | None = None
+    max_bytes: int | None = None
+    on_full: str | None = None
+    copies: int | None = None
+    lease_nanos: int | None = None
+    max_deliveries: int | None = None
+    dead_letter_queue_id: bytes | None = None
+    content_type: str | None = None
+    max_item_bytes: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Queue:
+    """A queue and its owner, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
+
+    `epoch` never falls; `incarnation` changes only when items may have been lost.
+    """
+
+    queue_id: bytes
+    name: str
+    host_id: bytes
+    epoch: int
+    incarnation: int
+    spec: QueueSpec
+    spec_version: int
+    mailbox_peer_id: bytes | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Peer:
+    """A participant (paper, sections 3.5 and 4.2). With a name, which is unique among the live ones, it has a mailbox
+    for as long as it lives.
+
+    `proof_sha256` is empty if it gave no proof. `registered_index`: as for hosts. `ended_index`: the log position at
+    which its lease ended; 0 while it lives.
+    """
+
+    peer_id: bytes
+    name: str
+    boot_incarnation: int
+    mailbox_queue_id: bytes | None = None
+    host_id: bytes | None = None
+    zone: str = ""
+    version: str = ""
+    attributes: tuple[tuple[str, str], ...] = ()  # ascending by key
+    registered_unix_nano: int
+    proof_sha256: bytes = b""
+    registered_index: int
+    ended_index: int = 0
+
+    @property
+    def alive(self) -> bool:
+        """Its lease has not ended."""
+        return self.ended_index == 0
+
+    @property
+    def holder_id(self) -> bytes:
+        """Whose the lease is."""
+        return self.peer_id
+
+
 class ChangeKind(Enum):
     """What a change did to its subject."""
 
@@ -119,4 +189,4 @@ class Change:
 
     index: int
     kind: ChangeKind
-    subject: Channel | Host | Group
+    subject: Channel | Host | Group | Queue | Peer

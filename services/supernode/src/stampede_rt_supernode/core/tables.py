@@ -14,7 +14,9 @@ from sortedcontainers import SortedDict
 
 from stampede_rt_supernode.core.change_ring import ChangeRing
 from stampede_rt_supernode.core.groups.table import GroupTable
-from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Replica
+from stampede_rt_supernode.core.peers.table import PeerTable
+from stampede_rt_supernode.core.queues.table import QueueTable
+from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Peer, Queue, Replica
 from stampede_rt_supernode.core.replicas.table import ReplicaTable
 
 
@@ -28,6 +30,8 @@ class Tables:
         *,
         groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
         replicas: Iterable[Replica] = (),
+        queues: Iterable[Queue] = (),
+        peers: Iterable[Peer] = (),
         index: int = 0,
     ) -> None:
         self.index = index  # the log position that is being applied, or was last
@@ -44,6 +48,14 @@ class Tables:
             self._link(channel)
         self.groups = GroupTable(groups, self._note)
         self.replicas = ReplicaTable(replicas)
+        self.queues = QueueTable(queues, self._note)
+        self.peers = PeerTable(peers, index)
+
+    def note_index(self, index: int) -> None:
+        """All changes of log position `index` are noted."""
+        self.index = index
+        self.changes.note_index(index)
+        self.peers.changes.note_index(index)
 
     def channels_at(self, host_id: bytes) -> list[Channel]:
         """The channels that a host owns, in the order of their ids."""
@@ -91,7 +103,7 @@ class Tables:
     def put_host(self, host: Host) -> None:
         """Add or replace a host; if it is alive, no other live host has its name.
 
-        A host that is not alive stays for as long as it has channels: they remember where their items were.
+        A host that is not alive stays for as long as it has channels or queues: they remember where their items were.
         """
         before = self.hosts.get(host.host_id)
         if before is not None and before.alive:
@@ -102,6 +114,18 @@ class Tables:
             self.host_ids[host.name] = host.host_id
         self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, host)
         self._drop_if_done(host)
+
+    def put_queue(self, queue: Queue) -> None:
+        """Add a queue or mailbox, or replace the one of that id; its host is known, and may be another than before."""
+        before = self.queues.by_id.get(queue.queue_id)
+        self.queues.put(queue)
+        if before is not None and before.host_id != queue.host_id:
+            self._drop_if_done(self.hosts[before.host_id])
+
+    def remove_queue(self, queue: Queue) -> None:
+        """Forget a queue or mailbox that is there."""
+        self.queues.remove(queue)
+        self._drop_if_done(self.hosts[queue.host_id])
 
     def _link(self, channel: Channel) -> None:
         self.channels[channel.channel_id] = channel
@@ -114,10 +138,10 @@ class Tables:
         self._drop_if_done(host)
 
     def _drop_if_done(self, host: Host) -> None:
-        if not host.alive and host.channels == 0:
+        if not host.alive and host.channels == 0 and self.queues.count_at(host.host_id) == 0:
             del self.hosts[host.host_id]
             del self._channel_ids_at[host.host_id]
             self._note(ChangeKind.REMOVED, host)
 
-    def _note(self, kind: ChangeKind, subject: Channel | Host | Group) -> None:
+    def _note(self, kind: ChangeKind, subject: Channel | Host | Group | Queue) -> None:
         self.changes.append(Change(index=self.index, kind=kind, subject=subject))

@@ -1,4 +1,4 @@
-"""What becomes of channels, their copies and their groups when an owner or a host of copies goes. Pure.
+"""What becomes of channels, their copies, their groups, and mailboxes when their host goes. Pure.
 
 A warm replica that is in sync holds everything that was acknowledged, so it becomes the owner when the owner's
 registration ends: in the very step that ends it, so that nobody else is given the channel in between. The incarnation
@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
+from stampede_rt_supernode.core.queues.placement import rehouse_mailboxes
 from stampede_rt_supernode.core.records import Channel, Host
 from stampede_rt_supernode.core.replicas.transitions import adopted, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
@@ -32,7 +33,7 @@ def forget_channel(tables: Tables, channel: Channel) -> None:
 
 def end_registration(tables: Tables, host_id: bytes) -> None:
     """A host's lease has ended, or its process is another one: its copies are gone, and its channels go to warm
-    replicas that are in sync, where there are any. The host is still as it was, or is already registered anew."""
+    replicas that are in sync, where there are any. The host is without a lease by now, or registered anew already."""
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, tables.channels[channel_id], host_id)
     inherited: list[bytes] = []
@@ -44,6 +45,9 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
             give_owner(tables, channel, after)
             inherited.append(channel.channel_id)
     note_lost_cuts(tables, inherited)
+    host = tables.hosts.get(host_id)
+    if host is None or not host.alive:
+        rehouse_mailboxes(tables, host_id)
 
 
 def _heir(tables: Tables, channel: Channel) -> Host | None:

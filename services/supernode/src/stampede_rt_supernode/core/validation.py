@@ -48,12 +48,12 @@ def _fault(name: str) -> str:
 
 
 def check_glob(glob: str) -> None:
-    """A pattern for channel names; empty stands for all."""
+    """A pattern for names; empty stands for all."""
     if len(glob) > GLOB_CHARACTERS_MAX:
         raise InvalidArgument(f"the pattern has {len(glob)} characters; {GLOB_CHARACTERS_MAX} at most")
     if _GLOB.fullmatch(glob) is None:
         raise InvalidArgument(
-            f"{glob!r} can match no channel: names have only a-z, 0-9, '.', '_', '/' and '-'; beside these a pattern "
+            f"{glob!r} can match no name: names have only a-z, 0-9, '.', '_', '/' and '-'; beside these a pattern "
             "has '*' for any run of characters and '?' for one"
         )
 
@@ -83,16 +83,17 @@ def check_gatekeepers(endpoints: tuple[Endpoint, ...], host_name: str) -> None:
             metadata={"host": host_name},
         )
     for endpoint in endpoints:
-        _check_text(endpoint.target, f"a gatekeeper of host {host_name}", 1, TARGET_CHARACTERS_MAX)
-        _check_text(endpoint.zone, f"a zone of host {host_name}", 0, ZONE_CHARACTERS_MAX)
+        check_text(endpoint.target, f"a gatekeeper of host {host_name}", 1, TARGET_CHARACTERS_MAX)
+        check_text(endpoint.zone, f"a zone of host {host_name}", 0, ZONE_CHARACTERS_MAX)
 
 
 def check_version(version: str, host_name: str) -> None:
     """A software version, which may be empty."""
-    _check_text(version, f"the version of host {host_name}", 0, VERSION_CHARACTERS_MAX)
+    check_text(version, f"the version of host {host_name}", 0, VERSION_CHARACTERS_MAX)
 
 
-def _check_text(text: str, what: str, least: int, most: int) -> None:
+def check_text(text: str, what: str, least: int, most: int) -> None:
+    """A word of `least` to `most` characters that can be printed; `what` it is."""
     if not least <= len(text) <= most:
         raise InvalidArgument(f"{what} has {len(text)} characters; {least} to {most} are allowed")
     if not text.isprintable() or " " in text:

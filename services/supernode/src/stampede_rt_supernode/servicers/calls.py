@@ -64,6 +64,14 @@ class DirectoryCalls:
         check_deed(deed)
         return await self._submission.submit(deed, kind, op_id=op_id, seconds=seconds_left(context))
 
+    async def confirm(self, context: Any) -> None:
+        """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
+        await self._submission.confirm(seconds=seconds_left(context))
+
+    def reached(self) -> int:
+        """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.late_opens`."""
+        return max(1, self._replica.read(lambda directory: directory.applied_index))
+
     def check_host(self, context: Any, host_id: bytes, name: str | None = None) -> None:
         """Raises PermissionDenied if the caller's certificate is that of another host. `name`: the one it wants."""
         caller = caller_identity(context)

@@ -13,11 +13,11 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
+from stampede_rt_supernode.codecs.host_codec import endpoints_from, host_record
+from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.codecs.record_codec import (
     change_message,
     channel_record,
-    endpoints_from,
-    host_record,
     policy_from,
 )
 from stampede_rt_supernode.core import commands, page_tokens
@@ -26,7 +26,8 @@ from stampede_rt_supernode.core.channel_transitions import open_unchanged
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
 from stampede_rt_supernode.core.queries import ChannelPage, HostPage, channel_page, channels_of, host_page
-from stampede_rt_supernode.core.records import ID_BYTES, Channel, Host
+from stampede_rt_supernode.core.queues.queries import queues_of
+from stampede_rt_supernode.core.records import ID_BYTES, Channel, Host, Queue
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -76,6 +77,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             host_name=request.host_name,
             new_channel_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=_random_incarnation(),
+            as_of_index=self._calls.reached(),
         )
         check_id(request.request_id, "request_id")
         opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
@@ -145,15 +147,14 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_incarnation=_random_incarnation(),
         )
         entered = await self._calls.submit(context, deed, commands.HostRegistered, request.request_id)
-        ttl_nanos, channels = self._replica.read(
-            lambda directory: (directory.lease_ttl_nanos, channels_of(directory.tables, request.host_id))
-        )
+        ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))
         return pb.RegisterHostResponse(
             host=host_record(entered.host),
             lease_ttl_nanos=ttl_nanos,
             channels=[channel_record(channel) for channel in channels],
             cluster_id=entered.cluster_id,
             protocol_version=PROTOCOL_VERSION,
+            queues=[queue_record(queue) for queue in queues],
         )
 
     @refusing
@@ -217,6 +218,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
                 request.after_index,
                 include_hosts=request.include_hosts,
                 include_groups=request.include_groups,
+                include_queues=request.include_queues,
             )
             async for batch in batches:
                 yield pb.WatchResponse(
@@ -230,6 +232,11 @@ def _open_again(directory: Directory, op_id: bytes, deed: commands.OpenChannel) 
     """The answer that this very request got before, or the one it gets because nothing needs to change."""
     found = directory.answered.find(op_id, commands.subject_of(deed))
     return found if isinstance(found, commands.ChannelOpened) else open_unchanged(directory.tables, deed)
+
+
+def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[Channel, ...], tuple[Queue, ...]]:
+    """The TTL of leases, and what the host is to serve."""
+    return directory.lease_ttl_nanos, channels_of(directory.tables, host_id), queues_of(directory.tables, host_id)
 
 
 def _random_incarnation() -> int:

@@ -9,7 +9,8 @@ from typing import Any
 from stampede_rt.v1 import group_directory_service_pb2 as pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc
 from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_from
-from stampede_rt_supernode.codecs.record_codec import channel_record, host_record
+from stampede_rt_supernode.codecs.host_codec import host_record
+from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core import page_tokens
 from stampede_rt_supernode.core.commands import subject_of
 from stampede_rt_supernode.core.directory import Directory, check_deed
@@ -44,6 +45,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             create=request.create,
             new_group_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
+            as_of_index=self._calls.reached(),
         )
         check_id(request.request_id, "request_id")
         check_deed(deed)

@@ -1,10 +1,14 @@
-"""What the leader does about leases: takes them over, prolongs them, ends them. The thin shell around `lease`."""
+"""What the leader does about the leases of hosts and peers: takes them over, prolongs them, ends them. The thin shell
+around `lease`.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import secrets
+from collections.abc import Callable
+from typing import TypeVar
 
 from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeError, Unavailable
 from stampede_rt_runtime.clock import HostClock
@@ -13,7 +17,10 @@ from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.host_transitions import check_boot
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.lookups import host_by_id
-from stampede_rt_supernode.core.records import ID_BYTES, Host
+from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, PeersExpired
+from stampede_rt_supernode.core.peers.transitions import check_peer_boot
+from stampede_rt_supernode.core.records import ID_BYTES, Host, Peer
+from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog, ReplicationStatus
 from stampede_rt_supernode.servicers.submission import Submission
@@ -23,10 +30,13 @@ logger = logging.getLogger(__name__)
 TICK_SECONDS = 0.1
 PROPOSAL_SECONDS = 5.0
 ENDINGS_AT_ONCE_MAX = 64
+PEERS_PER_ENTRY_MAX = 256
+
+T = TypeVar("T", Host, Peer)
 
 
 class LeaseKeeper:
-    """`tick` is called again and again; `renew` for each renewal that arrives. On one event loop."""
+    """`tick` is called again and again; `renew` and `renew_peer` for each renewal that arrives. On one event loop."""
 
     def __init__(
         self,
@@ -42,7 +52,10 @@ class LeaseKeeper:
         self._submission = submission
         self._clock = clock
         self._founding_ttl_nanos = founding_ttl_nanos
-        self._table = LeaseTable()
+        self._hosts = LeaseTable()
+        self._peers = LeaseTable()
+        # What the peers' table last followed: looking through thousands of them ten times a second is not for nothing.
+        self._peers_followed = (0, 0)
         # The id that the founder gave the cluster; left empty, the first leader makes one.
         self.founding_cluster_id = ""
 
@@ -57,16 +70,21 @@ class LeaseKeeper:
         status = self._log.status()
         try:
             if not status.is_leader:
-                self._table.resign()
-            elif self._table.tenure != status.tenure:
+                self._resign()
+            elif self._hosts.tenure != status.tenure:
                 await self._take_over(status)
             else:
                 await self._end_due_leases()
+                await self._end_due_peers()
         except StampedeError as error:
             logger.warning("leases wait", extra={"reason": error.reason, "cause": error.message})
 
+    def _resign(self) -> None:
+        self._hosts.resign()
+        self._peers.resign()
+
     async def _take_over(self, status: ReplicationStatus) -> None:
-        self._table.resign()
+        self._resign()
         deed = BeginTenure(
             tenure=status.tenure,
             supernode_id=status.self_id,
@@ -77,16 +95,20 @@ class LeaseKeeper:
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
             return  # another one leads by now
         hosts, ttl_nanos = self._replica.read(lambda directory: (_live(directory), directory.lease_ttl_nanos))
-        self._table.lead(status.tenure, hosts, self._clock.boottime_nanos(), ttl_nanos=ttl_nanos)
-        logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts)})
+        peers = self._replica.read(lambda directory: list(directory.tables.peers.live()))
+        self._peers_followed = (0, 0)  # looked at anew at the next tick
+        now = self._clock.boottime_nanos()
+        self._hosts.lead(status.tenure, hosts, now, ttl_nanos=ttl_nanos)
+        self._peers.lead(status.tenure, peers, now, ttl_nanos=ttl_nanos)
+        logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": len(peers)})
         if ttl_nanos != self._founding_ttl_nanos:
             extra = {"cluster_ttl_nanos": ttl_nanos, "ignored_ttl_nanos": self._founding_ttl_nanos}
             logger.warning("the cluster was founded with another lease TTL, which holds", extra=extra)
 
     async def _end_due_leases(self) -> None:
         now = self._clock.boottime_nanos()
-        self._table.follow(self._replica.read(_live), now)
-        due = self._table.due(now)
+        self._hosts.follow(self._replica.read(_live), now)
+        due = self._hosts.due(now)
         for start in range(0, len(due), ENDINGS_AT_ONCE_MAX):
             await asyncio.gather(*(self._end(*lease) for lease in due[start : start + ENDINGS_AT_ONCE_MAX]))
 
@@ -95,31 +117,57 @@ class LeaseKeeper:
             host_id=host_id,
             boot_incarnation=boot_incarnation,
             registered_index=registered_index,
-            tenure=self._table.tenure,
+            tenure=self._hosts.tenure,
         )
         ended = await self._submission.submit(deed, HostExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         logger.info("lease ended", extra={"host_id": host_id, "expired": ended.expired})
 
+    async def _end_due_peers(self) -> None:
+        now = self._clock.boottime_nanos()
+        peers, self._peers_followed = self._replica.read(self._follow_peers)
+        if peers is not None:
+            self._peers.follow(peers, now)
+        due = [
+            PeerLease(peer_id=one, boot_incarnation=boot, registered_index=at) for one, boot, at in self._peers.due(now)
+        ]
+        for start in range(0, len(due), PEERS_PER_ENTRY_MAX):
+            deed = ExpirePeers(leases=tuple(due[start : start + PEERS_PER_ENTRY_MAX]), tenure=self._peers.tenure)
+            ended = await self._submission.submit(deed, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
+            logger.info("leases of peers ended", extra={"due": len(deed.leases), "expired": ended.expired})
+
+    def _follow_peers(self, directory: Directory) -> tuple[list[Peer] | None, tuple[int, int]]:
+        """The live peers, or None if they are those followed last; and what tells this state of them from others."""
+        peers = directory.tables.peers
+        state = (self._replica.restored, peers.changes.end_position)
+        return None if state == self._peers_followed else list(peers.live()), state
+
     async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
-        """Prolong a lease; returns its TTL in nanoseconds and the tenure.
+        """Prolong the lease of a host; returns its TTL in nanoseconds and the tenure.
 
         Raises NotLeader, LeaseExpired (register again), or Unavailable with reason NO_QUORUM.
         """
+        return await self._renew(self._hosts, lambda: self._registered(host_id, boot_incarnation), seconds)
+
+    async def renew_peer(self, peer_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
+        """As `renew`, for a peer."""
+        return await self._renew(self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds)
+
+    async def _renew(self, table: LeaseTable, holder: Callable[[], T], seconds: float) -> tuple[int, int]:
         received = self._clock.boottime_nanos()
         tenure = self._check_leads(0)
         await self._submission.confirm(seconds=seconds)
         self._check_leads(tenure)
-        host = self._registered(host_id, boot_incarnation)
-        if not self._table.renew(host, received):
-            raise _lapsed(host.name)
-        return self._table.ttl_nanos, tenure
+        found = holder()
+        if not table.renew(found, received):
+            raise _lapsed(found)
+        return table.ttl_nanos, tenure
 
     def _check_leads(self, since: int) -> int:
         """The tenure under which leases are granted; another one than `since` (0: any) is not good enough."""
         status = self._log.status()
         if not status.is_leader:
             raise not_leader(status)
-        if self._table.tenure != status.tenure or since not in (0, status.tenure):
+        if self._hosts.tenure != status.tenure or since not in (0, status.tenure):
             text = f"supernode {status.self_id} is just taking over as leader; try again in a moment"
             raise Unavailable(text, reason="NO_QUORUM")
         return status.tenure
@@ -128,11 +176,21 @@ class LeaseKeeper:
         try:
             host = self._replica.read(lambda directory: host_by_id(directory.tables, host_id))
         except HostNotFound as error:
-            raise _lapsed(host_id.hex()) from error
+            raise _unknown("host", host_id) from error
         check_boot(host, boot_incarnation)
         if not host.alive:
-            raise _lapsed(host.name)
+            raise _lapsed(host)
         return host
+
+    def _registered_peer(self, peer_id: bytes, boot_incarnation: int) -> Peer:
+        check_id(peer_id, "peer_id")
+        peer = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer_id))
+        if peer is None:
+            raise _unknown("peer", peer_id)
+        check_peer_boot(peer, boot_incarnation)
+        if not peer.alive:
+            raise _lapsed(peer)
+        return peer
 
 
 def not_leader(status: ReplicationStatus) -> StampedeError:
@@ -145,9 +203,17 @@ def not_leader(status: ReplicationStatus) -> StampedeError:
     return NotLeader(text, metadata={"leader": leader.member_id, "leader_endpoint": leader.address})
 
 
-def _lapsed(host: str) -> LeaseExpired:
-    text = f"host {host} has no lease; it ended, or the host left; register it again"
-    return LeaseExpired(text, metadata={"host": host})
+def _lapsed(holder: Host | Peer) -> LeaseExpired:
+    return _without_lease("host" if isinstance(holder, Host) else "peer", holder.name or holder.holder_id.hex())
+
+
+def _unknown(kind: str, holder_id: bytes) -> LeaseExpired:
+    return _without_lease(kind, holder_id.hex())
+
+
+def _without_lease(kind: str, shown: str) -> LeaseExpired:
+    text = f"{kind} {shown} has no lease; it ended, or the {kind} left; register it again"
+    return LeaseExpired(text, metadata={kind: shown})
 
 
 def _live(directory: Directory) -> list[Host]:

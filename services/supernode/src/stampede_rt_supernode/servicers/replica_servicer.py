@@ -8,7 +8,7 @@ from typing import Any
 
 from stampede_rt.v1 import replica_directory_service_pb2 as pb
 from stampede_rt.v1 import replica_directory_service_pb2_grpc
-from stampede_rt_supernode.codecs.record_codec import host_record
+from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.replica_codec import (
     channel_id_of,
     kind_from,

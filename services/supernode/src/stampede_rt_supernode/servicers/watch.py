@@ -11,10 +11,10 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
 from stampede_rt.errors import Unavailable, WatchRestart
-from stampede_rt_supernode.core.change_ring import ChangePage
+from stampede_rt_supernode.core.change_ring import ChangePage, ChangeRing
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.glob import matcher
-from stampede_rt_supernode.core.records import Change, Group, Host
+from stampede_rt_supernode.core.records import Change, Channel, Group, Host, Peer, Queue
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog
 
@@ -50,20 +50,36 @@ class Watches:
         self._closed = True
         self._bell.wake()
 
-    async def follow(
-        self, glob: str, after_index: int, *, include_hosts: bool, include_groups: bool = False
+    def follow(
+        self,
+        glob: str,
+        after_index: int,
+        *,
+        include_hosts: bool,
+        include_groups: bool = False,
+        include_queues: bool = False,
+    ) -> AsyncIterator[WatchBatch]:
+        """Changes of channels, and of others if they are asked for; see `_follow`."""
+        wanted = _filter(glob, include_hosts, include_groups, include_queues)
+        return self._follow(lambda directory: directory.tables.changes, wanted, after_index)
+
+    def follow_peers(self, glob: str, after_index: int) -> AsyncIterator[WatchBatch]:
+        """Changes of peers, nameless ones only without a pattern; see `_follow`."""
+        return self._follow(lambda directory: directory.tables.peers.changes, _peer_filter(glob), after_index)
+
+    async def _follow(
+        self, ring_of: Callable[[Directory], ChangeRing], wanted: Callable[[Change], bool], after_index: int
     ) -> AsyncIterator[WatchBatch]:
         """Batches without end; the first is empty and says where the watch begins, and so are signs of life.
 
-        `after_index` 0: from now on. The caller has just confirmed a read. Raises InvalidArgument for a bad pattern,
-        WatchRestart, and Unavailable when this supernode stops or knows no leader any more.
+        `after_index` 0: from now on. The caller has just confirmed a read. Raises WatchRestart, and Unavailable when
+        this supernode stops or knows no leader any more; `follow` raises InvalidArgument for a bad pattern.
         """
-        wanted = _filter(glob, include_hosts, include_groups)
-        position, index, life = self._replica.read(lambda directory: self._begin(directory, after_index))
+        position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
         while True:
             ring = self._bell.next_ring()
-            page = self._replica.read(lambda directory, p=position: self._page(directory, p, life))  # type: ignore[misc]
+            page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
             position = page.position
             changes = tuple(change for change in page.changes if wanted(change))
             if changes:
@@ -75,15 +91,17 @@ class Watches:
                 self._check_leader()
                 yield WatchBatch((), page.index)
 
-    def _begin(self, directory: Directory, after_index: int) -> tuple[int, int, int]:
-        ring, index = directory.tables.changes, after_index or directory.applied_index
+    def _begin(
+        self, directory: Directory, ring_of: Callable[[Directory], ChangeRing], after_index: int
+    ) -> tuple[int, int, int]:
+        ring, index = ring_of(directory), after_index or directory.applied_index
         position = ring.position_after(index) if index <= directory.applied_index else None
         if position is None:
             raise _restart(f"the changes after index {after_index} are not kept here")
         return position, index, self._replica.restored
 
-    def _page(self, directory: Directory, position: int, life: int) -> ChangePage:
-        page = directory.tables.changes.read(position, CHANGES_PER_RESPONSE_MAX)
+    def _page(self, ring: ChangeRing, position: int, life: int) -> ChangePage:
+        page = ring.read(position, CHANGES_PER_RESPONSE_MAX)
         if page is None or life != self._replica.restored:
             raise _restart("the watch fell behind the changes that are kept")
         return page
@@ -99,18 +117,36 @@ class Watches:
 
 
 def _restart(reason: str) -> WatchRestart:
-    return WatchRestart(f"{reason}; list the channels again, then watch from that answer's index")
+    return WatchRestart(f"{reason}; list again, then watch from that answer's index")
 
 
-def _filter(glob: str, include_hosts: bool, include_groups: bool) -> Callable[[Change], bool]:
+def _filter(glob: str, include_hosts: bool, include_groups: bool, include_queues: bool) -> Callable[[Change], bool]:
     matches = matcher(glob)
 
     def wanted(change: Change) -> bool:
-        if isinstance(change.subject, Host):
-            return include_hosts
-        return (include_groups or not isinstance(change.subject, Group)) and matches(change.subject.name)
+        match change.subject:
+            case Host():
+                return include_hosts
+            case Channel(name=name):
+                return matches(name)
+            case Group(name=name):
+                return include_groups and matches(name)
+            case Queue(name=name):
+                return include_queues and _matches(name, glob, matches)
+            case Peer():
+                return False  # they have a ring of their own
 
     return wanted
+
+
+def _peer_filter(glob: str) -> Callable[[Change], bool]:
+    matches = matcher(glob)
+    return lambda change: _matches(change.subject.name, glob, matches)
+
+
+def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:
+    """What has no name matches no pattern, but is there when none is given."""
+    return matches(name) if name else not glob
 
 
 async def _happens(event: asyncio.Event, seconds: float) -> bool:

@@ -1,0 +1,51 @@
+"""Hosts, to and from the messages that carry them. Thin: no decision is made here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt.v1 import directory_command_pb2, directory_pb2
+from stampede_rt_supernode.core.records import Endpoint, Host
+
+
+def endpoints_from(endpoints: Iterable[directory_pb2.Endpoint]) -> tuple[Endpoint, ...]:
+    """From a repeated Endpoint."""
+    return tuple(Endpoint(target=one.target, zone=one.zone) for one in endpoints)
+
+
+def endpoint_message(endpoint: Endpoint) -> directory_pb2.Endpoint:
+    """An endpoint as it travels."""
+    return directory_pb2.Endpoint(target=endpoint.target, zone=endpoint.zone)
+
+
+def host_record(host: Host) -> directory_pb2.HostRecord:
+    """The host as clients see it."""
+    return directory_pb2.HostRecord(
+        host_id=host.host_id,
+        name=host.name,
+        gatekeepers=[endpoint_message(endpoint) for endpoint in host.gatekeepers],
+        boot_incarnation=host.boot_incarnation,
+        alive=host.alive,
+        channels=host.channels,
+        version=host.version,
+    )
+
+
+def host_entry(host: Host) -> directory_command_pb2.HostEntry:
+    """The host as supernodes keep it."""
+    return directory_command_pb2.HostEntry(record=host_record(host), registered_index=host.registered_index)
+
+
+def host_from(entry: directory_command_pb2.HostEntry) -> Host:
+    """The host of an entry that this codec wrote."""
+    record = entry.record
+    return Host(
+        host_id=record.host_id,
+        name=record.name,
+        gatekeepers=endpoints_from(record.gatekeepers),
+        boot_incarnation=record.boot_incarnation,
+        version=record.version,
+        alive=record.alive,
+        channels=record.channels,
+        registered_index=entry.registered_index,
+    )

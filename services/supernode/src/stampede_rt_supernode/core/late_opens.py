@@ -1,0 +1,64 @@
+"""Whether a request to open something still means it, when it comes late. Pure.
+
+What is there is opened without an entry in the log, so nobody remembers that request. If the caller tried before, at
+another supernode, that attempt may still be under way; arriving after the thing was deleted, it would make it again
+although nobody wants it any more. So every attempt says how far the state reached when the request came in: if the name
+has been freed since, nothing is made. A caller that is still there asks again; one that has its answer does not.
+"""
+
+from __future__ import annotations
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_supernode.core.answered import WINDOW_INDEXES, Answered
+from stampede_rt_supernode.core.commands import ChannelDeleted, OpenChannel, Success
+from stampede_rt_supernode.core.groups.commands import GroupDeleted, OpenGroup
+from stampede_rt_supernode.core.queues.commands import OpenQueue, QueueDeleted
+from stampede_rt_supernode.core.tables import Tables
+
+Open = OpenChannel | OpenGroup | OpenQueue
+
+
+def check_in_time(tables: Tables, answered: Answered, deed: Open) -> None:
+    """Raises Unavailable with reason AMBIGUOUS if `deed` would make what may have been deleted since it was asked for.
+
+    O(entries since then). Deletions are known for as long as answers are remembered; what is older counts as late.
+    """
+    if deed.as_of_index == 0 or _is_there(tables, deed):
+        return
+    if deed.as_of_index < tables.index - WINDOW_INDEXES:
+        raise _late(deed)
+    for answer in answered.newest_first():
+        if answer.index <= deed.as_of_index:
+            return
+        if _frees(answer.result, deed):
+            raise _late(deed)
+
+
+def _is_there(tables: Tables, deed: Open) -> bool:
+    match deed:
+        case OpenChannel():
+            return tables.channel_named(deed.name) is not None
+        case OpenGroup():
+            return tables.groups.named(deed.name) is not None
+        case OpenQueue():
+            return tables.queues.named(deed.name) is not None
+
+
+def _frees(result: Success, deed: Open) -> bool:
+    match deed:
+        case OpenChannel():
+            return isinstance(result, ChannelDeleted) and result.channel.name == deed.name
+        case OpenGroup():
+            return isinstance(result, (GroupDeleted, ChannelDeleted))  # of which group is not remembered
+        case OpenQueue():
+            return isinstance(result, QueueDeleted) and result.queue.name == deed.name
+
+
+def _late(deed: Open) -> Unavailable:
+    kind = type(deed).__name__.removeprefix("Open").lower()
+    return Unavailable(
+        f"{kind} {deed.name} may have been deleted while this request was under way; send the request again, with the "
+        "same request id, if it is still wanted",
+        reason="AMBIGUOUS",
+        metadata={kind: deed.name},
+    )

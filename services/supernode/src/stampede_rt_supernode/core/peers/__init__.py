@@ -1,0 +1,1 @@
+"""Participants in the directory, their names and leases: pure."""

@@ -1,0 +1,94 @@
+"""What a peer may say of itself, and who may take a living one's place. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument, StampedeError, error_for
+from stampede_rt_supernode.core.peers.commands import RegisterPeer
+from stampede_rt_supernode.core.queues.specs import check_queue_spec
+from stampede_rt_supernode.core.records import Peer
+from stampede_rt_supernode.core.validation import (
+    VERSION_CHARACTERS_MAX,
+    ZONE_CHARACTERS_MAX,
+    check_id,
+    check_incarnation,
+    check_name,
+    check_text,
+)
+
+PROOF_BYTES = 32
+SHA256_BYTES = 32
+ATTRIBUTES_MAX = 32
+ATTRIBUTES_BYTES_MAX = 4096
+
+
+def check_proof(proof: bytes) -> None:
+    """A proof as its peer sends it; empty: none. Raises InvalidArgument."""
+    if len(proof) not in (0, PROOF_BYTES):
+        text = (
+            f"proof has {len(proof)} bytes instead of {PROOF_BYTES}; take {PROOF_BYTES} random bytes, or leave it out"
+        )
+        raise InvalidArgument(text, metadata={"field": "proof"})
+
+
+def check_register_peer(deed: RegisterPeer) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    check_id(deed.peer_id, "peer_id")
+    check_incarnation(deed.boot_incarnation, "boot_incarnation")
+    check_id(deed.new_mailbox_id, "new_mailbox_id")
+    check_incarnation(deed.new_incarnation, "new_incarnation")
+    if len(deed.proof_sha256) not in (0, SHA256_BYTES):
+        raise InvalidArgument(f"proof_sha256 has {len(deed.proof_sha256)} bytes instead of {SHA256_BYTES}")
+    if deed.host_id is not None:
+        check_id(deed.host_id, "host_id")
+    _check_mailbox(deed)
+    shown = deed.name or deed.peer_id.hex()
+    check_text(deed.zone, f"the zone of peer {shown}", 0, ZONE_CHARACTERS_MAX)
+    check_text(deed.version, f"the version of peer {shown}", 0, VERSION_CHARACTERS_MAX)
+    _check_attributes(shown, deed.attributes)
+
+
+def _check_mailbox(deed: RegisterPeer) -> None:
+    if deed.name:
+        check_name(deed.name, "peer")
+        if deed.mailbox_host_name:
+            check_name(deed.mailbox_host_name, "host")
+        if deed.mailbox is not None:
+            check_queue_spec(f"of peer {deed.name}", deed.mailbox)
+    elif deed.mailbox is not None or deed.mailbox_host_name:
+        text = f"peer {deed.peer_id.hex()} states a mailbox, but no name, by which it would be found; state a name"
+        raise InvalidArgument(text, metadata={"peer_id": deed.peer_id.hex(), "field": "mailbox"})
+
+
+def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> None:
+    used = sum(len(key.encode()) + len(value.encode()) for key, value in attributes)
+    if len(attributes) > ATTRIBUTES_MAX or used > ATTRIBUTES_BYTES_MAX:
+        raise InvalidArgument(
+            f"peer {shown} states {len(attributes)} attributes with {used} bytes; {ATTRIBUTES_MAX} entries with "
+            f"{ATTRIBUTES_BYTES_MAX} bytes are the most",
+            metadata={"peer": shown, "field": "attributes"},
+        )
+    if any(not key for key, _ in attributes):
+        text = f"peer {shown} states an attribute without a key; name it"
+        raise InvalidArgument(text, metadata={"peer": shown, "field": "attributes"})
+
+
+def check_may_follow(before: Peer, deed: RegisterPeer) -> None:
+    """Whether who says `deed` may take the place of a live peer: the same process may, and whoever brings its proof.
+
+    A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS.
+    """
+    same_proof = before.proof_sha256 == deed.proof_sha256
+    same_process = (before.peer_id, before.boot_incarnation) == (deed.peer_id, deed.boot_incarnation)
+    if same_proof and (before.proof_sha256 or same_process or not before.name):
+        return
+    raise _peer_exists(before)
+
+
+def _peer_exists(before: Peer) -> StampedeError:
+    shown = before.name or before.peer_id.hex()
+    return error_for(
+        "PEER_EXISTS",
+        f"another live peer is {shown}, and its proof was not brought; choose another name, bring the proof that it "
+        "registered with, or wait until it has left or its lease has ended",
+        {"peer": shown, "peer_id": before.peer_id.hex()},
+    )

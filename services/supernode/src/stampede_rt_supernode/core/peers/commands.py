@@ -1,0 +1,75 @@
+"""What can be done to peers, and what comes of it (paper, sections 3.5 and 4.2). Pure, immutable values; see
+`commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt_supernode.core.records import Host, Peer, Queue, QueueSpec
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RegisterPeer:
+    """A peer enters. `proof_sha256` empty: it gave no proof; `mailbox` None: it states nothing of it. The new ones are
+    used if a mailbox is made or placed anew."""
+
+    peer_id: bytes
+    name: str = ""
+    boot_incarnation: int
+    proof_sha256: bytes = b""
+    mailbox: QueueSpec | None = None
+    mailbox_host_name: str = ""
+    host_id: bytes | None = None
+    zone: str = ""
+    version: str = ""
+    attributes: tuple[tuple[str, str], ...] = ()  # ascending by key
+    new_mailbox_id: bytes
+    new_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeregisterPeer:
+    """A peer leaves of its own accord."""
+
+    peer_id: bytes
+    boot_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerLease:
+    """The lease of one registration of a peer."""
+
+    peer_id: bytes
+    boot_incarnation: int
+    registered_index: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExpirePeers:
+    """These leases have ended, says the leader of `tenure`."""
+
+    leases: tuple[PeerLease, ...]
+    tenure: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerRegistered:
+    """The peer is in. `mailbox` and its host are None if it has no name; `mailbox_kept`: with what it held before."""
+
+    peer: Peer
+    mailbox: Queue | None
+    mailbox_host: Host | None
+    mailbox_kept: bool
+    cluster_id: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeerDeregistered:
+    """The peer has left."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PeersExpired:
+    """How many leases the command ended; the others had come to an end, or to life, before."""
+
+    expired: int

@@ -1,0 +1,175 @@
+"""What a peer's coming, going and vanishing does to the tables (paper, sections 3.5 and 4.2). Pure.
+
+As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. A named peer
+has a mailbox from the step that registers it to the step that ends it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import LeaseExpired, Overloaded
+from stampede_rt_supernode.core.lookups import host_by_id
+from stampede_rt_supernode.core.peers.checks import check_may_follow, check_register_peer
+from stampede_rt_supernode.core.peers.commands import (
+    DeregisterPeer,
+    ExpirePeers,
+    PeerLease,
+    PeerRegistered,
+    RegisterPeer,
+)
+from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
+from stampede_rt_supernode.core.queues.specs import MAILBOX_UNSTATED, merge
+from stampede_rt_supernode.core.queues.transitions import check_dead_letter, check_room
+from stampede_rt_supernode.core.records import Peer, Queue, QueueSpec
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id
+
+PEERS_MAX = 100_000  # live ones
+
+
+def register_peer(tables: Tables, deed: RegisterPeer, now_unix_nano: int, cluster_id: str) -> PeerRegistered:
+    """A peer enters, or enters again. Whoever proves to be the holder of the name takes it over with its mailbox."""
+    check_register_peer(deed)
+    holder = tables.peers.live_named(deed.name) if deed.name else None
+    replaced = _replaced(tables, deed, holder)
+    if deed.host_id is not None:
+        host_by_id(tables, deed.host_id)
+    if not replaced and tables.peers.live_count >= PEERS_MAX:
+        text = f"peer {deed.name or deed.peer_id.hex()} cannot register: {PEERS_MAX} peers are in, which is the most"
+        raise Overloaded(text, metadata={"peer": deed.name})
+    former = _mailbox_of(tables, holder) if holder is not None else None
+    mailbox = _planned_mailbox(tables, deed, former) if deed.name else None
+    for before in replaced:
+        _clear_away(tables, before, deed.peer_id, kept=mailbox)
+    if mailbox is not None:
+        tables.put_queue(mailbox)
+    peer = _peer(tables, deed, mailbox, now_unix_nano)
+    tables.peers.put(peer, tables.index)
+    return PeerRegistered(
+        peer=peer,
+        mailbox=mailbox,
+        mailbox_host=None if mailbox is None else tables.hosts[mailbox.host_id],
+        mailbox_kept=mailbox is not None and former is not None and mailbox.incarnation == former.incarnation,
+        cluster_id=cluster_id,
+    )
+
+
+def _replaced(tables: Tables, deed: RegisterPeer, holder: Peer | None) -> list[Peer]:
+    """The live peers whose place this one takes: that of its id, and that of its name. Raises PEER_EXISTS."""
+    same_id = tables.peers.by_id.get(deed.peer_id)
+    found = {one.peer_id: one for one in (same_id, holder) if one is not None and one.alive}
+    for before in found.values():
+        check_may_follow(before, deed)
+    return list(found.values())
+
+
+def _mailbox_of(tables: Tables, peer: Peer) -> Queue | None:
+    return None if peer.mailbox_queue_id is None else tables.queues.by_id[peer.mailbox_queue_id]
+
+
+def _planned_mailbox(tables: Tables, deed: RegisterPeer, former: Queue | None) -> Queue:
+    """The mailbox as it will be. Where it is already, it stays, unless that host is gone."""
+    shown = f"the mailbox of peer {deed.name}"
+    if former is None:
+        check_room(tables, shown)
+        spec = MAILBOX_UNSTATED if deed.mailbox is None else deed.mailbox
+        check_dead_letter(tables, deed.new_mailbox_id, f"of peer {deed.name}", spec)
+        return _new_mailbox(deed, spec, choose_host(tables, shown, deed.mailbox_host_name).host_id)
+    spec = merge(former.spec, deed.mailbox or QueueSpec())
+    if spec != former.spec:
+        check_dead_letter(tables, former.queue_id, f"of peer {deed.name}", spec)
+    version = former.spec_version + (spec != former.spec)
+    mailbox = replace(former, spec=spec, spec_version=version, mailbox_peer_id=deed.peer_id)
+    if tables.hosts[former.host_id].alive:
+        return mailbox
+    host = choose_host(tables, shown, deed.mailbox_host_name, tables.hosts[former.host_id].name)
+    return begun_anew(mailbox, host, deed.new_incarnation)
+
+
+def _new_mailbox(deed: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Queue:
+    return Queue(
+        queue_id=deed.new_mailbox_id,
+        name="",
+        host_id=host_id,
+        epoch=1,
+        incarnation=deed.new_incarnation,
+        spec=spec,
+        spec_version=1,
+        mailbox_peer_id=deed.peer_id,
+    )
+
+
+def _clear_away(tables: Tables, before: Peer, peer_id: bytes, *, kept: Queue | None) -> None:
+    """Another registration takes this one's place: its mailbox goes unless it is kept, and so does another id."""
+    mailbox = _mailbox_of(tables, before)
+    if mailbox is not None and (kept is None or mailbox.queue_id != kept.queue_id):
+        tables.remove_queue(mailbox)
+    if before.peer_id != peer_id:
+        tables.peers.remove(before, tables.index)
+
+
+def _peer(tables: Tables, deed: RegisterPeer, mailbox: Queue | None, now_unix_nano: int) -> Peer:
+    return Peer(
+        peer_id=deed.peer_id,
+        name=deed.name,
+        boot_incarnation=deed.boot_incarnation,
+        mailbox_queue_id=None if mailbox is None else mailbox.queue_id,
+        host_id=deed.host_id,
+        zone=deed.zone,
+        version=deed.version,
+        attributes=deed.attributes,
+        registered_unix_nano=now_unix_nano,
+        proof_sha256=deed.proof_sha256,
+        registered_index=tables.index,
+    )
+
+
+def deregister_peer(tables: Tables, deed: DeregisterPeer) -> None:
+    """A peer leaves: its name is free and its mailbox gone. Who is not there has left already.
+
+    Raises LeaseExpired for another boot.
+    """
+    check_id(deed.peer_id, "peer_id")
+    peer = tables.peers.by_id.get(deed.peer_id)
+    if peer is None or not peer.alive:
+        return
+    check_peer_boot(peer, deed.boot_incarnation)
+    _drop_mailbox(tables, peer)
+    tables.peers.remove(peer, tables.index)
+
+
+def check_peer_boot(peer: Peer, boot_incarnation: int) -> None:
+    """Raises LeaseExpired if the lease belongs to another start of the peer's process."""
+    if peer.boot_incarnation != boot_incarnation:
+        shown = peer.name or peer.peer_id.hex()
+        raise LeaseExpired(
+            f"the lease of peer {shown} belongs to another process, started with another boot incarnation; register "
+            "again, and see that two processes do not share one identity",
+            metadata={"peer": shown},
+        )
+
+
+def expire_peers(tables: Tables, deed: ExpirePeers, tenure: int) -> int:
+    """End the leases for which the words do not come too late: `tenure` is the one in force. Returns how many."""
+    if deed.tenure != tenure:
+        return 0
+    ending = sorted({lease.peer_id: lease for lease in deed.leases}.items())
+    return sum(_expire(tables, lease) for _, lease in ending)
+
+
+def _expire(tables: Tables, lease: PeerLease) -> bool:
+    peer = tables.peers.by_id.get(lease.peer_id)
+    if peer is None or not peer.alive:
+        return False
+    if (peer.boot_incarnation, peer.registered_index) != (lease.boot_incarnation, lease.registered_index):
+        return False
+    _drop_mailbox(tables, peer)
+    tables.peers.put(replace(peer, mailbox_queue_id=None, ended_index=tables.index), tables.index)
+    return True
+
+
+def _drop_mailbox(tables: Tables, peer: Peer) -> None:
+    mailbox = _mailbox_of(tables, peer)
+    if mailbox is not None:
+        tables.remove_queue(mailbox)

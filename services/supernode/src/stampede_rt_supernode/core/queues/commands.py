@@ -1,0 +1,59 @@
+"""What can be done to queues, and what comes of it (paper, section 3.5). Pure, immutable values; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stampede_rt_supernode.core.records import Host, Queue, QueueSpec
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class OpenQueue:
+    """Get or create a queue; the new ones are used if it is made or placed anew. `as_of_index`: see `OpenChannel`."""
+
+    name: str
+    spec: QueueSpec = field(default_factory=QueueSpec)
+    create: bool = True
+    host_name: str = ""
+    new_queue_id: bytes
+    new_incarnation: int
+    as_of_index: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class UpdateQueue:
+    """Change the stated fields of a queue's set-up."""
+
+    queue_id: bytes
+    epoch: int
+    spec: QueueSpec
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeleteQueue:
+    """Forget a queue."""
+
+    queue_id: bytes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueOpened:
+    """The queue and its owner; `created` by this very command."""
+
+    queue: Queue
+    host: Host
+    created: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueUpdated:
+    """The queue after the change."""
+
+    queue: Queue
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueDeleted:
+    """The queue as it was last."""
+
+    queue: Queue

@@ -1,0 +1,109 @@
+"""Which set-ups of a queue make sense, and which of two agree (paper, section 3.5). Pure.
+
+As for channels: a field that is None was never stated. What is stated holds from then on: opening the queue again may
+repeat it or leave it out, and only an update changes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from stampede_rt.errors import InvalidArgument, StampedeError, error_for
+from stampede_rt.timeline import format_duration
+from stampede_rt_supernode.core.policies import CONTENT_TYPE_BYTES_MAX, ITEM_BYTES_MAX
+from stampede_rt_supernode.core.records import QueueSpec
+from stampede_rt_supernode.core.validation import check_id
+
+ON_FULL = ("block", "reject", "drop_oldest")
+LIMITS = ("max_items", "max_bytes")
+MAILBOX_UNSTATED = QueueSpec(max_items=1024)
+# What holds for a field that was not stated; content_type has none, it binds nobody's items.
+IN_EFFECT_UNSTATED = {
+    "max_bytes": 256 * 2**20,
+    "on_full": "block",
+    "copies": 1,
+    "lease_nanos": 30 * 10**9,
+    "max_item_bytes": ITEM_BYTES_MAX,
+}
+_RANGES = {
+    "max_items": (1, 2**64 - 1, "at least 1"),
+    "max_bytes": (1, 2**64 - 1, "at least 1"),
+    "copies": (1, 2**32 - 1, "at least 1"),
+    "lease_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
+    "max_deliveries": (1, 2**32 - 1, "at least 1"),
+    "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
+}
+
+
+def check_queue_spec(queue: str, spec: QueueSpec) -> None:
+    """Raises InvalidArgument if a stated field can hold for no queue. `queue`: its name, or id."""
+    for name, (low, high, allowed) in _RANGES.items():
+        value = getattr(spec, name)
+        if value is not None and not low <= value <= high:
+            raise _invalid(queue, name, f"{name} is {value}; it must be {allowed}")
+    if spec.on_full is not None and spec.on_full not in ON_FULL:
+        raise _invalid(queue, "on_full", f"on_full is {spec.on_full!r}; it must be one of {', '.join(ON_FULL)}")
+    if spec.dead_letter_queue_id is not None:
+        check_id(spec.dead_letter_queue_id, "dead_letter_queue_id")
+    _check_content_type(queue, spec.content_type)
+
+
+def _check_content_type(queue: str, content_type: str | None) -> None:
+    if content_type is None:
+        return
+    if len(content_type.encode()) > CONTENT_TYPE_BYTES_MAX or not content_type.isprintable():
+        text = f"content_type must be a MIME type of {CONTENT_TYPE_BYTES_MAX} printable bytes at most"
+        raise _invalid(queue, "content_type", text)
+
+
+def _invalid(queue: str, field: str, text: str) -> InvalidArgument:
+    return InvalidArgument(f"queue {queue}: {text}", metadata={"queue": queue, "field": field})
+
+
+def stated(spec: QueueSpec) -> dict[str, int | str | bytes]:
+    """The fields that were stated."""
+    named = {field.name: getattr(spec, field.name) for field in fields(spec)}
+    return {name: value for name, value in named.items() if value is not None}
+
+
+def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
+    """`held` with the stated fields of `changes`."""
+    return replace(held, **stated(changes))  # type: ignore[arg-type]  # each value comes from the field of that name
+
+
+def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
+    """The set-up of `queue` after somebody opened it with `asked`, or QUEUE_EXISTS naming what contradicts.
+
+    A field stated before must be repeated or left out. One never stated is taken on while no limit was stated; later it
+    must be what is in effect, since taking it on would change what others put in and take out.
+    """
+    provisional = all(getattr(held, name) is None for name in LIMITS)
+    for name, value in stated(asked).items():
+        before = getattr(held, name)
+        if before is None and (provisional or name == "content_type"):
+            continue
+        in_effect = IN_EFFECT_UNSTATED.get(name) if before is None else before
+        if value != in_effect:
+            raise _contradiction(queue, name, before, in_effect, value)
+    return merge(held, asked)
+
+
+def _contradiction(queue: str, field: str, before: object, in_effect: object, value: object) -> StampedeError:
+    name = field.removesuffix("_nanos")
+    held = _shown(field, in_effect)
+    was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
+    return error_for(
+        "QUEUE_EXISTS",
+        f"queue {queue} was set up with {was}, and {name} {_shown(field, value)} was asked for; leave {name} out to "
+        "take the queue as it is, or change it for everybody with UpdateQueue",
+        {"queue": queue, "field": field, "held": held, "asked": _shown(field, value)},
+    )
+
+
+def _shown(field: str, value: object) -> str:
+    """A value as callers write it."""
+    if value is None:
+        return "none"
+    if isinstance(value, bytes):
+        return value.hex()
+    return format_duration(value) if field.endswith("_nanos") and isinstance(value, int) else str(value)

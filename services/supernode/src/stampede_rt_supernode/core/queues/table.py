@@ -1,0 +1,81 @@
+"""The queues and mailboxes of the directory: by id, name, host and dead-letter queue (paper, section 3.5). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from sortedcontainers import SortedDict
+
+from stampede_rt_supernode.core.records import ChangeKind, Queue
+
+Note = Callable[[ChangeKind, Queue], None]
+
+
+class QueueTable:
+    """`note` is told of every change. Edit it through `Tables`, which forgets hosts that nothing belongs to."""
+
+    def __init__(self, queues: Iterable[Queue], note: Note) -> None:
+        self._note = note
+        self.by_id: dict[bytes, Queue] = {}
+        self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the queues that are no mailboxes
+        self._ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that own a queue
+        self._feeding: dict[bytes, set[bytes]] = {}  # by the id of a dead-letter queue: the queues that name it
+        for queue in queues:
+            self._link(queue)
+
+    def __len__(self) -> int:
+        return len(self.by_id)
+
+    def named(self, name: str) -> Queue | None:
+        """The queue of that name, if there is one."""
+        found = self.ids.get(name)
+        return None if found is None else self.by_id[found]
+
+    def at(self, host_id: bytes) -> list[Queue]:
+        """The queues and mailboxes that a host owns, in the order of their ids."""
+        return [self.by_id[one] for one in sorted(self._ids_at.get(host_id, ()))]
+
+    def count_at(self, host_id: bytes) -> int:
+        """How many queues and mailboxes a host owns."""
+        return len(self._ids_at.get(host_id, ()))
+
+    def feeding(self, queue_id: bytes) -> list[Queue]:
+        """The queues whose dead-letter queue this is, in the order of their ids."""
+        return [self.by_id[one] for one in sorted(self._feeding.get(queue_id, ()))]
+
+    def put(self, queue: Queue) -> None:
+        """The queue of that id, which keeps its name if it is there, is now like this."""
+        before = self.by_id.get(queue.queue_id)
+        if before == queue:
+            return
+        if before is not None:
+            self._unlink(before)
+        self._link(queue)
+        self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, queue)
+
+    def remove(self, queue: Queue) -> None:
+        """Forget a queue that is there, and that is nobody's dead-letter queue."""
+        self._unlink(queue)
+        del self.by_id[queue.queue_id]
+        self.ids.pop(queue.name, None)
+        self._note(ChangeKind.REMOVED, queue)
+
+    def _link(self, queue: Queue) -> None:
+        self.by_id[queue.queue_id] = queue
+        if queue.mailbox_peer_id is None:
+            self.ids[queue.name] = queue.queue_id
+        self._ids_at.setdefault(queue.host_id, set()).add(queue.queue_id)
+        if queue.spec.dead_letter_queue_id is not None:
+            self._feeding.setdefault(queue.spec.dead_letter_queue_id, set()).add(queue.queue_id)
+
+    def _unlink(self, queue: Queue) -> None:
+        _discard(self._ids_at, queue.host_id, queue.queue_id)
+        if queue.spec.dead_letter_queue_id is not None:
+            _discard(self._feeding, queue.spec.dead_letter_queue_id, queue.queue_id)
+
+
+def _discard(sets: dict[bytes, set[bytes]], key: bytes, member: bytes) -> None:
+    held = sets[key]
+    held.discard(member)
+    if not held:
+        del sets[key]

@@ -1,0 +1,169 @@
+"""What opening, changing and forgetting a queue does to the tables (paper, section 3.5). Pure.
+
+As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. Mailboxes
+come and go with their peers, see `peers.transitions`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding
+from stampede_rt_supernode.core.lookups import no_such_queue, queue_by_id
+from stampede_rt_supernode.core.queues.commands import (
+    DeleteQueue,
+    OpenQueue,
+    QueueDeleted,
+    QueueOpened,
+    QueueUpdated,
+    UpdateQueue,
+)
+from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
+from stampede_rt_supernode.core.queues.specs import agree, check_queue_spec, merge
+from stampede_rt_supernode.core.records import Queue, QueueSpec
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
+
+QUEUES_MAX = 200_000  # mailboxes included
+DEAD_LETTER_STEPS_MAX = 16  # from a queue to its dead-letter queue, to that one's, and so on
+
+
+def check_open_queue(deed: OpenQueue) -> None:
+    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    check_name(deed.name, "queue")
+    if deed.host_name:
+        check_name(deed.host_name, "host")
+    check_queue_spec(deed.name, deed.spec)
+    check_id(deed.new_queue_id, "new_queue_id")
+    check_incarnation(deed.new_incarnation, "new_incarnation")
+
+
+def check_update_queue(deed: UpdateQueue) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    check_id(deed.queue_id, "queue_id")
+    check_queue_spec(deed.queue_id.hex(), deed.spec)
+
+
+def open_queue(tables: Tables, deed: OpenQueue) -> QueueOpened:
+    """Get or create; a queue whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
+    check_open_queue(deed)
+    queue = tables.queues.named(deed.name)
+    if queue is None:
+        return _create(tables, deed)
+    opened = _agreed(tables, queue, deed.spec)
+    if not tables.hosts[queue.host_id].alive:
+        host = choose_host(tables, f"queue {queue.name}", deed.host_name, tables.hosts[queue.host_id].name)
+        opened = begun_anew(opened, host, deed.new_incarnation)
+    tables.put_queue(opened)
+    return QueueOpened(queue=opened, host=tables.hosts[opened.host_id], created=False)
+
+
+def open_queue_unchanged(tables: Tables, deed: OpenQueue) -> QueueOpened | None:
+    """The answer to `deed` if it changes nothing, else None. Raises as `open_queue` does where that is certain."""
+    check_open_queue(deed)
+    queue = tables.queues.named(deed.name)
+    if queue is None:
+        if not deed.create:
+            raise no_such_queue(deed.name)
+        return None
+    host = tables.hosts[queue.host_id]
+    unchanged = _agreed(tables, queue, deed.spec) == queue
+    return QueueOpened(queue=queue, host=host, created=False) if unchanged and host.alive else None
+
+
+def _agreed(tables: Tables, queue: Queue, asked: QueueSpec) -> Queue:
+    return _with_spec(tables, queue, agree(queue.name, queue.spec, asked))
+
+
+def _with_spec(tables: Tables, queue: Queue, spec: QueueSpec) -> Queue:
+    """`queue` with this set-up, and a new version if it is another one."""
+    if spec == queue.spec:
+        return queue
+    check_dead_letter(tables, queue.queue_id, queue.name or queue.queue_id.hex(), spec)
+    return replace(queue, spec=spec, spec_version=queue.spec_version + 1)
+
+
+def _create(tables: Tables, deed: OpenQueue) -> QueueOpened:
+    if not deed.create:
+        raise no_such_queue(deed.name)
+    check_room(tables, f"queue {deed.name}")
+    check_dead_letter(tables, deed.new_queue_id, deed.name, deed.spec)
+    host = choose_host(tables, f"queue {deed.name}", deed.host_name)
+    queue = Queue(
+        queue_id=deed.new_queue_id,
+        name=deed.name,
+        host_id=host.host_id,
+        epoch=1,
+        incarnation=deed.new_incarnation,
+        spec=deed.spec,
+        spec_version=1,
+    )
+    tables.put_queue(queue)
+    return QueueOpened(queue=queue, host=host, created=True)
+
+
+def check_room(tables: Tables, queue: str) -> None:
+    """Raises Overloaded if no further queue or mailbox can be made."""
+    if len(tables.queues) >= QUEUES_MAX:
+        text = f"{queue} cannot be made: the directory holds {QUEUES_MAX} queues, which is the most; delete some"
+        raise Overloaded(text, metadata={"queue": queue})
+
+
+def check_dead_letter(tables: Tables, queue_id: bytes, shown: str, spec: QueueSpec) -> None:
+    """The dead-letter queue is there, is no mailbox, and no item can come back to where it left by going on from it.
+
+    Raises QUEUE_NOT_FOUND or InvalidArgument. `queue_id`, `shown`: the queue that names it.
+    """
+    following = spec.dead_letter_queue_id
+    for _ in range(DEAD_LETTER_STEPS_MAX + 1):
+        if following is None:
+            return
+        if following == queue_id:
+            raise _bad_dead_letter(shown, "leads back to the queue itself, so that no item would ever leave")
+        dead_letter = queue_by_id(tables, following)
+        if dead_letter.mailbox_peer_id is not None:
+            raise _bad_dead_letter(shown, "is a mailbox, which goes with its peer")
+        following = dead_letter.spec.dead_letter_queue_id
+    raise _bad_dead_letter(shown, f"begins a row of more than {DEAD_LETTER_STEPS_MAX} dead-letter queues")
+
+
+def _bad_dead_letter(queue: str, what: str) -> InvalidArgument:
+    text = f"queue {queue}: its dead-letter queue {what}; name another queue"
+    return InvalidArgument(text, metadata={"queue": queue, "field": "dead_letter_queue_id"})
+
+
+def update_queue(tables: Tables, deed: UpdateQueue) -> QueueUpdated:
+    """Change the stated fields; others stay."""
+    check_update_queue(deed)
+    queue = queue_by_id(tables, deed.queue_id)
+    _check_epoch(queue, deed.epoch)
+    changed = _with_spec(tables, queue, merge(queue.spec, deed.spec))
+    tables.put_queue(changed)
+    return QueueUpdated(queue=changed)
+
+
+def _check_epoch(queue: Queue, epoch: int) -> None:
+    """Raises StaleBinding with reason WRONG_EPOCH."""
+    if epoch != queue.epoch:
+        shown = queue.name or queue.queue_id.hex()
+        raise StaleBinding(
+            f"queue {shown} is at epoch {queue.epoch}, not {epoch}: it was placed anew; resolve it again",
+            reason="WRONG_EPOCH",
+            metadata={"queue": shown, "epoch": str(queue.epoch)},
+        )
+
+
+def delete_queue(tables: Tables, deed: DeleteQueue) -> QueueDeleted:
+    """Forget it; its name is free again."""
+    queue = queue_by_id(tables, deed.queue_id)
+    shown = queue.name or queue.queue_id.hex()
+    if queue.mailbox_peer_id is not None:
+        text = f"queue {shown} is the mailbox of peer {queue.mailbox_peer_id.hex()} and goes when that leaves"
+        raise InvalidArgument(text, metadata={"queue": shown})
+    feeding = tables.queues.feeding(queue.queue_id)
+    if feeding:
+        other = feeding[0].name or feeding[0].queue_id.hex()
+        text = f"queue {shown} is the dead-letter queue of {other}; name it another one with UpdateQueue, or delete it"
+        raise InvalidArgument(text, metadata={"queue": shown, "dead_letter_of": other})
+    tables.remove_queue(queue)
+    return QueueDeleted(queue=queue)

@@ -1,0 +1,129 @@
+"""PeerService, thinly (proto/stampede_rt/v1/peer_service.proto)."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import AsyncIterator
+from typing import Any
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import abort
+from stampede_rt.v1 import peer_service_pb2 as pb
+from stampede_rt.v1 import peer_service_pb2_grpc
+from stampede_rt_supernode.codecs.host_codec import host_record
+from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record
+from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
+from stampede_rt_supernode.codecs.record_codec import peer_change_message
+from stampede_rt_supernode.core import page_tokens
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.lookups import peer_by_id, peer_by_name
+from stampede_rt_supernode.core.peers.checks import check_proof
+from stampede_rt_supernode.core.peers.commands import DeregisterPeer, PeerDeregistered, PeerRegistered, RegisterPeer
+from stampede_rt_supernode.core.peers.queries import PeerPage, peer_page
+from stampede_rt_supernode.core.records import ID_BYTES, Peer
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing, seconds_left
+from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.watch import Watches
+
+
+class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
+    """One supernode's answers about participants."""
+
+    def __init__(self, calls: DirectoryCalls, leases: LeaseKeeper, watches: Watches) -> None:
+        self._calls = calls
+        self._leases = leases
+        self._watches = watches
+
+    @refusing
+    async def RegisterPeer(self, request: pb.RegisterPeerRequest, context: Any) -> pb.RegisterPeerResponse:
+        """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
+        entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
+        ttl_nanos = await self._calls.read(context, lambda directory: directory.lease_ttl_nanos, stale_ok=True)
+        return pb.RegisterPeerResponse(
+            peer=peer_record(entered.peer),
+            lease_ttl_nanos=ttl_nanos,
+            mailbox=None if entered.mailbox is None else queue_record(entered.mailbox),
+            mailbox_host=None if entered.mailbox_host is None else host_record(entered.mailbox_host),
+            mailbox_kept=entered.mailbox_kept,
+            cluster_id=entered.cluster_id,
+        )
+
+    @refusing
+    async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Any) -> pb.RenewPeerLeaseResponse:
+        """See the contract. Leaves no entry in the log."""
+        ttl_nanos, tenure = await self._leases.renew_peer(
+            request.peer_id, request.boot_incarnation, seconds=seconds_left(context)
+        )
+        return pb.RenewPeerLeaseResponse(lease_ttl_nanos=ttl_nanos, tenure=tenure)
+
+    @refusing
+    async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Any) -> pb.DeregisterPeerResponse:
+        """See the contract."""
+        deed = DeregisterPeer(peer_id=request.peer_id, boot_incarnation=request.boot_incarnation)
+        await self._calls.submit(context, deed, PeerDeregistered, request.request_id)
+        return pb.DeregisterPeerResponse()
+
+    @refusing
+    async def ResolvePeer(self, request: pb.ResolvePeerRequest, context: Any) -> pb.ResolvePeerResponse:
+        """See the contract."""
+
+        def find(directory: Directory) -> tuple[Peer, int]:
+            by_name = request.WhichOneof("key") == "name"
+            tables = directory.tables
+            peer = peer_by_name(tables, request.name) if by_name else peer_by_id(tables, request.peer_id)
+            return peer, directory.applied_index
+
+        peer, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ResolvePeerResponse(peer=peer_record(peer), applied_index=index)
+
+    @refusing
+    async def ListPeers(self, request: pb.ListPeersRequest, context: Any) -> pb.ListPeersResponse:
+        """See the contract."""
+        listing = f"peers\0{request.name_glob}\0{request.include_dead}"
+        after = page_tokens.read_peer(request.page_token, listing)
+
+        def find(directory: Directory) -> tuple[PeerPage, int]:
+            page = peer_page(
+                directory.tables, request.name_glob, after, request.page_size, include_dead=request.include_dead
+            )
+            return page, directory.applied_index
+
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ListPeersResponse(
+            peers=[peer_record(peer) for peer in page.peers],
+            next_page_token=page_tokens.write_peer(listing, page.last),
+            applied_index=index,
+        )
+
+    async def WatchPeers(self, request: pb.WatchPeersRequest, context: Any) -> AsyncIterator[pb.WatchPeersResponse]:
+        """See the contract."""
+        try:
+            await self._calls.confirm(context)
+            async for batch in self._watches.follow_peers(request.name_glob, request.after_index):
+                yield pb.WatchPeersResponse(
+                    changes=[peer_change_message(change) for change in batch.changes],
+                    applied_index=batch.applied_index,
+                )
+        except StampedeError as error:
+            await abort(context, error)
+
+
+def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
+    """The command; the proof stays here, and only what it can be recognised by is kept."""
+    check_proof(request.proof)
+    return RegisterPeer(
+        peer_id=request.peer_id,
+        name=request.name,
+        boot_incarnation=request.boot_incarnation,
+        proof_sha256=hashlib.sha256(request.proof).digest() if request.proof else b"",
+        mailbox=queue_spec_from(request.mailbox) if request.HasField("mailbox") else None,
+        mailbox_host_name=request.mailbox_host_name,
+        host_id=request.host_id if request.HasField("host_id") else None,
+        zone=request.zone,
+        version=request.version,
+        attributes=attributes_from(request.attributes),
+        new_mailbox_id=secrets.token_bytes(ID_BYTES),
+        new_incarnation=secrets.randbits(64) or 1,
+    )

@@ -1,0 +1,117 @@
+"""QueueDirectoryService, thinly (proto/stampede_rt/v1/queue_directory_service.proto)."""
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+from stampede_rt.v1 import queue_directory_service_pb2 as pb
+from stampede_rt.v1 import queue_directory_service_pb2_grpc
+from stampede_rt_supernode.codecs.host_codec import host_record
+from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
+from stampede_rt_supernode.core import page_tokens
+from stampede_rt_supernode.core.commands import subject_of
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.lookups import mailbox_of, queue_by_id, queue_by_name
+from stampede_rt_supernode.core.queues.commands import (
+    DeleteQueue,
+    OpenQueue,
+    QueueDeleted,
+    QueueOpened,
+    QueueUpdated,
+    UpdateQueue,
+)
+from stampede_rt_supernode.core.queues.queries import QueuePage, queue_page
+from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
+from stampede_rt_supernode.core.records import ID_BYTES, Host, Queue
+from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_id
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing
+
+
+class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer):
+    """One supernode's answers about queues and mailboxes."""
+
+    def __init__(self, calls: DirectoryCalls) -> None:
+        self._calls = calls
+
+    @refusing
+    async def OpenQueue(self, request: pb.OpenQueueRequest, context: Any) -> pb.OpenQueueResponse:
+        """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
+        deed = OpenQueue(
+            name=request.name,
+            spec=queue_spec_from(request.spec),
+            create=request.create,
+            host_name=request.host_name,
+            new_queue_id=secrets.token_bytes(ID_BYTES),
+            new_incarnation=secrets.randbits(64) or 1,
+            as_of_index=self._calls.reached(),
+        )
+        check_id(request.request_id, "request_id")
+        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        if opened is None:
+            opened = await self._calls.submit(context, deed, QueueOpened, request.request_id)
+        return pb.OpenQueueResponse(
+            queue=queue_record(opened.queue), host=host_record(opened.host), created=opened.created
+        )
+
+    @refusing
+    async def ResolveQueue(self, request: pb.ResolveQueueRequest, context: Any) -> pb.ResolveQueueResponse:
+        """See the contract."""
+
+        def find(directory: Directory) -> tuple[Queue, Host, int]:
+            queue = _resolved(directory.tables, request)
+            return queue, directory.tables.hosts[queue.host_id], directory.applied_index
+
+        queue, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ResolveQueueResponse(queue=queue_record(queue), host=host_record(host), applied_index=index)
+
+    @refusing
+    async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Any) -> pb.UpdateQueueResponse:
+        """See the contract."""
+        deed = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
+        updated = await self._calls.submit(context, deed, QueueUpdated, request.request_id)
+        return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
+
+    @refusing
+    async def DeleteQueue(self, request: pb.DeleteQueueRequest, context: Any) -> pb.DeleteQueueResponse:
+        """See the contract."""
+        await self._calls.submit(context, DeleteQueue(queue_id=request.queue_id), QueueDeleted, request.request_id)
+        return pb.DeleteQueueResponse()
+
+    @refusing
+    async def ListQueues(self, request: pb.ListQueuesRequest, context: Any) -> pb.ListQueuesResponse:
+        """See the contract."""
+        listing = f"queues\0{request.name_glob}\0{request.include_mailboxes}"
+        after = page_tokens.read_place(request.page_token, listing)
+
+        def find(directory: Directory) -> tuple[QueuePage, int]:
+            page = queue_page(
+                directory.tables, request.name_glob, after, request.page_size, mailboxes=request.include_mailboxes
+            )
+            return page, directory.applied_index
+
+        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        return pb.ListQueuesResponse(
+            queues=[queue_record(queue) for queue in page.queues],
+            hosts=[host_record(host) for host in page.hosts],
+            next_page_token=page_tokens.write_place(listing, page.last),
+            applied_index=index,
+        )
+
+
+def _open_again(directory: Directory, op_id: bytes, deed: OpenQueue) -> QueueOpened | None:
+    """The answer that this very request got before, or the one it gets because nothing needs to change."""
+    found = directory.answered.find(op_id, subject_of(deed))
+    return found if isinstance(found, QueueOpened) else open_queue_unchanged(directory.tables, deed)
+
+
+def _resolved(tables: Tables, request: pb.ResolveQueueRequest) -> Queue:
+    match request.WhichOneof("key"):
+        case "name":
+            return queue_by_name(tables, request.name)
+        case "peer_name":
+            return mailbox_of(tables, request.peer_name)
+        case _:
+            return queue_by_id(tables, request.queue_id)
