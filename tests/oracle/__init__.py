@@ -6,6 +6,7 @@ transport, are tested against it.
 """
 
 from tests.oracle.channel import Item, OracleChannel, Refused, Waits
+from tests.oracle.consumers import OracleConsumers
 from tests.oracle.reading import OracleAnswer, OracleGet, OracleReader
 from tests.oracle.subscription import OracleNewest, OracleSubscription
 
@@ -13,6 +14,7 @@ __all__ = [
     "Item",
     "OracleAnswer",
     "OracleChannel",
+    "OracleConsumers",
     "OracleGet",
     "OracleNewest",
     "OracleReader",

@@ -6,9 +6,11 @@ import copy
 from dataclasses import dataclass, field
 
 from stampede_rt.model import Policy
+from tests.oracle.consumers import OracleConsumers
 from tests.oracle.instants import Instants
 
 OVERHEAD_BYTES = 64
+CONSUMERS_MAX = 1024
 
 
 @dataclass(frozen=True, order=True)
@@ -37,7 +39,12 @@ Verdict = Item | Refused | Waits
 
 
 class OracleChannel:
-    """A plain sorted list of held items, and a count for everything that happened to the others."""
+    """A plain sorted list of held items, and a count for everything that happened to the others.
+
+    Who consumes is in `consumers`, if the policy counts it: with `consumers` that many, with `max_age_unconsumed` alone
+    as many as a host takes. Time is settled by `age`, in this order: leases end; buckets grow too old; the oldest items
+    go that nobody holds back, one after the other, up to the first that somebody does.
+    """
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
@@ -48,12 +55,24 @@ class OracleChannel:
         self.collected_ends: list[int] = []
         self.rejected = {"TOO_OLD": 0, "IN_FUTURE": 0, "ITEM_TOO_LARGE": 0, "CHANNEL_FULL": 0, "MALFORMED_RUN": 0}
         self.advanced_to: int | None = None
+        self.consumed_times: list[int] = []
+        self.consumers: OracleConsumers | None = None
+        self._count_consumers()
+
+    def _count_consumers(self) -> None:
+        places = self.policy.consumers or (CONSUMERS_MAX if self.policy.max_age_unconsumed_nanos else 0)
+        if not places:
+            self.consumers = None
+        elif self.consumers is None:
+            self.consumers = OracleConsumers(places)
+        else:
+            self.consumers.resize(places)
 
     @property
     def max_age(self) -> int | None:
         """Ten seconds, if no limit at all is stated."""
-        stated = (self.policy.max_age_nanos, self.policy.max_items, self.policy.max_bytes)
-        return 10_000_000_000 if stated == (None, None, None) else self.policy.max_age_nanos
+        stated = (self.policy.max_age_nanos, self.policy.max_items, self.policy.max_bytes, self.policy.consumers)
+        return 10_000_000_000 if stated == (None,) * 4 else self.policy.max_age_nanos
 
     @property
     def max_bytes(self) -> int:
@@ -143,12 +162,15 @@ class OracleChannel:
         trial = copy.copy(self)
         trial.held, trial.collected = list(self.held), dict(self.collected)
         trial.collected_times, trial.collected_ends = list(self.collected_times), list(self.collected_ends)
+        trial.consumed_times = list(self.consumed_times)
         trial._insert(item)
         return trial
 
     def _would_go_at_once(self, item: Item, clock: int) -> bool:
+        """By age, count or bytes: consumption does not count."""
         trial = self._as_if_put(item)
-        trial.retain(clock)
+        trial.grow_old(clock)
+        trial.drop_excess(clock)
         return item not in trial.held
 
     def _fits(self, item: Item, clock: int) -> bool:
@@ -161,14 +183,24 @@ class OracleChannel:
         return len(self.held) <= (self.policy.max_items or len(self.held)) and self.bytes() <= self.max_bytes
 
     def _retry_at(self, item: Item) -> int | None:
-        return self._as_if_put(item).next_age()
+        return self._as_if_put(item).next_due()
 
-    def next_age(self) -> int | None:
-        """When age collects the oldest bucket; never, if that is the newest."""
-        if self.max_age is None or self.oldest == self.newest:
-            return None
-        ends = [self.end(item) for item in self.held if item.time == self.oldest]
-        return max(end for end in ends if end is not None) + self.max_age
+    def next_due(self) -> int | None:
+        """When age collects the oldest bucket, never if that is the newest, or a lease ends that may hold items."""
+        instants = []
+        if self.max_age is not None and self.oldest != self.newest:
+            ends = [self.end(item) for item in self.held if item.time == self.oldest]
+            instants.append(max(end for end in ends if end is not None) + self._age_of(self.oldest))
+        lease_end = self.consumers.next_lease_end() if self.consumers and self.held else None
+        return min([*instants, *([] if lease_end is None else [lease_end])], default=None)
+
+    def _age_of(self, time: int | None) -> int:
+        """The max_age of a bucket: a longer one if it is stated and some live consumer owes an item of it."""
+        longest, shortest = self.policy.max_age_unconsumed_nanos, self.max_age
+        assert shortest is not None
+        if longest is None or self.consumers is None:
+            return shortest
+        return longest if any(self.consumers.owed(item.seq) for item in self.held if item.time == time) else shortest
 
     def bytes(self) -> int:
         return sum(item.length + OVERHEAD_BYTES for item in self.held)
@@ -177,8 +209,11 @@ class OracleChannel:
         self.held = sorted([*self.held, item])
 
     def retain(self, clock: int) -> None:
-        """Age, then count, then bytes."""
+        """What time brings about, then count, then bytes."""
         self.age(clock)
+        self.drop_excess(clock)
+
+    def drop_excess(self, clock: int) -> None:
         if not self.drops_oldest:
             return
         while self.policy.max_items is not None and len(self.held) > self.policy.max_items:
@@ -187,19 +222,56 @@ class OracleChannel:
             self._collect(self.held[:1], "bytes", clock)
 
     def age(self, clock: int) -> None:
-        """Every bucket but the newest goes whose last span end is max_age ago or more."""
-        if self.max_age is None:
+        """What time alone brings about, as far as it has not."""
+        if self.consumers is not None:
+            self.consumers.expire(clock)
+        self.grow_old(clock)
+        self.use_up(clock)
+
+    def grow_old(self, clock: int) -> None:
+        """From the oldest on, every bucket but the newest goes whose last span end is its max_age ago or more. With
+        max_age_unconsumed one that is owed stays, up to that, and so do all behind it."""
+        while self.max_age is not None and self.oldest != self.newest:
+            bucket = [item for item in self.held if item.time == self.oldest]
+            if max(self.known_end(item, clock) for item in bucket) > clock - self._age_of(self.oldest):
+                return
+            self._collect(bucket, "age", clock)
+
+    def use_up(self, clock: int) -> None:
+        """From the oldest on, every item goes that no place holds back. With nobody left to hold anything back the
+        newest bucket stays, by which the next consumer finds in."""
+        places = self.consumers
+        if places is None or self.policy.consumers is None or places.untaken:
             return
-        ends = {time: max(self.known_end(i, clock) for i in self.held if i.time == time) for time in self._times()}
-        gone = [i for i in self.held if i.time != self.newest and ends[i.time] <= clock - self.max_age]
-        self._collect(gone, "age", clock)
+        while self.held and not places.owed(self.held[0].seq) and (places.live or self.oldest != self.newest):
+            self._collect(self.held[:1], "consumption", clock)
+
+    def consume(self, consumer_id: int, seqs: list[int], clock: int, lease: int) -> int | None:
+        """How many held items it had not consumed; None if there is no place for it. A lease of 0 gives it up."""
+        self.age(clock)
+        assert self.consumers is not None
+        known = any(place.consumer_id == consumer_id for place in self.consumers.live)
+        if not lease and not seqs and not known:
+            return 0
+        newest = max(self.held, default=None)
+        place = self.consumers.place_for(consumer_id, len(self.log) + 1 if newest is None else newest.seq)
+        if place is None:
+            return None
+        owed = {item.seq for item in self.held if place.owes(item.seq)} & set(seqs)
+        place.consumed |= set(seqs)
+        place.until, place.ended = clock + lease, not lease
+        self.age(clock)
+        return len(owed)
 
     def _times(self) -> set[int]:
         return {item.time for item in self.held}
 
     def _collect(self, items: list[Item], cause: str, clock: int) -> None:
-        self.collected_ends += [self.known_end(item, clock) for item in items]
-        self.collected_times += [item.time for item in items]
+        if cause == "consumption":
+            self.consumed_times += [item.time for item in items]
+        else:
+            self.collected_ends += [self.known_end(item, clock) for item in items]
+            self.collected_times += [item.time for item in items]
         self.collected[cause] += len(items)
         self.held = [item for item in self.held if item not in items]
 
@@ -210,4 +282,5 @@ class OracleChannel:
         """What the old policy outdated by now is gone; then the new one rules."""
         self.age(clock)
         self.policy = policy
+        self._count_consumers()
         self.retain(clock)

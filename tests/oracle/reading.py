@@ -90,8 +90,9 @@ class OracleReader:
         return Instants.of(region).is_empty or self._is_below_frontier(region) or self._is_finished(region)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """An item or an advance is at or past an exclusive end, strictly past an inclusive one."""
-        marks = [mark for mark in (self.channel.newest, self.channel.advanced_to) if mark is not None]
+        """An item, even if consumed since, or an advance is at or past an exclusive end, or past an inclusive one."""
+        bounds = (self.channel.newest, self.channel.advanced_to)
+        marks = [*(mark for mark in bounds if mark is not None), *self.channel.consumed_times]
         return any(mark >= region.end if region.end_exclusive else mark > region.end for mark in marks)
 
     def _is_below_frontier(self, region: ResolvedInterval) -> bool:

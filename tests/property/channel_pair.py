@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import pytest
+
+from stampede_rt.errors import ChannelFull, InvalidArgument
 from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound
 from stampede_rt_channel_host.core.channel import (
@@ -144,6 +147,27 @@ class ChannelPair:
         self.core.configure(policy, self.clock)
         self.oracle.configure(policy, self.clock)
 
+    def consume(self, consumer_id: int, seqs: Sequence[int], lease: int) -> None:
+        """By one consumer, on a channel that counts consumption, and refused on another."""
+        if self.oracle.consumers is None:
+            with pytest.raises(InvalidArgument, match="counts no consumption"):
+                self.core.consume(consumer_id, seqs, self.clock, lease_nanos=lease)
+            self.oracle.age(self.clock)
+            return
+        expected = self.oracle.consume(consumer_id, list(seqs), self.clock, lease)
+        if expected is None:
+            with pytest.raises(ChannelFull, match="all places are taken"):
+                self.core.consume(consumer_id, seqs, self.clock, lease_nanos=lease)
+        else:
+            assert self.core.consume(consumer_id, seqs, self.clock, lease_nanos=lease).items == expected
+
+    def carry_consumers(self) -> None:
+        """The places leave as values and come back."""
+        self.oracle.age(self.clock)
+        self.core.restore_consumers(self.core.consumers(self.clock), self.clock)
+        if self.oracle.consumers is not None:
+            self.oracle.consumers.carry(self.clock)
+
     def read(self, query: Query) -> None:
         reader = OracleReader(self.oracle, self.clock)
         self._agree(self.core.read(query, self.clock), reader.read(query, reader.resolve(query)))
@@ -255,5 +279,17 @@ class ChannelPair:
         assert (self.core.frontier, self.core.advanced_to) == (self.oracle.frontier, self.oracle.advanced_to)
         while self.core.next_deadline(self.clock) == self.clock:
             self.core.collect(self.clock)
-        assert self.core.next_deadline(self.clock) == self.oracle.next_age()
+        assert self.core.next_deadline(self.clock) == self.oracle.next_due()
         assert self.core.next_seq == len(self.oracle.log) + 1
+        self._check_places()
+
+    def _check_places(self) -> None:
+        places = self.oracle.consumers.taken if self.oracle.consumers else []
+        held = {item.seq for item in self.oracle.held}
+        shown = {place.consumer_id: place for place in self.core.consumers(self.clock)}
+        assert shown.keys() == {place.consumer_id for place in places}
+        for place in places:
+            one = shown[place.consumer_id]
+            assert one.lease_nanos == (0 if place.ended else place.until - self.clock)
+            assert one.waiting == sum(place.owes(seq) for seq in held)
+            assert len(one.consumed) <= len(held), "what is kept of a consumer is bounded by what is held"

@@ -32,6 +32,14 @@ POLICIES = (
     Policy(max_age_nanos=9, max_bytes=400, max_items=6, max_future_nanos=8, on_full="reject"),
     Policy(max_items=2, max_bytes=10_000, max_item_bytes=30, max_future_nanos=8),
     Policy(max_age_nanos=1, max_future_nanos=0),
+    Policy(consumers=2, max_future_nanos=8),
+    Policy(consumers=1, max_items=2, max_future_nanos=8, on_full="block"),
+    Policy(consumers=2, max_age_nanos=15, max_bytes=500, max_future_nanos=8),
+    Policy(consumers=3, max_items=4, max_future_nanos=8, on_full="reject"),
+    Policy(consumers=2, max_items=3, max_age_nanos=20, max_future_nanos=8, on_full="block"),
+    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_future_nanos=8),
+    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_items=4, max_future_nanos=8, on_full="block"),
+    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8),
     Policy(),
 )
 DURATIONS = (-1, 0, 1, 3, 7, HUGE)
@@ -114,6 +122,18 @@ def configure(dice: Dice, pair: ChannelPair) -> None:
     pair.configure(dice.pick(POLICIES))
 
 
+def consume(dice: Dice, pair: ChannelPair) -> None:
+    """One of four consumers: all that is held, its oldest items, its newest, or any that ever were."""
+    held, kind = [item.seq for item in pair.oracle.held], dice.below(4)
+    seqs = (held, held[:2], held[-1:], [1 + dice.below(len(pair.oracle.log) or 1) for _ in range(2)])[kind]
+    known = [seq for seq in seqs if seq <= len(pair.oracle.log)]
+    pair.consume(1 + dice.below(4), known, dice.pick((10, 3, 40, 0, 10**6)))
+
+
+def carry(dice: Dice, pair: ChannelPair) -> None:
+    pair.carry_consumers()
+
+
 def subscribe(dice: Dice, pair: ChannelPair) -> None:
     kind = dice.below(3)
     after = an_item_position(dice, pair) if kind == 2 and pair.oracle.log else None
@@ -147,7 +167,7 @@ def rest(dice: Dice, pair: ChannelPair) -> None:
 
 STEPS = (
     rest, put, read, put, tick, read, begin, put, subscribe, deliver, advance, configure, retry_put, give_up, collect,
-    read, put,
+    read, put, consume, consume, carry,
 )  # fmt: skip
 
 
@@ -155,10 +175,10 @@ def play(numbers: list[int]) -> None:
     """One story: a policy, then a step for each number; with `hasty` nobody looks between the steps."""
     first = Dice(numbers[0])
     pair = ChannelPair(first.pick(POLICIES), FIRST_CLOCK)
-    hasty = bool(first.below(2))
+    hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
     for number in numbers[1:]:
         dice = Dice(number)
-        step = dice.pick(STEPS)
+        step = consume if counts and dice.one_in(3) else dice.pick(STEPS)
         note(step.__name__)
         step(dice, pair)
         if not hasty:

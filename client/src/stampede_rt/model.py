@@ -129,7 +129,10 @@ class Items(Sequence[Item]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Policy:
-    """How a channel is set up; None: never stated. Times in nanoseconds, sizes in bytes (paper, section 3.4)."""
+    """How a channel is set up; None: never stated. Times in nanoseconds, sizes in bytes (paper, section 3.4).
+
+    `max_age_unconsumed_nanos`: what a live consumer has yet to consume goes at that age instead of `max_age_nanos`.
+    """
 
     max_age_nanos: int | None = None
     max_items: int | None = None
@@ -139,6 +142,7 @@ class Policy:
     max_future_nanos: int | None = None
     content_type: str | None = None
     max_item_bytes: int | None = None
+    max_age_unconsumed_nanos: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

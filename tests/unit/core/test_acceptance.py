@@ -139,4 +139,4 @@ def test_a_policy_that_cannot_hold_changes_nothing() -> None:
         channel.configure(Policy(max_items=0), CLOCK)
     assert channel.policy is before
     with pytest.raises(InvalidArgument, match="consumers"):
-        Channel(Policy(consumers=1), incarnation=1)
+        Channel(Policy(consumers=2**20), incarnation=1)

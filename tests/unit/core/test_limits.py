@@ -16,7 +16,7 @@ def test_a_policy_without_any_limit_keeps_ten_seconds_and_256_mebibytes() -> Non
     assert limits.drops_oldest
 
 
-@pytest.mark.parametrize("policy", [Policy(max_items=5), Policy(max_bytes=1000)])
+@pytest.mark.parametrize("policy", [Policy(max_items=5), Policy(max_bytes=1000), Policy(consumers=2)])
 def test_any_stated_limit_leaves_age_unlimited(policy: Policy) -> None:
     assert Limits.of(policy).max_age_nanos is None
 
@@ -34,8 +34,11 @@ def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
         (Policy(max_future_nanos=-1), "max_future is -1"),
         (Policy(max_item_bytes=2**30), f"max_item_bytes is {2**30}"),
         (Policy(on_full="wait"), "on_full is 'wait'"),
-        (Policy(consumers=2), "consumers is 2"),
-        (Policy(max_items=4, on_full="block"), '"block" without max_age'),
+        (Policy(consumers=0), "consumers is 0"),
+        (Policy(consumers=1025), "consumers is 1025; it is between 1 and 1024"),
+        (Policy(max_items=4, on_full="block"), '"block" without max_age or consumers'),
+        (Policy(max_age_unconsumed_nanos=7), "max_age, which it prolongs for consumers that lag, is not stated"),
+        (Policy(max_age_nanos=8, max_age_unconsumed_nanos=7), "max_age_unconsumed not below max_age"),
     ],
 )
 def test_a_policy_that_cannot_hold_is_refused_by_name(policy: Policy, message: str) -> None:
@@ -46,3 +49,8 @@ def test_a_policy_that_cannot_hold_is_refused_by_name(policy: Policy, message: s
 def test_blocking_is_taken_with_an_age_by_which_it_ends() -> None:
     assert Limits.of(Policy(max_items=4, max_age_nanos=1, on_full="block")).on_full == "block"
     assert Limits.of(Policy(on_full="block")).max_age_nanos == 10_000_000_000
+
+
+def test_blocking_is_taken_with_consumers_by_whom_it_ends() -> None:
+    limits = Limits.of(Policy(max_items=4, consumers=2, on_full="block"))
+    assert (limits.on_full, limits.max_age_nanos) == ("block", None)

@@ -9,13 +9,22 @@ Nothing here reads a clock, waits, locks, or knows the wire. The shell around it
 - reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (at once, after each change and at
   the instant of `WakeAt`), `give_up`;
 - subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
+- consumption: `consume`; `consumers` and `restore_consumers` carry the places to another owner;
 - housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
 - counts: `counters(now)`; `reject_malformed` for what never became an offer.
 
-"After each change" means after every put that accepted something, every advance and every configure.
+"After each change" means after every put that accepted something, every advance and every configure; waiting puts are
+offered again after every consume, too.
 """
 
 from stampede_rt_channel_host.core.channel.channel import Channel
+from stampede_rt_channel_host.core.channel.consumption import (
+    LEASE_NANOS,
+    LEASE_NANOS_MAX,
+    SEQS_MAX,
+    Consumed,
+    ConsumerPlace,
+)
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
@@ -38,9 +47,14 @@ from stampede_rt_channel_host.core.channel.values import (
 __all__ = [
     "ABSENT",
     "ITEM_OVERHEAD_BYTES",
+    "LEASE_NANOS",
+    "LEASE_NANOS_MAX",
+    "SEQS_MAX",
     "AllCursor",
     "Answer",
     "Channel",
+    "Consumed",
+    "ConsumerPlace",
     "Counters",
     "DeliveredSlice",
     "Delivery",

@@ -60,10 +60,11 @@ class Acceptance:
         payload_bytes = sum(lengths)
         if self._retention.has_room(len(times), payload_bytes):
             return True
-        self._retention.age_out(clock)
+        self._retention.settle(clock)
         if self._retention.has_room(len(times), payload_bytes):
             return True
-        return limits.drops_oldest and held.items > 0 and self._sheds_alike(len(times), payload_bytes, low)
+        sheds = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
+        return sheds and self._sheds_alike(len(times), payload_bytes, low)
 
     def _least_time(self) -> int:
         """Nothing below it is accepted."""
@@ -99,7 +100,8 @@ class Acceptance:
         limits, held = self._retention.limits, self._held
         return ChannelFull(
             f"{self._channel} is full: it holds {held.items} items charged with {held.charged_bytes} bytes, of at most "
-            f"{limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; put later, or raise its limits"
+            f"{limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; put later"
+            f"{', when consumers have consumed some,' if limits.consumers else ','} or raise its limits"
         )
 
     def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
@@ -139,12 +141,12 @@ class Acceptance:
 
     def _outdated(self, time: int, duration: int, length: int, clock: int) -> str | None:
         """Which policy would collect the item as soon as it were in."""
-        held, limits, cutoff = self._held, self._retention.limits, self._retention.cutoff(clock)
+        held, limits, age = self._held, self._retention.limits, self._retention.age_of_new
         following = held.next_time(time) if held.oldest is None or time >= held.oldest else held.oldest
-        if cutoff is not None and following is not None:
+        if age is not None and following is not None:
             own_end = following if duration == ABSENT else min(time + duration, following)
-            if max(own_end, held.bucket_end(time, following)) <= cutoff:
-                return f"its span ended before the last {format_duration(limits.max_age_nanos or 0)} (max_age)"
+            if max(own_end, held.bucket_end(time, following)) <= clock - age:
+                return f"its span ended before the last {format_duration(age)} (max_age)"
         if limits.drops_oldest and limits.max_items is not None:
             excess_items = held.items + 1 - limits.max_items
             if excess_items > 0 and (held.oldest is None or time < held.oldest):
@@ -186,7 +188,7 @@ class _ItemByItem:
         for index, time in enumerate(self._times):
             duration = ABSENT if self._offer.durations is None else self._offer.durations[index]
             length = self._offer.lengths[index]
-            self._retention.age_out(self._clock)
+            self._retention.settle(self._clock)
             fault = self._to.fault(time, duration, length, self._clock)
             as_if = self._as_if_put_at(time)
             if fault is None and not self._has_room(as_if, length):
@@ -218,9 +220,8 @@ class _ItemByItem:
         for column, value in zip(self._columns, (time, duration, length), strict=True):
             column.append(value)
         self._kept.append(index)
-        self._held.index.insert_item(self._run, len(self._kept) - 1)
-        self._held.count_in(1, length, time, time)
-        self._retention.age_out(self._clock)
+        self._held.store_item(self._run, len(self._kept) - 1, length)
+        self._retention.settle(self._clock)
         self._retention.drop_excess(self._clock)
         if self._offer.since is not None and not (
             self._retention.limits.drops_oldest or self._retention.has_room(0, 0)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 from stampede_rt.errors import InFuture, InvalidArgument
 from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
+from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consumed, ConsumerPlace
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
@@ -41,7 +44,7 @@ class Channel:
 
     Every call takes `now`, the host's clock (`HostTime`), in nanoseconds since the epoch; an earlier one than before
     counts as the latest seen. After each put, advance and configure the owner polls its blocked gets, offers waiting
-    puts again and looks after its subscriptions. Seqs start at 1.
+    puts again and looks after its subscriptions; after each consume it offers waiting puts again. Seqs start at 1.
     """
 
     def __init__(self, policy: Policy, *, incarnation: int, name: str = "") -> None:
@@ -63,11 +66,13 @@ class Channel:
         items that have to wait. Puts that arrive while one waits are to wait behind it, so that a run's seqs follow
         each other.
         """
-        clock = self._tick(now)
+        clock, counts_consumption = self._tick(now), self._retention.consumers is not None
+        if counts_consumption:
+            self._settle(clock)
         outcome = self._acceptance.put(offer, clock, seal)
         self._puts_unsettled += 1
         self._entries_to_free += ENTRIES_PER_ITEM_MAX * len(offer.lengths)
-        if self._puts_unsettled >= PUTS_PER_SETTLING or not self._retention.has_room(0, 0):
+        if self._puts_unsettled >= PUTS_PER_SETTLING or counts_consumption or not self._retention.has_room(0, 0):
             self._settle_puts(clock)
         return outcome
 
@@ -161,14 +166,48 @@ class Channel:
     def configure(self, policy: Policy, now: int) -> None:
         """Set another policy, whole; what it outdates goes at once. Raises InvalidArgument and changes nothing.
 
-        Walks the index once if it outdates much.
+        Walks the index once if it outdates much. Fewer consumers end the places whose leases end first.
         """
         limits = Limits.of(policy)
         clock = self._settle(self._tick(now))
         self._policy = policy
-        self._retention.limits = limits
+        self._retention.set_limits(limits)
         self._settle(clock)
         self._retention.drop_excess(clock)
+
+    def consume(self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS) -> Consumed:
+        """Use items up for one consumer; what all consumers have used up goes, the oldest first. Safe to repeat.
+
+        Takes the consumer's place if it has none, and keeps it for `lease_nanos` from now (see `Consumers`); 0 gives it
+        up. `seqs` may be none. Raises InvalidArgument, and ChannelFull if all places are taken.
+        """
+        clock = self._settle(self._tick(now))
+        consumers = self._retention.consumers
+        if consumers is None:
+            raise InvalidArgument(
+                "the channel counts no consumption: it was set up without consumers; set it up with consumers=, or "
+                "configure it so"
+            )
+        newest_seq = self._held.newest_seq
+        consumed = consumers.consume(
+            consumer_id, seqs, next_seq=self.next_seq, newest_seq=newest_seq, clock=clock, lease=lease_nanos
+        )
+        self._settle(clock)
+        self._held.free(len(seqs))
+        return consumed
+
+    def consumers(self, now: int) -> list[ConsumerPlace]:
+        """The places that were taken, as values: what moves with the channel, and what its status shows."""
+        clock = self._settle(self._tick(now))
+        consumers = self._retention.consumers
+        return [] if consumers is None else consumers.places(clock, self.next_seq)
+
+    def restore_consumers(self, places: Iterable[ConsumerPlace], now: int) -> None:
+        """Take over the places that `consumers` told at the channel's former owner. Without consumers= nothing."""
+        clock = self._settle(self._tick(now))
+        if self._retention.consumers is not None:
+            self._retention.consumers.restore(places, clock)
+            self._settle(clock)
 
     def collect(self, now: int, entries_max: int = 1024) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
@@ -176,9 +215,9 @@ class Channel:
         return self._held.free(entries_max)
 
     def next_deadline(self, now: int) -> int | None:
-        """When `collect` is next useful: now, if memory is left to free; else when age outdates items; None: never."""
+        """When `collect` is next useful: now, if memory is left to free; else when time takes items; None: never."""
         clock = self._settle(self._tick(now))
-        return clock if self._held.has_backlog else self._retention.next_age_out()
+        return clock if self._held.has_backlog else self._retention.next_due()
 
     def counters(self, now: int) -> Counters:
         """What became of all items, at this moment."""
@@ -241,12 +280,13 @@ class Channel:
 
     def _age(self) -> None:
         if self._clock is not None:
-            self._retention.age_out(self._clock)
+            self._retention.settle(self._clock)
 
     def _settle(self, clock: int) -> int:
-        """Age the holdings, and free a little."""
+        """Let go what time has outdated, and free a little."""
         self._puts_unsettled = 0
-        self._retention.age_out(clock)
+        self._retention.settle(clock)
+        self._reading.consumed_up_to = self._held.newest_consumed
         self._held.free(FREED_ENTRIES_PER_CALL)
         return clock
 

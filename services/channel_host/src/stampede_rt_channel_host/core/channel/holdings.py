@@ -34,12 +34,14 @@ class Holdings:
 
     `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
     or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
+    `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection. `on_gone`
+    hears which seqs are collected, from the first up to, not including, the end.
     """
 
     __slots__ = (
         "_following",
         "_stored_bytes", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index",
-        "items", "newest", "newest_collected", "oldest", "payload_bytes",
+        "items", "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -55,6 +57,9 @@ class Holdings:
         self.newest_collected: int | None = None
         self.collected_end: int | None = None
         self.collected_by = AGE
+        self.newest_consumed: int | None = None
+        self.last_cause = AGE
+        self.on_gone: Callable[[int, int], None] | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
 
@@ -87,11 +92,28 @@ class Holdings:
 
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run whose times lie between `low` and `high`."""
+        if low < self.floor[0]:
+            self._make_way()
         self.index.insert(run)
-        self.count_in(len(run), payload_bytes, low, high)
+        self._count_in(len(run), payload_bytes, low, high)
 
-    def count_in(self, items: int, payload_bytes: int, low: int, high: int) -> None:
-        """Count items that were added to the index, with times between `low` and `high`."""
+    def store_item(self, run: Run, at: int, payload_bytes: int) -> None:
+        """Add the item at place `at` of a run of which exactly those before it are in."""
+        time = run.times[at]
+        if time < self.floor[0]:
+            self._make_way()
+        self.index.insert_item(run, at)
+        self._count_in(1, payload_bytes, time, time)
+
+    def _make_way(self) -> None:
+        """An item comes in below what consumption has taken: of that, nothing may be left in the index."""
+        self.free(len(self.index))
+        trimmed = self.index.trim_below(self.floor)
+        if trimmed is not None:
+            self._forget(trimmed)
+        self.floor = FIRST_PLACE
+
+    def _count_in(self, items: int, payload_bytes: int, low: int, high: int) -> None:
         self._following = (None, None)
         self.items += items
         self.payload_bytes += payload_bytes
@@ -110,6 +132,12 @@ class Holdings:
     def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
         """The same, the last slice first."""
         return self.index.slices_down(max(low, self.floor), high)
+
+    @property
+    def newest_seq(self) -> int | None:
+        """The seq of the newest item; None if there is none."""
+        last = next(self.slices_down(), None)
+        return None if last is None else last.end_seq - 1
 
     def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
         """Held items with seqs from `low` up to, not including, `high`, in seq order."""
@@ -163,8 +191,13 @@ class Holdings:
         """Collect a front. `now` ends the open spans of the newest bucket, if they are among it."""
         if not front.items:
             return
-        self._note_end(front, cause, now)
-        last = front.tail[-1]
+        self.last_cause = cause
+        last, former_floor = front.tail[-1], self.floor
+        if cause == CONSUMPTION:  # moves no frontier: items may yet come in below
+            before = self.newest_consumed
+            self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
+        else:
+            self._note_end(front, cause, now)
         # Not where the next held item begins: another may yet come between the two.
         self.floor = last.last_time, last.end_seq
         self.items -= front.items
@@ -172,6 +205,9 @@ class Holdings:
         self.collected[cause] += front.items
         self.oldest = None if front.rest is None else front.rest.first_time
         self.newest = None if front.rest is None else self.newest
+        if self.on_gone is not None:
+            for part in self.index.slices(former_floor, self.floor):
+                self.on_gone(part.first_seq, part.end_seq)
 
     def _note_end(self, front: Front, cause: str, now: int) -> None:
         """Earlier buckets end at or before the last one's time, so only that one's items count."""
@@ -192,10 +228,12 @@ class Holdings:
             entry = self.index.pop_below(self.floor)
             if entry is None:
                 return False
-            items = entry.hi - entry.lo
-            self._stored_bytes -= entry.run.payload_bytes(entry.lo, entry.hi) + items * ITEM_OVERHEAD_BYTES
+            self._forget(Slice(entry.run, entry.lo, entry.hi))
             entries_max -= 1
         return self.has_backlog
+
+    def _forget(self, part: Slice) -> None:
+        self._stored_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:

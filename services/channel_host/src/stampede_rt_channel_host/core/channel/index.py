@@ -210,6 +210,17 @@ class ChannelIndex:
             self._by_seq.remove(entry)
         return entry
 
+    def trim_below(self, floor: Place) -> Slice | None:
+        """Take out the items below `floor` of the first entry, if it is the only one that has such; what was taken."""
+        entry: Entry | None = self._by_time[0] if self._by_time else None
+        at = 0 if entry is None else index_of(entry, floor)
+        if entry is None or not entry.lo < at < entry.hi:
+            return None
+        self._by_time.remove(entry)
+        self._by_seq.remove(entry)
+        self._add(Part(entry.run, at, entry.hi))
+        return Slice(entry.run, entry.lo, at)
+
 
 def _clipped(entry: Entry, low: Place, high: Place) -> Iterator[Slice]:
     lo = entry.lo if entry.first_time > low[0] else index_of(entry, low)

@@ -13,6 +13,7 @@ DEFAULT_MAX_AGE_NANOS = 10_000_000_000
 DEFAULT_MAX_BYTES = 256 * 1024 * 1024
 DEFAULT_MAX_FUTURE_NANOS = 1_000_000_000
 ITEM_BYTES_MAX = 16 * 1024 * 1024
+CONSUMERS_MAX = 1024
 
 DROP_OLDEST = "drop_oldest"
 BLOCK = "block"
@@ -29,6 +30,8 @@ class Limits:
     max_item_bytes: int
     max_future_nanos: int
     on_full: str
+    consumers: int | None
+    max_age_unconsumed_nanos: int | None
 
     @classmethod
     def of(cls, policy: Policy) -> Limits:
@@ -37,7 +40,7 @@ class Limits:
         Raises InvalidArgument, naming the value, the reason and the way out.
         """
         _check(policy)
-        stated = (policy.max_age_nanos, policy.max_items, policy.max_bytes)
+        stated = (policy.max_age_nanos, policy.max_items, policy.max_bytes, policy.consumers)
         unlimited = all(limit is None for limit in stated)
         return cls(
             max_age_nanos=DEFAULT_MAX_AGE_NANOS if unlimited else policy.max_age_nanos,
@@ -46,6 +49,8 @@ class Limits:
             max_item_bytes=ITEM_BYTES_MAX if policy.max_item_bytes is None else policy.max_item_bytes,
             max_future_nanos=DEFAULT_MAX_FUTURE_NANOS if policy.max_future_nanos is None else policy.max_future_nanos,
             on_full=policy.on_full or DROP_OLDEST,
+            consumers=policy.consumers,
+            max_age_unconsumed_nanos=policy.max_age_unconsumed_nanos,
         )
 
     @property
@@ -53,31 +58,50 @@ class Limits:
         """The oldest items make room for new ones."""
         return self.on_full == DROP_OLDEST
 
+    @property
+    def consumer_places(self) -> int:
+        """How many consumers the channel counts; 0: it counts no consumption, and keeps nothing for it."""
+        adapts = self.max_age_unconsumed_nanos is not None
+        return self.consumers or (CONSUMERS_MAX if adapts else 0)
+
     def describe(self, cause: str) -> str:
         """The limit behind a cause of collection, as people write it: `max_age (10 s)`."""
         if cause == "age" and self.max_age_nanos is not None:
-            return f"max_age ({format_duration(self.max_age_nanos)})"
+            longest = self.max_age_unconsumed_nanos
+            more = "" if longest is None else f", of what a consumer has yet to consume {format_duration(longest)}"
+            return f"max_age ({format_duration(self.max_age_nanos)}{more})"
+        if cause == "consumption":
+            return f"consumers ({self.consumers})" if self.consumers else "an earlier number of consumers"
         if cause == "count":
             return f"max_items ({self.max_items})"
         return f"max_bytes ({self.max_bytes})" if cause == "bytes" else f"an earlier max_{cause}"
 
 
 def _check(policy: Policy) -> None:
-    if policy.consumers is not None:
-        raise InvalidArgument(
-            f"consumers is {policy.consumers}, but this host does not count consumers; "
-            "use max_age, max_items or max_bytes"
-        )
     _check_range("max_age", policy.max_age_nanos, 1, MAX_INSTANT, "nanoseconds")
     _check_range("max_items", policy.max_items, 1, MAX_INSTANT, "items")
     _check_range("max_bytes", policy.max_bytes, ITEM_OVERHEAD_BYTES, MAX_INSTANT, "bytes (64 of them for each item)")
     _check_range("max_future", policy.max_future_nanos, 0, MAX_INSTANT, "nanoseconds")
     _check_range("max_item_bytes", policy.max_item_bytes, 0, ITEM_BYTES_MAX, "bytes")
+    _check_range("consumers", policy.consumers, 1, CONSUMERS_MAX, "consumers")
     if policy.on_full not in (None, DROP_OLDEST, BLOCK, REJECT):
         raise InvalidArgument(f'on_full is {policy.on_full!r}; write "drop_oldest", "block" or "reject"')
-    if policy.on_full == BLOCK and policy.max_age_nanos is None and (policy.max_items or policy.max_bytes):
+    ends = policy.max_age_nanos is not None or policy.consumers is not None
+    if policy.on_full == BLOCK and not ends and (policy.max_items or policy.max_bytes):
         raise InvalidArgument(
-            'on_full is "block" without max_age: a full channel would block for ever; state max_age, or use "reject"'
+            'on_full is "block" without max_age or consumers: a full channel would block for ever; state one of them, '
+            'or use "reject"'
+        )
+    _check_adaptive(policy)
+
+
+def _check_adaptive(policy: Policy) -> None:
+    least, most = policy.max_age_nanos, policy.max_age_unconsumed_nanos
+    if most is not None and (least is None or not least <= most <= MAX_INSTANT):
+        stated = "is not stated" if least is None else f"is {format_duration(least)}"
+        raise InvalidArgument(
+            f"max_age_unconsumed is {format_duration(most)} and max_age, which it prolongs for consumers that lag, "
+            f"{stated}; state both, max_age_unconsumed not below max_age"
         )
 
 

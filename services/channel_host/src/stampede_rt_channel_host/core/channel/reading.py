@@ -30,6 +30,7 @@ class Reading:
         self._retention = retention
         self._incarnation = incarnation
         self.advance: int | None = None
+        self.consumed_up_to: int | None = None  # the latest time of an item that consumption took: that one did come
 
     def now(self, clock: int) -> int:
         """What the meta-time `now` resolves to: the later of the clock and the newest item's time."""
@@ -109,7 +110,7 @@ class Reading:
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
         """An item or an advance is at or past an exclusive end, strictly past an inclusive one."""
-        marks = [mark for mark in (self._held.newest, self.advance) if mark is not None]
+        marks = [mark for mark in (self._held.newest, self.advance, self.consumed_up_to) if mark is not None]
         return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
 
     def _is_below_frontier(self, region: ResolvedInterval) -> bool:
@@ -139,7 +140,9 @@ class Reading:
             return self._not_yet(query, region)
         if self._is_truncated(region):
             return self._collected()
-        return Reason("NEVER", "the channel is past the interval and nothing was put that matches")
+        consumed = self.consumed_up_to is not None and self.consumed_up_to >= region.start
+        but = ", or all consumers have consumed it" if consumed else ""
+        return Reason("NEVER", f"the channel is past the interval and nothing was put that matches{but}")
 
     def _collected(self) -> Reason:
         held = self._held

@@ -1,4 +1,8 @@
-"""When items go (paper, section 3.4): by age, by count, by bytes. Pure.
+"""When items go (paper, section 3.4): by age, by count, by bytes, by consumption. Pure.
+
+Consumption takes the oldest items, one after the other, as far as nobody holds them back any more: one in the middle
+stays until those before it go, since without it the span of the item before would grow. `max_age_unconsumed` lets the
+age follow the slowest live consumer: what all of these have consumed goes at max_age, the rest later, at that at most.
 
 `clock` is the host's clock; `now` in the docstrings of the time model is the later of it and the newest item's time,
 but items age by the clock alone, so that a producer whose clock runs ahead shortens nobody's window.
@@ -8,25 +12,57 @@ from __future__ import annotations
 
 from bisect import bisect_left
 
-from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, COUNT, Going, Holdings
-from stampede_rt_channel_host.core.channel.index import SEQ_END
+from stampede_rt_channel_host.core.channel.consumption import Consumers
+from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Going, Holdings
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
+from stampede_rt_channel_host.core.channel.seq_set import SeqSet
 
 
 class Retention:
-    """Applies limits to holdings. `limits` may be replaced at any time."""
+    """Applies limits to holdings. `consumers` is None where the limits count no consumption: nothing is kept then."""
 
-    __slots__ = ("_held", "limits")
+    __slots__ = ("_held", "consumers", "limits")
 
     def __init__(self, limits: Limits, held: Holdings) -> None:
-        self.limits = limits
         self._held = held
+        self.consumers: Consumers | None = None
+        self.set_limits(limits)
+
+    def set_limits(self, limits: Limits) -> None:
+        """Other limits from now on. Walks the index once if they are the first that count consumption."""
+        self.limits = limits
+        places = limits.consumer_places
+        if not places:
+            self.consumers = self._held.on_gone = None
+        elif self.consumers is None:
+            self.consumers = Consumers(places, _gone(self._held))
+            self._held.on_gone = self.consumers.let_go
+        else:
+            self.consumers.resize(places)
+
+    def settle(self, clock: int) -> None:
+        """What time alone brings about: leases end, buckets grow too old, and what nobody holds back any more goes."""
+        if self.consumers is None:
+            self.age_out(clock)
+            return
+        self.consumers.expire(clock)
+        self.age_out(clock)
+        self.use_up(clock)
 
     def cutoff(self, clock: int) -> int | None:
-        """Buckets whose last span ended at or before this instant go."""
+        """Buckets whose last span ended at or before this instant go, unless a live consumer has yet to consume them;
+        none goes earlier."""
         age = self.limits.max_age_nanos
         return None if age is None else clock - age
+
+    @property
+    def age_of_new(self) -> int | None:
+        """The max_age that holds for an item that nobody has consumed yet."""
+        longest = self.limits.max_age_unconsumed_nanos
+        owed = longest is not None and self.consumers is not None and self.consumers.live
+        return longest if owed else self.limits.max_age_nanos
 
     def age_out(self, clock: int) -> None:
         """Collect the buckets that are past the age: whole ones, never the newest."""
@@ -35,6 +71,8 @@ class Retention:
         if cutoff is None or held.oldest is None or held.oldest > cutoff or held.oldest == held.newest:
             return
         bound = self._age_bound(cutoff)
+        if bound is not None and self.limits.max_age_unconsumed_nanos is not None:
+            bound = self._prolonged(bound, clock - self.limits.max_age_unconsumed_nanos)
         if bound is not None:
             held.outdate(held.front(_before(bound)), AGE, clock)
 
@@ -48,15 +86,64 @@ class Retention:
             return bucket
         return following
 
-    def next_age_out(self) -> int | None:
-        """When the oldest bucket passes the age, if nothing else happens; None: never."""
-        held = self._held
-        if self.limits.max_age_nanos is None or held.oldest is None:
+    def _prolonged(self, bound: int, cutoff: int) -> int:
+        """The first bucket that age leaves if it may take those before `bound`: one that is owed stays until `cutoff`
+        has passed it, and so do all behind it. Looks at what goes and one slice more."""
+        owed = self._first_owed(self._age_bound(cutoff), bound)
+        return bound if owed is None else owed
+
+    def _first_owed(self, start: int | None, end: int) -> int | None:
+        """The time of the first item from `start` on, and before `end`, that a live consumer has yet to consume."""
+        assert self.consumers is not None, "limits that ask for it count consumption"
+        if not self.consumers.live:
             return None
-        following = held.next_time(held.oldest)
-        if following is None:
-            return None
-        return held.bucket_end(held.oldest, following) + self.limits.max_age_nanos
+        for part in self._held.slices(FIRST_PLACE if start is None else (start, 0), (end, 0)):
+            done = self.consumers.done_with(part)
+            if done < part.items:
+                return part.run.times[part.lo + done]
+        return None
+
+    def _age_of_oldest(self) -> int | None:
+        """The max_age that holds for the oldest bucket as it is."""
+        longest, oldest = self.limits.max_age_unconsumed_nanos, self._held.oldest
+        if longest is None or oldest is None or self._first_owed(oldest, oldest + 1) is None:
+            return self.limits.max_age_nanos
+        return longest
+
+    def next_due(self) -> int | None:
+        """When time alone next takes something, or a consumer's place; None: never, if nothing else happens."""
+        held, age = self._held, self._age_of_oldest()
+        following = None if held.oldest is None else held.next_time(held.oldest)
+        if age is None or held.oldest is None or following is None:
+            return self._lease_end()
+        return self._or_lease_end(held.bucket_end(held.oldest, following) + age)
+
+    def _lease_end(self) -> int | None:
+        """When the next lease ends of a consumer that may hold items back."""
+        return None if self.consumers is None or not self._held.items else self.consumers.next_lease_end
+
+    def _or_lease_end(self, instant: int) -> int:
+        end = self._lease_end()
+        return instant if end is None else min(instant, end)
+
+    def use_up(self, clock: int) -> None:
+        """Collect the oldest items that all consumers have consumed. Looks at what goes and one slice more.
+
+        With no consumer left to hold anything back all go but the newest bucket: by it the next one finds in.
+        """
+        consumers, held = self.consumers, self._held
+        if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
+            return
+        going = consumers.done_with if consumers.live else _before(held.newest)
+        held.outdate(held.front(going), CONSUMPTION, clock)
+
+    @property
+    def _nobody_holds(self) -> bool:
+        """All places were taken, and all their leases have ended."""
+        consumers = self.consumers
+        if consumers is None or self.limits.consumers is None:
+            return False
+        return not consumers.untaken and not consumers.live
 
     def drop_excess(self, clock: int) -> None:
         """Collect the oldest items above the limits, if that is what a full channel does."""
@@ -78,19 +165,23 @@ class Retention:
         """One item at `time` fits, judged as if it were in: it may end the oldest bucket's span, which then goes."""
         if self.has_room(1, payload_bytes):
             return True
-        freed_items, freed_bytes = self._freed_by(time, clock)
+        freed_items, freed_bytes = self._freed_by(time, payload_bytes, clock)
         return freed_items > 0 and self.has_room(1 - freed_items, payload_bytes - freed_bytes)
 
-    def _freed_by(self, time: int, clock: int) -> tuple[int, int]:
-        """Items and payload bytes that age would collect because an item at `time` comes in.
+    def _freed_by(self, time: int, payload_bytes: int, clock: int) -> tuple[int, int]:
+        """Items and payload bytes that would be collected because an item at `time` comes in.
 
-        Only the bucket before it gets another end, and only the oldest bucket can go first.
+        By age: only the bucket before it gets another end, and only the oldest bucket can go first. By consumption: if
+        nobody holds anything back, all before the newest bucket goes.
         """
-        held, cutoff = self._held, self.cutoff(clock)
-        if cutoff is None or held.oldest is None or held.oldest >= time:
+        held = self._held
+        if self._nobody_holds and held.newest is not None and time != held.newest:
+            return (held.items, held.payload_bytes) if time > held.newest else (1, payload_bytes)
+        age = self._age_of_oldest()
+        if age is None or held.oldest is None or held.oldest >= time:
             return 0, 0
         following = held.next_time(held.oldest)
-        if (following is not None and following <= time) or held.bucket_end(held.oldest, time) > cutoff:
+        if (following is not None and following <= time) or held.bucket_end(held.oldest, time) > clock - age:
             return 0, 0
         bucket = list(held.slices(high=(held.oldest, SEQ_END)))
         return sum(part.items for part in bucket), sum(part.payload_bytes for part in bucket)
@@ -103,22 +194,33 @@ class Retention:
             self._held.outdate(self._held.front(_before(following)), AGE, clock)
 
     def retry_at(self, time: int, own_end: int | None) -> int | None:
-        """When age next makes room, judged as if an item were in at `time`; `own_end` is its end by duration, if any.
+        """When time next makes room, judged as if an item were in at `time`; `own_end` is its end by duration, if any.
 
-        None: only another put can bring that about.
+        None: only another put, or consumption, can bring that about.
         """
-        held, age = self._held, self.limits.max_age_nanos
+        held, age = self._held, self.age_of_new
         if age is None or held.oldest is None:
-            return None
+            return self._lease_end()
         if time < held.oldest:
-            return (held.oldest if own_end is None else min(own_end, held.oldest)) + age
+            return self._or_lease_end((held.oldest if own_end is None else min(own_end, held.oldest)) + age)
         following = held.next_time(held.oldest)
         if time == held.oldest:
             if following is None:
-                return None
+                return self._lease_end()
             own = following if own_end is None else min(own_end, following)
-            return max(held.bucket_end(held.oldest, following), own) + age
-        return held.bucket_end(held.oldest, time if following is None else min(time, following)) + age
+            return self._or_lease_end(max(held.bucket_end(held.oldest, following), own) + age)
+        end = held.bucket_end(held.oldest, time if following is None else min(time, following))
+        return self._or_lease_end(end + (self._age_of_oldest() or age))
+
+
+def _gone(held: Holdings) -> SeqSet:
+    """Every seq that was given out and is not held."""
+    gone, owed_from = SeqSet(), 1
+    for part in held.slices_by_seq(1, held.next_seq):
+        gone.add(owed_from, part.first_seq)
+        owed_from = part.end_seq
+    gone.add(owed_from, held.next_seq)
+    return gone
 
 
 def oldest_items(count: int) -> Going:

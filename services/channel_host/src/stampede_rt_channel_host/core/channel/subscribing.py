@@ -125,7 +125,7 @@ def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
 
 
 def _gap(limits: Limits, held: Holdings, first: int, last: int) -> Gap:
-    policy = limits.describe(held.collected_by)
+    policy = limits.describe(held.last_cause)
     detail = f"the reader was slower than the channel's retention: {policy} collected the items before they were sent"
     return Gap(first_seq=first, last_seq=last, items=last - first + 1, reason=Reason("COLLECTED", detail))
 
