@@ -1,8 +1,8 @@
 """A copy of the directory that stands still, for a snapshot that another thread encodes. Pure.
 
-The values are immutable, so it is enough to copy what holds them: five milliseconds for 100,000 channels, where encoding
-takes many times that. To copy a sorted dictionary of as many names takes a tenth of a second, looking them up one by one;
-so only their order is taken here.
+The values are immutable, so it is enough to copy what holds them: five milliseconds for 100,000 channels, where
+encoding takes many times that. To copy a sorted dictionary of as many names, which looks them up one by one, takes a
+tenth of a second; so only their order is taken here.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ def frozen(directory: Directory) -> Directory:
     still = copy(directory)
     still.tables = _with_copies(directory.tables, "hosts", "channels")
     names = _NamesInOrder(list(directory.tables.channel_ids), still.tables.channels)
-    still.tables.channel_ids = names  # type: ignore[assignment]
+    still.tables.channel_ids = names
     still.tables.groups = _with_copies(directory.tables.groups, "ids", "_entries")
     still.tables.replicas = _with_copies(directory.tables.replicas, "_by_channel")
-    still.tables.queues = _with_copies(directory.tables.queues, "by_id")
-    still.tables.peers = _with_copies(directory.tables.peers, "by_id")
     still.answered = _with_copies(directory.answered, "_answers")
     return still
 
