@@ -25,6 +25,8 @@ def frozen(directory: Directory) -> Directory:
     still.tables.channel_ids = names
     still.tables.groups = _with_copies(directory.tables.groups, "ids", "_entries")
     still.tables.replicas = _with_copies(directory.tables.replicas, "_by_channel")
+    still.tables.queues = _with_copies(directory.tables.queues, "by_id")
+    still.tables.peers = _with_copies(directory.tables.peers, "by_id")
     still.answered = _with_copies(directory.answered, "_answers")
     return still
 
