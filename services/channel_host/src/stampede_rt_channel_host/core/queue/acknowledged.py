@@ -1,0 +1,78 @@
+"""Which deliveries were acknowledged lately and by whom, so that a repeated acknowledgement succeeds. Pure.
+
+Delivery ids follow each other, so they are kept in columns: 16 bytes each instead of an object or two.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import NamedTuple
+
+KEPT_NANOS = 600_000_000_000
+_IDS_PER_CHUNK = 256
+BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
+CHUNKS_MAX = 2**14
+"""At most 4 million deliveries are known, in 64 MiB: with more than 7,000 a second they are known for less long."""
+
+
+class Acknowledged(NamedTuple):
+    """A delivery, its taker, and when it was acknowledged."""
+
+    delivery_id: int
+    taker_id: int
+    time: int
+
+
+class _Chunk:
+    __slots__ = ("takers", "times")
+
+    def __init__(self) -> None:
+        self.takers = array("Q", bytes(8 * _IDS_PER_CHUNK))  # 0: not acknowledged; a taker's id never is
+        self.times = array("q", bytes(8 * _IDS_PER_CHUNK))
+
+
+class AcknowledgedDeliveries:
+    """Of the last 10 minutes. `now` never runs backwards."""
+
+    def __init__(self, *, chunks_max: int = CHUNKS_MAX) -> None:
+        self._chunks_max = chunks_max
+        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()  # in the order of their latest acknowledgement
+        self._latest: dict[int, int] = {}  # chunk -> its latest time
+
+    @property
+    def footprint_bytes(self) -> int:
+        """What it takes of the host's memory."""
+        return len(self._chunks) * BYTES_PER_CHUNK
+
+    def record(self, delivery_id: int, taker_id: int, now: int) -> None:
+        """The taker has acknowledged the delivery."""
+        number, place = divmod(delivery_id, _IDS_PER_CHUNK)
+        chunk = self._chunks.get(number)
+        if chunk is None:
+            chunk = self._chunks[number] = _Chunk()
+        chunk.takers[place], chunk.times[place] = taker_id, now
+        self._chunks.move_to_end(number)
+        self._latest[number] = now
+        self._forget(now)
+
+    def knows(self, delivery_id: int, taker_id: int, now: int) -> bool:
+        """This taker acknowledged it within the last 10 minutes."""
+        number, place = divmod(delivery_id, _IDS_PER_CHUNK)
+        chunk = self._chunks.get(number)
+        return chunk is not None and chunk.takers[place] == taker_id and chunk.times[place] > now - KEPT_NANOS
+
+    def all(self, now: int) -> Iterator[Acknowledged]:
+        """What is known, oldest chunk first."""
+        for number, chunk in self._chunks.items():
+            for place, taker_id in enumerate(chunk.takers):
+                if taker_id and chunk.times[place] > now - KEPT_NANOS:
+                    yield Acknowledged(number * _IDS_PER_CHUNK + place, taker_id, chunk.times[place])
+
+    def _forget(self, now: int) -> None:
+        while self._chunks:
+            oldest = next(iter(self._chunks))
+            if len(self._chunks) <= self._chunks_max and self._latest[oldest] > now - KEPT_NANOS:
+                return
+            del self._chunks[oldest], self._latest[oldest]

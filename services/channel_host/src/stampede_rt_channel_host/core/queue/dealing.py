@@ -1,0 +1,169 @@
+"""Who is given what: takers that wait are served in turn, each with an equal share of what there is. Pure."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from heapq import heappop, heappush
+
+from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
+
+BATCH_BYTES_MAX = 2**20
+"""Of a batch with several items, on the wire."""
+DELIVERY_BYTES = 16
+"""What an item's delivery id and number take on the wire, at the most."""
+VIEWS_MAX = 4096
+
+
+class View:
+    """Where a taker stands in a queue with copies, whose items are not all for it.
+
+    Of the items from `cursor` on it was given none; `passed` are older ones that came back since, at least once.
+    """
+
+    __slots__ = ("cursor", "passed", "returns_seen")
+
+    def __init__(self, returns_seen: int) -> None:
+        self.cursor = 0
+        self.returns_seen = returns_seen
+        self.passed: list[int] = []
+
+    def next_for(self, taker_id: int, shelf: Shelf) -> TouchedItem | None:
+        """The oldest touched item that the taker may be given. Looks at each return once."""
+        for item in shelf.returned_since(self.returns_seen):
+            if item.seq < self.cursor and item.may_go_to(taker_id):
+                heappush(self.passed, item.seq)
+        self.returns_seen = shelf.returns_logged
+        while self.passed:
+            passed = shelf.touched.get(self.passed[0])
+            if passed is not None and passed.is_available and passed.may_go_to(taker_id):
+                return passed
+            heappop(self.passed)
+        while (ahead := shelf.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
+            self.cursor = ahead.seq + 1  # only after the view was forgotten
+        return ahead
+
+
+class Taker:
+    """One stream that takes. `credit` is what it may still be sent; it waits whenever it can be served.
+
+    `lease_nanos` None: the queue's.
+    """
+
+    __slots__ = ("credit", "lease_nanos", "taker_id", "unsent")
+
+    def __init__(self, taker_id: int, lease_nanos: int | None = None) -> None:
+        self.taker_id = taker_id
+        self.lease_nanos = lease_nanos
+        self.credit = 0
+        self.unsent: Batch | None = None  # dealt, and not known to be sent: it waits for no further one meanwhile
+
+
+class _Draft:
+    """A batch in the making."""
+
+    def __init__(self) -> None:
+        self.slices: list[LeasedSlice] = []
+        self.items = 0
+        self._bytes = 0
+
+    def has_room(self, run: QueuedRun, place: int) -> bool:
+        """One more item keeps the message's limit; the first one always does."""
+        return not self.items or self._bytes + self._cost(run, place) <= BATCH_BYTES_MAX
+
+    def add(self, run: QueuedRun, place: int, delivery: tuple[int, int]) -> None:
+        """Append the item with its delivery id and number."""
+        self._bytes += self._cost(run, place)
+        self.items += 1
+        if self._continues(run, place):
+            last = self.slices[-1]
+            last.delivery_ids.append(delivery[0])  # type: ignore[attr-defined]  # lists, here and when it is new
+            last.deliveries.append(delivery[1])  # type: ignore[attr-defined]
+            self.slices[-1] = last._replace(hi=place + 1)
+        else:
+            self.slices.append(LeasedSlice(run, place, place + 1, [delivery[0]], [delivery[1]]))
+
+    def _continues(self, run: QueuedRun, place: int) -> bool:
+        return bool(self.slices) and self.slices[-1].run is run and self.slices[-1].hi == place
+
+    def _cost(self, run: QueuedRun, place: int) -> int:
+        label = 0 if self._continues(run, place) else run.label_bytes
+        return label + run.lengths[place] + DELIVERY_BYTES
+
+
+class Dealing:
+    """The line of waiting takers. `dealt` gathers who was given what, until the caller takes it."""
+
+    def __init__(self, shelf: Shelf, leasing: Leasing) -> None:
+        self._shelf = shelf
+        self._leasing = leasing
+        self._line: OrderedDict[Taker, None] = OrderedDict()
+        self._views: OrderedDict[int, View] = OrderedDict()  # the latest used last
+        self.dealt: list[tuple[Taker, Batch]] = []
+
+    def __len__(self) -> int:
+        """How many takers wait."""
+        return len(self._line)
+
+    def wait(self, taker: Taker, now: int) -> None:
+        """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
+        waits = taker.credit and taker.unsent is None and taker not in self._line
+        if waits and not self._serve(taker, 1, now):
+            self._line[taker] = None
+
+    def leave(self, taker: Taker) -> None:
+        """It does not wait any more. Idempotent."""
+        self._line.pop(taker, None)
+
+    def deal(self, now: int) -> None:
+        """There may be something new for those in line."""
+        served = []
+        for place, taker in enumerate(self._line):
+            if not self._shelf.available_items:
+                break
+            if self._serve(taker, len(self._line) - place, now):
+                served.append(taker)
+        for taker in served:
+            del self._line[taker]
+
+    def _serve(self, taker: Taker, takers: int, now: int) -> bool:
+        """Give it its share among so many; False if there is nothing for it."""
+        there = self._shelf.available_items * self._shelf.limits.copies
+        share = min(-(-there // takers), taker.credit)
+        lease_nanos = taker.lease_nanos or self._shelf.limits.lease_nanos
+        draft = _Draft()
+        while draft.items < share and self._give_next(taker, draft, now + lease_nanos):
+            pass
+        if not draft.items:
+            return False
+        taker.credit -= draft.items
+        taker.unsent = Batch(draft.slices, now + lease_nanos)
+        self.dealt.append((taker, taker.unsent))
+        return True
+
+    def _give_next(self, taker: Taker, draft: _Draft, expires: int) -> bool:
+        shelf = self._shelf
+        view = self._view(taker.taker_id) if shelf.limits.copies > 1 else None
+        item = view.next_for(taker.taker_id, shelf) if view else shelf.first_available()
+        if item is None:
+            run = shelf.fresh_run()
+            if run is None or not draft.has_room(run, shelf.fresh_place):
+                return False
+            item = shelf.touch_fresh()
+        elif not draft.has_room(item.run, item.place):
+            return False
+        if view is not None:
+            view.cursor = max(view.cursor, item.seq + 1)
+        draft.add(item.run, item.place, self._leasing.deliver(item, taker.taker_id, expires))
+        return True
+
+    def _view(self, taker_id: int) -> View:
+        view = self._views.get(taker_id)
+        if view is None:
+            view = self._views[taker_id] = View(self._shelf.returns_logged)
+        self._views.move_to_end(taker_id)
+        if len(self._views) > VIEWS_MAX:
+            self._views.popitem(last=False)
+        return view

@@ -1,0 +1,231 @@
+"""Runs on their way into a queue: judged item by item, recognised when retried, in line while there is no room.
+
+Pure.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+
+from stampede_rt.errors import ChannelFull, ItemTooLarge, Overloaded, StampedeError
+from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.queue.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue.items import QueuedRun
+from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
+from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.values import EnqueueOutcome, Rejection, SealRun
+
+WAITING_RUNS_MAX = 10_000
+WAITING_BYTES_MAX = 64 * 2**20
+"""At least one run may wait, however large it is."""
+
+
+class Enqueue:
+    """A run that asks to be put into a queue, and how far it has come.
+
+    `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. Once it is
+    through it has either an `outcome` or, refused as a whole, an `error`.
+    """
+
+    __slots__ = (
+        "due", "error", "first_number", "first_seq", "is_stamped", "lengths", "order", "outcome", "place",
+        "producer_id", "rejections", "seal", "stamped_time", "wait_nanos",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        lengths: Sequence[int],
+        seal: SealRun,
+        *,
+        is_stamped: bool = True,
+        producer_id: int = 0,
+        first_number: int = 0,
+        wait_nanos: int | None = None,
+    ) -> None:
+        self.lengths = lengths
+        self.seal = seal
+        self.is_stamped = is_stamped
+        self.producer_id = producer_id
+        self.first_number = first_number
+        self.wait_nanos = wait_nanos
+        self.place = 0  # of the first item that is not settled
+        self.first_seq: int | None = None
+        self.stamped_time: int | None = None
+        self.rejections: list[Rejection] = []
+        self.outcome: EnqueueOutcome | None = None
+        self.error: StampedeError | None = None
+        self.due: int | None = None
+        self.order = 0
+
+    @property
+    def is_through(self) -> bool:
+        """Nothing of it waits."""
+        return self.outcome is not None or self.error is not None
+
+    @property
+    def charged_bytes(self) -> int:
+        """What its items are charged against limits of memory."""
+        return sum(self.lengths) + len(self.lengths) * ITEM_OVERHEAD_BYTES
+
+
+class Enqueuing:
+    """Behind a run that waits all wait, in the order of their coming. `finished` gathers those that waited and are
+    through, until the caller takes them."""
+
+    def __init__(self, shelf: Shelf, queue_name: str) -> None:
+        self._shelf = shelf
+        self._queue = queue_name
+        self._line: OrderedDict[Enqueue, None] = OrderedDict()
+        self._deadlines: Deadlines[Enqueue] = Deadlines()
+        self._arrivals = 0
+        self.retries: RetryWindow[EnqueueOutcome] = RetryWindow()
+        self.waiting_bytes = 0
+        self.finished: list[Enqueue] = []
+
+    def __len__(self) -> int:
+        """How many runs wait."""
+        return len(self._line)
+
+    def enqueue(self, run: Enqueue, now: int) -> None:
+        """Judge the run; unless it is through then, it stands in line. Raises InvalidArgument, Overloaded."""
+        if self._recognise(run, now):
+            return
+        if not self._line and self._offer(run, now):
+            return
+        if run.wait_nanos is not None and run.wait_nanos <= 0:
+            self._refuse_rest(run, now)
+            return
+        self._stand_in_line(run, now)
+
+    def offer_line(self, now: int) -> None:
+        """Room may have been made: those in line are judged again, the first one first."""
+        while self._line:
+            run = next(iter(self._line))
+            if not self._judge_again(run, now):
+                return
+            self._leave_line(run)
+            self.finished.append(run)
+
+    def give_up_one(self, now: int) -> bool:
+        """End the wait of a run whose time is over; False if there is none."""
+        run = self._deadlines.pop(now)
+        if run is None:
+            return False
+        self._leave_line(run)
+        self._refuse_rest(run, now)
+        self.finished.append(run)
+        return True
+
+    def withdraw(self, run: Enqueue, now: int) -> None:
+        """Nobody waits for it any more. What of it is in stays, and a retry hears that the rest was refused: it could
+        not get the seqs that follow. Of what is not in at all nothing is remembered, so that a retry begins anew."""
+        if run in self._line:
+            self._leave_line(run)
+            if run.place:
+                self._refuse_rest(run, now)
+
+    def next_deadline(self) -> int | None:
+        """When the next wait is over."""
+        return self._deadlines.next()
+
+    def _recognise(self, run: Enqueue, now: int) -> bool:
+        if not run.producer_id:
+            return False
+        run.outcome = self.retries.find(run.producer_id, run.first_number, len(run.lengths), now)
+        return run.outcome is not None
+
+    def _judge_again(self, run: Enqueue, now: int) -> bool:
+        """Also whether the same run came in meanwhile, by another stream. True if the run is through."""
+        try:
+            return (not run.place and self._recognise(run, now)) or self._offer(run, now)
+        except StampedeError as error:
+            run.error = error
+            return True
+
+    def _stand_in_line(self, run: Enqueue, now: int) -> None:
+        too_much = self.waiting_bytes + run.charged_bytes > WAITING_BYTES_MAX
+        if len(self._line) >= WAITING_RUNS_MAX or (self._line and too_much):
+            raise Overloaded(
+                f"{len(self._line)} runs with {self.waiting_bytes} bytes wait for room in {self._queue} already; put "
+                "less at once, let more takers take, or raise the queue's limits"
+            )
+        self._arrivals += 1
+        run.order = self._arrivals
+        self.waiting_bytes += run.charged_bytes
+        self._line[run] = None
+        if run.wait_nanos is not None:
+            self._deadlines.arm(run, now + run.wait_nanos)
+
+    def _leave_line(self, run: Enqueue) -> None:
+        del self._line[run]
+        self._deadlines.disarm(run)
+        self.waiting_bytes -= run.charged_bytes
+
+    def _offer(self, run: Enqueue, now: int) -> bool:
+        """Take in what there is room for; True if the run is through."""
+        shelf, taken = self._shelf, QueuedRun(self._shelf.next_seq, [], now)
+        places: list[int] = []
+        while run.place < len(run.lengths):
+            length = run.lengths[run.place]
+            if length > shelf.limits.payload_bytes_max:
+                self._refuse(run, self._too_large(length))
+            elif self._make_room(length):
+                shelf.add(taken, length)
+                places.append(run.place)
+            elif shelf.limits.on_full == BLOCK:
+                break
+            else:
+                self._refuse(run, self._full())
+            run.place += 1
+        if places:
+            self._seal(run, taken, places, now)
+        if run.place < len(run.lengths):
+            return False
+        self._settle(run, now)
+        return True
+
+    def _make_room(self, length: int) -> bool:
+        while not self._shelf.has_room(length):
+            if self._shelf.limits.on_full != DROP_OLDEST or not self._shelf.drop_oldest():
+                return False
+        return True
+
+    def _seal(self, run: Enqueue, taken: QueuedRun, places: list[int], now: int) -> None:
+        if run.first_seq is None:
+            run.first_seq = taken.first_seq
+            run.stamped_time = now if run.is_stamped else None
+        self._shelf.seal(taken, run.seal(taken.first_seq, places, run.stamped_time))
+
+    def _settle(self, run: Enqueue, now: int) -> None:
+        run.outcome = EnqueueOutcome(run.first_seq, run.stamped_time, tuple(run.rejections))
+        self.retries.record(run.producer_id, run.first_number, len(run.lengths), run.outcome, now)
+
+    def _refuse_rest(self, run: Enqueue, now: int) -> None:
+        full = self._full()
+        while run.place < len(run.lengths):
+            self._refuse(run, full)
+            run.place += 1
+        self._settle(run, now)
+
+    def _refuse(self, run: Enqueue, error: StampedeError) -> None:
+        if isinstance(error, ItemTooLarge):
+            self._shelf.tally.rejected_too_large += 1
+        else:
+            self._shelf.tally.rejected_full += 1
+        run.rejections.append(Rejection(run.place, error))
+
+    def _too_large(self, length: int) -> ItemTooLarge:
+        return ItemTooLarge(
+            f"an item of {length} bytes is too large for {self._queue}, which takes at most "
+            f"{max(0, self._shelf.limits.payload_bytes_max)}; split it, or raise the limits"
+        )
+
+    def _full(self) -> ChannelFull:
+        limits, shelf = self._shelf.limits, self._shelf
+        charged = shelf.payload_bytes + shelf.items * ITEM_OVERHEAD_BYTES
+        return ChannelFull(
+            f"{self._queue} is full: it holds {shelf.items} items charged with {charged} bytes, {shelf.leased} of them "
+            f"leased, of at most {limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; take "
+            "faster, put later, or raise its limits"
+        )

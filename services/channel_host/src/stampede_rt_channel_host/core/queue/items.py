@@ -1,0 +1,81 @@
+"""Runs of queued items, and what is known of an item once somebody was given it. Pure.
+
+An item that nobody has been given yet costs nothing beside its run; a queue may hold a million of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class QueuedRun:
+    """Items that were accepted together; their seqs follow each other. `held`: how many have not left the queue.
+
+    `body` is what the shell's seal made of them; `lengths` are payload bytes; `accepted_at` is the host's clock.
+    """
+
+    __slots__ = ("accepted_at", "body", "first_seq", "held", "lengths")
+
+    def __init__(self, first_seq: int, lengths: Sequence[int], accepted_at: int, body: bytes = b"") -> None:
+        self.first_seq = first_seq
+        self.lengths = lengths
+        self.accepted_at = accepted_at
+        self.held = len(lengths)
+        self.body = body
+
+    @property
+    def end_seq(self) -> int:
+        """The seq behind the last item."""
+        return self.first_seq + len(self.lengths)
+
+    @property
+    def label_bytes(self) -> int:
+        """What a part of the run takes on the wire beside its payloads, at the most: columns, type, attributes."""
+        return len(self.body) - sum(self.lengths)
+
+
+class TouchedItem:
+    """An item that was given to a taker, or held back, at least once.
+
+    `deliveries` counts them for each copy that was given out, `returned` lists those copies that nobody has, ascending.
+    `leases` maps takers to deliveries, `acknowledged` lists takers that are done. `due`: held back until then.
+    """
+
+    __slots__ = (
+        "acknowledged", "deliveries", "due", "is_available", "is_leaving", "is_unleased", "leases", "place",
+        "return_number", "returned", "run",
+    )  # fmt: skip
+
+    def __init__(self, run: QueuedRun, place: int) -> None:
+        self.run = run
+        self.place = place
+        self.deliveries: list[int] = []
+        self.returned: list[int] = []
+        self.leases: dict[int, int] = {}
+        self.acknowledged: tuple[int, ...] = ()
+        self.due: int | None = None
+        self.return_number = 0
+        self.is_available = self.is_unleased = self.is_leaving = False
+
+    @property
+    def seq(self) -> int:
+        """The item's seq."""
+        return self.run.first_seq + self.place
+
+    @property
+    def order(self) -> int:
+        """Of two that are due together, the older first."""
+        return self.seq
+
+    @property
+    def length(self) -> int:
+        """Payload bytes."""
+        return self.run.lengths[self.place]
+
+    def free_copies(self, copies: int) -> int:
+        """How many more takers may be given it."""
+        return copies - len(self.leases) - len(self.acknowledged)
+
+    def may_go_to(self, taker_id: int) -> bool:
+        """The taker neither has it nor is done with it: copies go to distinct takers."""
+        return taker_id not in self.leases and taker_id not in self.acknowledged

@@ -1,0 +1,173 @@
+"""Leases of a queue's items: given, settled, expired (paper, section 3.5). Pure.
+
+An item is used up only by acknowledgements; a give-back or the end of a lease puts it back at its place.
+"""
+
+from __future__ import annotations
+
+from bisect import insort
+from collections.abc import Iterable
+
+from stampede_rt.errors import LeaseExpired
+from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries
+from stampede_rt_channel_host.core.queue.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue.items import TouchedItem
+from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.values import (
+    Acknowledge,
+    Extend,
+    GiveBack,
+    LeasedSlice,
+    Settlement,
+    SettlementResult,
+)
+
+
+class Lease:
+    """One delivery: `copy` of `item` is the taker's until `due`."""
+
+    __slots__ = ("copy", "due", "item", "order", "taker_id")
+
+    def __init__(self, delivery_id: int, item: TouchedItem, copy: int, taker_id: int) -> None:
+        self.order = delivery_id
+        self.item = item
+        self.copy = copy
+        self.taker_id = taker_id
+        self.due: int | None = None
+
+
+class Leasing:
+    """All leases of a queue. Delivery ids start at 1 and grow by one each."""
+
+    def __init__(self, shelf: Shelf, queue_name: str) -> None:
+        self._shelf = shelf
+        self._queue = queue_name
+        self._deadlines: Deadlines[Lease] = Deadlines()
+        self.leases: dict[int, Lease] = {}
+        self.next_delivery_id = 1
+        self.acknowledged = AcknowledgedDeliveries()
+
+    def deliver(self, item: TouchedItem, taker_id: int, expires: int) -> tuple[int, int]:
+        """Lease a free copy of the item; gives the delivery's id and which delivery of that copy it is."""
+        if item.returned:
+            copy = item.returned.pop(0)
+        else:
+            copy = len(item.deliveries)
+            item.deliveries.append(0)
+        item.deliveries[copy] += 1
+        delivery_id = self.next_delivery_id
+        self.next_delivery_id += 1
+        self.enter(Lease(delivery_id, item, copy, taker_id), expires)
+        self._shelf.refresh(item)
+        self._shelf.tally.delivered += 1
+        return delivery_id, item.deliveries[copy]
+
+    def enter(self, lease: Lease, expires: int) -> None:
+        """The lease holds from now on."""
+        self._shelf.leased += not lease.item.leases
+        lease.item.leases[lease.taker_id] = lease.order
+        self.leases[lease.order] = lease
+        self._deadlines.arm(lease, expires)
+
+    def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
+        """Do what the taker says of a delivery, or say that it cannot any more."""
+        delivery_id, verdict = settlement
+        lease = self.leases.get(delivery_id)
+        if lease is None or lease.taker_id != taker_id or lease.due is None or lease.due <= now:
+            repeated = isinstance(verdict, Acknowledge) and self.acknowledged.knows(delivery_id, taker_id, now)
+            return SettlementResult(delivery_id, None if repeated else self._stale(delivery_id))
+        if isinstance(verdict, Acknowledge):
+            self._acknowledge(lease, now)
+        elif isinstance(verdict, GiveBack):
+            self._shelf.tally.given_back += 1
+            self._take_back(lease, now + verdict.delay_nanos if verdict.delay_nanos else None)
+        else:
+            return self._extend(lease, verdict, now)
+        return SettlementResult(delivery_id)
+
+    def expire_one(self, now: int) -> bool:
+        """Take back the item of the lease that ended longest ago; False if none has ended."""
+        lease = self._deadlines.pop(now)
+        if lease is None:
+            return False
+        self._shelf.tally.leases_expired += 1
+        self._take_back(lease, None)
+        return True
+
+    def next_deadline(self) -> int | None:
+        """When the next lease ends."""
+        return self._deadlines.next()
+
+    def recall(self, slices: Iterable[LeasedSlice]) -> None:
+        """What was dealt and never sent goes back as if it had not been dealt."""
+        for one in slices:
+            for delivery_id in one.delivery_ids:
+                lease = self.leases.get(delivery_id)
+                if lease is not None:
+                    lease.item.deliveries[lease.copy] -= 1
+                    self._shelf.tally.delivered -= 1
+                    self._end(lease)
+                    insort(lease.item.returned, lease.copy)
+                    self._put_back(lease.item)
+
+    def settle_copies(self, item: TouchedItem) -> bool:
+        """Use the item up if enough takers are done with it; True if it has gone."""
+        if len(item.acknowledged) < self._shelf.limits.copies:
+            return False
+        self._void(item)
+        self._shelf.tally.consumed += 1
+        self._shelf.remove(item)
+        return True
+
+    def expel(self, item: TouchedItem) -> None:
+        """It leaves the queue for good."""
+        self._void(item)
+        self._shelf.tally.expelled += 1
+        self._shelf.remove(item)
+
+    def _acknowledge(self, lease: Lease, now: int) -> None:
+        item = lease.item
+        self._end(lease)
+        item.acknowledged = (*item.acknowledged, lease.taker_id)
+        self.acknowledged.record(lease.order, lease.taker_id, now)
+        if not self.settle_copies(item):
+            self._shelf.refresh(item)
+
+    def _extend(self, lease: Lease, verdict: Extend, now: int) -> SettlementResult:
+        self._deadlines.arm(lease, now + verdict.lease_nanos)
+        return SettlementResult(lease.order, None, verdict.lease_nanos)
+
+    def _take_back(self, lease: Lease, not_before: int | None) -> None:
+        """The delivery was in vain. After the last that is allowed the item leaves, and with it its other leases."""
+        item, limits = lease.item, self._shelf.limits
+        self._end(lease)
+        insort(item.returned, lease.copy)
+        if limits.max_deliveries is not None and item.deliveries[lease.copy] >= limits.max_deliveries:
+            if limits.dead_letters:
+                self._void(item)
+                self._shelf.set_leaving(item)
+            else:
+                self.expel(item)
+            return
+        if not_before is not None and (item.due is None or item.due < not_before):
+            self._shelf.delays.arm(item, not_before)
+        self._put_back(item)
+
+    def _put_back(self, item: TouchedItem) -> None:
+        self._shelf.refresh(item)
+        self._shelf.log_return(item)
+
+    def _void(self, item: TouchedItem) -> None:
+        for delivery_id in list(item.leases.values()):
+            self._end(self.leases[delivery_id])
+
+    def _end(self, lease: Lease) -> None:
+        del self.leases[lease.order], lease.item.leases[lease.taker_id]
+        self._shelf.leased -= not lease.item.leases
+        self._deadlines.disarm(lease)
+
+    def _stale(self, delivery_id: int) -> LeaseExpired:
+        return LeaseExpired(
+            f"delivery {delivery_id} of {self._queue} is not leased to this taker (any more): its lease has ended, or "
+            "it was settled; the item may have gone to another taker: settle sooner, extend, or lease for longer"
+        )

@@ -1,0 +1,44 @@
+"""How a queue is set up, with its defaults filled in and checked (paper, section 3.5). Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt.errors import InvalidArgument
+
+BLOCK, REJECT, DROP_OLDEST = "block", "reject", "drop_oldest"
+ITEM_OVERHEAD_BYTES = 64
+"""What an item is charged against max_bytes beside its payload."""
+ITEM_BYTES_MAX = 16 * 2**20
+LEASE_NANOS_MAX = 3_600_000_000_000
+"""The longest lease that a taker may ask for."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueLimits:
+    """What a queue holds to. None: no such limit. Raises InvalidArgument, naming the value and what it may be."""
+
+    max_items: int | None = None
+    max_bytes: int = 256 * 2**20
+    max_item_bytes: int = ITEM_BYTES_MAX
+    on_full: str = BLOCK
+    copies: int = 1
+    lease_nanos: int = 30_000_000_000
+    max_deliveries: int | None = None
+    dead_letters: bool = False
+    """Items that reach max_deliveries wait for being moved; else they are expelled."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_items", "max_bytes", "copies", "lease_nanos", "max_deliveries"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InvalidArgument(f"{name} is {value}; it is at least 1, or left out")
+        if not 0 <= self.max_item_bytes <= ITEM_BYTES_MAX:
+            raise InvalidArgument(f"max_item_bytes is {self.max_item_bytes}; it is between 0 and {ITEM_BYTES_MAX}")
+        if self.on_full not in (BLOCK, REJECT, DROP_OLDEST):
+            raise InvalidArgument(f'on_full is {self.on_full!r}; write "block", "reject" or "drop_oldest"')
+
+    @property
+    def payload_bytes_max(self) -> int:
+        """The greatest payload that fits at all; below 0 if none does."""
+        return min(self.max_item_bytes, self.max_bytes - ITEM_OVERHEAD_BYTES)

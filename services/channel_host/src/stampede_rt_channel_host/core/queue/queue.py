@@ -1,0 +1,214 @@
+"""One queue: enqueues, takers, leases and limits over values and `now` (paper, section 3.5). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import islice
+
+from stampede_rt_channel_host.core.queue.dealing import Dealing, Taker
+from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
+from stampede_rt_channel_host.core.queue.leasing import Leasing
+from stampede_rt_channel_host.core.queue.limits import QueueLimits
+from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.values import (
+    Batch,
+    Departure,
+    QueueCounters,
+    Settlement,
+    SettlementResult,
+)
+
+DUE_PER_CALL_MAX = 1024
+"""How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
+
+
+class Queue:
+    """The items of one queue, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
+
+    Every call takes `now`, the host's clock; an earlier one than before counts as the latest seen. After each call the
+    owner takes what came of it: `take_dealt` for takers that were served, `take_finished` for runs that waited and are
+    through; it calls `tick` at `next_deadline`.
+    """
+
+    def __init__(self, limits: QueueLimits, *, incarnation: int, name: str = "") -> None:
+        self.incarnation = incarnation
+        self._name = f"queue {name!r}" if name else "the queue"
+        self._shelf = Shelf(limits)
+        self._leasing = Leasing(self._shelf, self._name)
+        self._enqueuing = Enqueuing(self._shelf, self._name)
+        self._dealing = Dealing(self._shelf, self._leasing)
+        self._clock: int | None = None
+
+    def enqueue(self, run: Enqueue, now: int) -> None:
+        """Judge a run: it is through when this returns, or it waits, and comes with `take_finished` later.
+
+        A run that its producer put before is answered as it was. Raises InvalidArgument if its numbers overlap another
+        run's, Overloaded if too many wait.
+        """
+        clock = self._tick(now)
+        self._enqueuing.enqueue(run, clock)
+        self._dealing.deal(clock)
+
+    def withdraw(self, run: Enqueue, now: int) -> None:
+        """Nobody waits for the run any more. Idempotent."""
+        clock = self._tick(now)
+        self._enqueuing.withdraw(run, clock)
+        self._follow_up(clock)
+
+    def reject_malformed(self) -> None:
+        """Count a run that the shell could not read."""
+        self._shelf.tally.rejected_malformed += 1
+
+    def reject_too_large(self) -> None:
+        """Count an item that the shell refused: no queue could hold it."""
+        self._shelf.tally.rejected_too_large += 1
+
+    def grant(self, taker: Taker, credit: int, now: int) -> None:
+        """The taker may be sent so many more; 0 looks whether it can be served with what it has."""
+        clock = self._tick(now)
+        taker.credit += credit
+        self._dealing.wait(taker, clock)
+
+    def sent(self, taker: Taker, now: int) -> None:
+        """What it was dealt last is on its way: it waits for more."""
+        taker.unsent = None
+        self.grant(taker, 0, now)
+
+    def drain(self, taker: Taker) -> None:
+        """It wants no more: its credit is void."""
+        taker.credit = 0
+        self._dealing.leave(taker)
+
+    def leave(self, taker: Taker, now: int) -> None:
+        """Its stream has ended. What it was dealt and never sent goes back; what was sent stays leased. Idempotent."""
+        clock = self._tick(now)
+        self.drain(taker)
+        if taker.unsent is not None:
+            self._leasing.recall(taker.unsent.slices)
+            taker.unsent = None
+        self._follow_up(clock)
+
+    def settle(self, taker_id: int, settlements: Iterable[Settlement], now: int) -> list[SettlementResult]:
+        """Do what the taker says of its deliveries, in order; each has a result of its own."""
+        clock = self._tick(now)
+        results = [self._leasing.settle(taker_id, settlement, clock) for settlement in settlements]
+        self._follow_up(clock)
+        return results
+
+    def departing(self, items_max: int) -> list[Departure]:
+        """Items that wait for being moved to the dead-letter queue, those first that wait longest."""
+        leaving = islice(self._shelf.leaving.values(), items_max)
+        return [Departure(item.seq, item.run, item.place) for item in leaving]
+
+    def departed(self, seq: int, now: int) -> None:
+        """The dead-letter queue has the item. Idempotent."""
+        clock = self._tick(now)
+        item = self._shelf.leaving.get(seq)
+        if item is not None:
+            self._shelf.tally.dead_lettered += 1
+            self._shelf.remove(item)
+            self._follow_up(clock)
+
+    def postpone_departure(self, seq: int) -> None:
+        """The move failed: the others that wait for theirs go first."""
+        if seq in self._shelf.leaving:
+            self._shelf.leaving.move_to_end(seq)
+
+    def configure(self, limits: QueueLimits, now: int) -> None:
+        """Set other limits. Looks at every touched item once; held items that exceed them stay."""
+        clock = self._tick(now)
+        self._shelf.limits = limits
+        for item in list(self._shelf.touched.values()):
+            if item.is_leaving and not limits.dead_letters:
+                self._leasing.expel(item)
+            elif not self._leasing.settle_copies(item):
+                self._shelf.refresh(item)
+                self._shelf.log_return(item)
+        self._follow_up(clock)
+
+    def tick(self, now: int) -> None:
+        """Look after leases that have ended, items that are not held back any more, and waits that are over."""
+        self._tick(now)
+
+    def next_deadline(self) -> int | None:
+        """When `tick` is next useful; None: only after another call."""
+        due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline())
+        return min((one for one in due if one is not None), default=None)
+
+    def take_dealt(self) -> list[tuple[Taker, Batch]]:
+        """Who was given what since the last call. Each batch is to be sent, then `sent` is to be called."""
+        dealt, self._dealing.dealt = self._dealing.dealt, []
+        return dealt
+
+    def take_finished(self) -> list[Enqueue]:
+        """The runs that waited and are through since the last call."""
+        finished, self._enqueuing.finished = self._enqueuing.finished, []
+        return finished
+
+    def counters(self, now: int) -> QueueCounters:
+        """What became of all items, at this moment."""
+        self._tick(now)
+        tally, shelf = self._shelf.tally, self._shelf
+        return QueueCounters(
+            held=shelf.items,
+            leased=shelf.leased,
+            held_bytes=shelf.payload_bytes,
+            **{name: getattr(tally, name) for name in tally.__slots__},
+        )
+
+    @property
+    def limits(self) -> QueueLimits:
+        """The set-up."""
+        return self._shelf.limits
+
+    @property
+    def waiting_takers(self) -> int:
+        """Takers that wait for an item."""
+        return len(self._dealing)
+
+    @property
+    def waiting_enqueues(self) -> int:
+        """Runs that wait for room."""
+        return len(self._enqueuing)
+
+    @property
+    def is_moving_out(self) -> bool:
+        """Some item waits for being moved to the dead-letter queue."""
+        return bool(self._shelf.leaving)
+
+    @property
+    def oldest_accepted_at(self) -> int | None:
+        """When the oldest held item was accepted; None: the queue is empty."""
+        return self._shelf.oldest_accepted_at
+
+    @property
+    def footprint_bytes(self) -> int:
+        """What the queue takes of the host's memory: stored runs, 64 bytes for each item, runs that wait, and what it
+        knows of acknowledged deliveries."""
+        shelf = self._shelf
+        stored = shelf.stored_bytes + shelf.items * 64
+        return stored + self._enqueuing.waiting_bytes + self._leasing.acknowledged.footprint_bytes
+
+    def _tick(self, now: int) -> int:
+        clock = self._clock = now if self._clock is None else max(self._clock, now)
+        due = 0
+        while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
+            due += 1
+        while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
+            due += 1
+        if due:
+            self._follow_up(clock)
+        return clock
+
+    def _end_delay(self, clock: int) -> bool:
+        item = self._shelf.delays.pop(clock)
+        if item is None:
+            return False
+        self._shelf.refresh(item)
+        self._shelf.log_return(item)
+        return True
+
+    def _follow_up(self, clock: int) -> None:
+        """Items went or came back: runs in line may have room, and takers in line something to take."""
+        self._enqueuing.offer_line(clock)
+        self._dealing.deal(clock)

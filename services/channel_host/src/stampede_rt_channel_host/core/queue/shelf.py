@@ -1,0 +1,209 @@
+"""What a queue holds: items that nobody was given yet, in order, and the touched ones, by what may be done with them.
+
+Pure. Every operation is O(log n), amortised.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from sortedcontainers import SortedDict, SortedList
+
+from stampede_rt_channel_host.core.queue.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, QueueLimits
+
+
+@dataclass(slots=True)
+class Tally:
+    """What became of items and deliveries until now; see QueueCounters."""
+
+    accepted: int = 0
+    accepted_bytes: int = 0
+    consumed: int = 0
+    dropped: int = 0
+    dead_lettered: int = 0
+    expelled: int = 0
+    delivered: int = 0
+    given_back: int = 0
+    leases_expired: int = 0
+    rejected_full: int = 0
+    rejected_too_large: int = 0
+    rejected_malformed: int = 0
+
+
+class Shelf:
+    """The held items. Seqs start at 1; all touched items are older than all fresh ones.
+
+    `touched` is in the order of seqs. `leased` counts items with a lease, `stored_bytes` whole runs of which an item is
+    held. `leaving` are those that wait for being moved to the dead-letter queue.
+    """
+
+    def __init__(self, limits: QueueLimits) -> None:
+        self.limits = limits
+        self.tally = Tally()
+        self.next_seq = 1
+        self.items = self.payload_bytes = self.stored_bytes = 0
+        self.fresh_items = self.leased = 0
+        self.touched: OrderedDict[int, TouchedItem] = OrderedDict()
+        self.leaving: OrderedDict[int, TouchedItem] = OrderedDict()
+        self.delays: Deadlines[TouchedItem] = Deadlines()
+        self.returns_logged = 0
+        self._fresh: deque[QueuedRun] = deque()
+        self._fresh_place = 0  # of the first fresh item in the first fresh run
+        self._available: Any = SortedList()  # seqs of touched items that some taker may be given
+        self._unleased: Any = SortedList()  # seqs of touched items that nobody has
+        self._returns: Any = SortedDict()  # number of the latest return -> seq, of available items; with copies only
+
+    def has_room(self, length: int) -> bool:
+        """One more item of so many payload bytes keeps the limits."""
+        limits = self.limits
+        if limits.max_items is not None and self.items >= limits.max_items:
+            return False
+        return self.payload_bytes + length + (self.items + 1) * ITEM_OVERHEAD_BYTES <= limits.max_bytes
+
+    def add(self, run: QueuedRun, length: int) -> None:
+        """Take one more item into a run, which is the last one and has no body yet."""
+        run.lengths.append(length)  # type: ignore[attr-defined]  # a list until it is sealed
+        run.held += 1
+        if not self._fresh or self._fresh[-1] is not run:
+            if not self._fresh:
+                self._fresh_place = len(run.lengths) - 1  # older items of it were dropped to make room
+            self._fresh.append(run)
+        self._count_in(length)
+
+    def _count_in(self, length: int) -> None:
+        self.next_seq += 1
+        self.items += 1
+        self.fresh_items += 1
+        self.payload_bytes += length
+        self.tally.accepted += 1
+        self.tally.accepted_bytes += length
+
+    def seal(self, run: QueuedRun, body: bytes) -> None:
+        """The run is complete."""
+        run.lengths = tuple(run.lengths)
+        run.body = body
+        if run.held:
+            self.stored_bytes += len(body)
+
+    def drop_oldest(self) -> bool:
+        """Remove the oldest item that nobody has; False if there is none."""
+        if self._unleased:
+            self.remove(self.touched[self._unleased[0]])
+        elif (run := self.fresh_run()) is not None:
+            length = run.lengths[self._fresh_place]
+            self._fresh_place += 1
+            self.fresh_items -= 1
+            self._release(run, length)
+        else:
+            return False
+        self.tally.dropped += 1
+        return True
+
+    def fresh_run(self) -> QueuedRun | None:
+        """The run of the first item that nobody was given yet; None if all were."""
+        while self._fresh and self._fresh_place >= len(self._fresh[0].lengths):
+            self._fresh.popleft()
+            self._fresh_place = 0
+        return self._fresh[0] if self._fresh else None
+
+    @property
+    def fresh_place(self) -> int:
+        """Where the first fresh item is in `fresh_run()`."""
+        return self._fresh_place
+
+    def touch_fresh(self) -> TouchedItem:
+        """The first fresh item, which somebody is given now. There must be one."""
+        run = self.fresh_run()
+        assert run is not None, "the caller has looked"
+        item = TouchedItem(run, self._fresh_place)
+        self._fresh_place += 1
+        self.fresh_items -= 1
+        self.touched[item.seq] = item
+        return item
+
+    def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
+        """The fresh runs, each with the place of its first fresh item."""
+        if self.fresh_run() is not None:
+            place = self._fresh_place
+            for run in self._fresh:
+                yield run, place
+                place = 0
+
+    @property
+    def available_items(self) -> int:
+        """Items that some taker may be given."""
+        return self.fresh_items + len(self._available)
+
+    def first_available(self, from_seq: int = 0) -> TouchedItem | None:
+        """The oldest touched item from `from_seq` on that some taker may be given."""
+        if not self._available:
+            return None
+        for seq in self._available.irange(minimum=from_seq):
+            return self.touched[seq]
+        return None
+
+    def returned_since(self, number: int) -> Iterator[TouchedItem]:
+        """The available items that came back after so many returns were logged."""
+        for seq in self._returns.values()[self._returns.bisect_right(number) :] if self._returns else ():
+            yield self.touched[seq]
+
+    def log_return(self, item: TouchedItem) -> None:
+        """A copy came back: takers that passed the item by look at it again."""
+        if self.limits.copies > 1 and item.is_available:
+            self._returns.pop(item.return_number, None)
+            self.returns_logged += 1
+            item.return_number = self.returns_logged
+            self._returns[self.returns_logged] = item.seq
+
+    def refresh(self, item: TouchedItem) -> None:
+        """Enter the item where it belongs, after something about it changed."""
+        available = not item.is_leaving and item.due is None and item.free_copies(self.limits.copies) > 0
+        unleased = not item.is_leaving and not item.leases
+        if available != item.is_available:
+            item.is_available = available
+            (self._available.add if available else self._available.remove)(item.seq)
+            if not available:
+                self._returns.pop(item.return_number, None)
+        if unleased != item.is_unleased:
+            item.is_unleased = unleased
+            (self._unleased.add if unleased else self._unleased.remove)(item.seq)
+
+    def set_leaving(self, item: TouchedItem) -> None:
+        """It waits for being moved to the dead-letter queue; no taker is given it any more."""
+        item.is_leaving = True
+        self.delays.disarm(item)
+        self.leaving[item.seq] = item
+        self.refresh(item)
+
+    def remove(self, item: TouchedItem) -> None:
+        """It leaves the queue. It has no lease any more."""
+        assert not item.leases, "its leases have ended"
+        del self.touched[item.seq]
+        self.leaving.pop(item.seq, None)
+        self.delays.disarm(item)
+        if item.is_available:
+            self._available.remove(item.seq)
+            self._returns.pop(item.return_number, None)
+        if item.is_unleased:
+            self._unleased.remove(item.seq)
+        self._release(item.run, item.length)
+
+    def _release(self, run: QueuedRun, length: int) -> None:
+        self.items -= 1
+        self.payload_bytes -= length
+        run.held -= 1
+        if not run.held:
+            self.stored_bytes -= len(run.body)
+
+    @property
+    def oldest_accepted_at(self) -> int | None:
+        """When the oldest held item was accepted."""
+        if self.touched:
+            return next(iter(self.touched.values())).run.accepted_at
+        run = self.fresh_run()
+        return None if run is None else run.accepted_at

@@ -1,0 +1,124 @@
+"""What callers give a queue and get back from it (paper, section 3.5). Pure.
+
+Instants are int nanoseconds of the host's clock, durations int nanoseconds, sizes bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.core.queue.items import QueuedRun
+
+
+class SealRun(Protocol):
+    """Makes the bytes of accepted items, which are about to be stored. Must not raise."""
+
+    def __call__(self, first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
+        """`places`: of the accepted items in their run; `stamped_time`: set if the run came without times."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """An item that was refused: its place in the run, and why (ItemTooLarge, ChannelFull)."""
+
+    index: int
+    error: StampedeError
+
+
+class EnqueueOutcome(NamedTuple):
+    """What became of a run. `first_seq` None: no item was accepted; the accepted ones follow by one each."""
+
+    first_seq: int | None
+    stamped_time: int | None
+    rejections: Sequence[Rejection] = ()
+
+
+class LeasedSlice(NamedTuple):
+    """Items of a run from place `lo` up to, not including, `hi`, each with its delivery id and number."""
+
+    run: QueuedRun
+    lo: int
+    hi: int
+    delivery_ids: Sequence[int]
+    deliveries: Sequence[int]
+
+
+class Batch(NamedTuple):
+    """What one taker is given at one moment. The leases hold until `expires`."""
+
+    slices: Sequence[LeasedSlice]
+    expires: int
+
+    @property
+    def items(self) -> int:
+        """How many deliveries it is."""
+        return sum(one.hi - one.lo for one in self.slices)
+
+
+@dataclass(frozen=True, slots=True)
+class Acknowledge:
+    """The item is used up for its taker."""
+
+
+@dataclass(frozen=True, slots=True)
+class GiveBack:
+    """The item goes back to its place, and is not delivered again for `delay_nanos`, 0 or more."""
+
+    delay_nanos: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Extend:
+    """The lease lasts `lease_nanos` from now on, which is more than 0."""
+
+    lease_nanos: int
+
+
+Verdict = Acknowledge | GiveBack | Extend
+
+
+class Settlement(NamedTuple):
+    """What a taker says of a delivery."""
+
+    delivery_id: int
+    verdict: Verdict
+
+
+class SettlementResult(NamedTuple):
+    """What became of a settlement; `error` None: it is done. `lease_nanos`: the new length, of an Extend."""
+
+    delivery_id: int
+    error: StampedeError | None = None
+    lease_nanos: int | None = None
+
+
+class Departure(NamedTuple):
+    """An item on its way to the dead-letter queue: the one at `place` of `run`."""
+
+    seq: int
+    run: QueuedRun
+    place: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueCounters:
+    """Items by what became of them: `accepted == held + consumed + dropped + dead_lettered + expelled`, always."""
+
+    accepted: int = 0
+    held: int = 0
+    leased: int = 0
+    consumed: int = 0
+    dropped: int = 0
+    dead_lettered: int = 0
+    expelled: int = 0
+    delivered: int = 0
+    given_back: int = 0
+    leases_expired: int = 0
+    rejected_full: int = 0
+    rejected_too_large: int = 0
+    rejected_malformed: int = 0
+    accepted_bytes: int = 0
+    held_bytes: int = 0
