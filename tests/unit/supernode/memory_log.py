@@ -24,6 +24,7 @@ class Fate(Enum):
     REFUSED = "not taken"
     LOST = "unknown, and not done"
     DONE_UNHEARD = "unknown, and done"
+    HELD = "under way, until `apply_held`"
 
 
 class MemoryLog:
@@ -41,6 +42,7 @@ class MemoryLog:
         self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
         self.fates: deque[Fate] = deque()
+        self.held: list[bytes] = []
         self.reads_may_end = asyncio.Event()
         self.reads_may_end.set()
         self.read_waits = asyncio.Event()
@@ -54,11 +56,21 @@ class MemoryLog:
             raise Unavailable("told so")
         if fate is Fate.LOST:
             raise Ambiguous("told so")
+        if fate is Fate.HELD:
+            self.held.append(command)
+            await asyncio.Event().wait()  # until the caller gives up
         self.index += 1
         result = self.machine.apply(self.index, command)
         if fate is Fate.DONE_UNHEARD:
             raise Ambiguous("told so")
         return result
+
+    def apply_held(self) -> list[bytes]:
+        """What was under way arrives, and this comes of it."""
+        held, self.held = self.held, []
+        self.index += len(held)
+        first = self.index - len(held) + 1
+        return [self.machine.apply(index, command) for index, command in enumerate(held, start=first)]
 
     async def confirm_read(self, *, timeout: float) -> int:
         if not self.quorum:
