@@ -342,7 +342,7 @@ async def test_advance_is_a_promise_kept_by_the_host(rig: Rig) -> None:
         )
 
 
-async def test_consume_is_refused_with_a_sentence(rig: Rig) -> None:
+async def test_consume_is_refused_where_nobody_counts_consumers(rig: Rig) -> None:
     channel, _ = await filled(rig)
     with pytest.raises(Exception, match="counts no consumption"):
         await rig.channels.Consume(pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, seqs=[1]))

@@ -183,11 +183,25 @@ class SupernodeInfo:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ConsumerStats:
+    """A consumer's place at a channel that counts consumption: how many held items it has yet to consume (`waiting`).
+
+    `lease_nanos` 0: its lease has ended, and it holds no item back until the place is taken again.
+    """
+
+    consumer_id: int
+    lease_nanos: int
+    waiting: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelStats:
     """A channel's counters, taken at one moment: `accepted == held + sum(collected.values())`, always.
 
     `collected` is by cause (age, count, bytes, consumption), `rejected` by reason. Times are in nanoseconds since the
-    epoch, None where there are none.
+    epoch, None where there are none. `consumers` are the places that were taken, of `policy.consumers`.
+    `clock_offset_nanos` is how far the host's clock was ahead of this machine's, measured by the call that asked for
+    these, give or take half its round trip; None in a listing.
     """
 
     accepted: int
@@ -207,6 +221,8 @@ class ChannelStats:
     incarnation: int
     host_time: int
     policy: Policy = field(default_factory=Policy)
+    consumers: Sequence[ConsumerStats] = ()
+    clock_offset_nanos: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -19,16 +19,18 @@ ON_FULL_BLOCK: OnFull
 ON_FULL_REJECT: OnFull
 
 class RetentionPolicy(_message.Message):
-    __slots__ = ("max_age_nanos", "max_items", "max_bytes", "consumers")
+    __slots__ = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")
     MAX_AGE_NANOS_FIELD_NUMBER: _ClassVar[int]
     MAX_ITEMS_FIELD_NUMBER: _ClassVar[int]
     MAX_BYTES_FIELD_NUMBER: _ClassVar[int]
     CONSUMERS_FIELD_NUMBER: _ClassVar[int]
+    MAX_AGE_UNCONSUMED_NANOS_FIELD_NUMBER: _ClassVar[int]
     max_age_nanos: int
     max_items: int
     max_bytes: int
     consumers: int
-    def __init__(self, max_age_nanos: _Optional[int] = ..., max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., consumers: _Optional[int] = ...) -> None: ...
+    max_age_unconsumed_nanos: int
+    def __init__(self, max_age_nanos: _Optional[int] = ..., max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., consumers: _Optional[int] = ..., max_age_unconsumed_nanos: _Optional[int] = ...) -> None: ...
 
 class ChannelSpec(_message.Message):
     __slots__ = ("retention", "on_full", "max_future_nanos", "content_type", "max_item_bytes")
@@ -97,7 +99,7 @@ class ChannelCounters(_message.Message):
     def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ...) -> None: ...
 
 class ChannelStatus(_message.Message):
-    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano")
+    __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     COUNTERS_FIELD_NUMBER: _ClassVar[int]
     NEWEST_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
@@ -108,6 +110,7 @@ class ChannelStatus(_message.Message):
     WAITING_GETS_FIELD_NUMBER: _ClassVar[int]
     WAITING_PUTS_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    CONSUMERS_FIELD_NUMBER: _ClassVar[int]
     record: ChannelRecord
     counters: ChannelCounters
     newest_unix_nano: int
@@ -118,4 +121,15 @@ class ChannelStatus(_message.Message):
     waiting_gets: int
     waiting_puts: int
     host_time_unix_nano: int
-    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
+    consumers: _containers.RepeatedCompositeFieldContainer[ConsumerStatus]
+    def __init__(self, record: _Optional[_Union[ChannelRecord, _Mapping]] = ..., counters: _Optional[_Union[ChannelCounters, _Mapping]] = ..., newest_unix_nano: _Optional[int] = ..., oldest_unix_nano: _Optional[int] = ..., frontier_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., subscriptions: _Optional[int] = ..., waiting_gets: _Optional[int] = ..., waiting_puts: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., consumers: _Optional[_Iterable[_Union[ConsumerStatus, _Mapping]]] = ...) -> None: ...
+
+class ConsumerStatus(_message.Message):
+    __slots__ = ("consumer_id", "lease_nanos", "waiting")
+    CONSUMER_ID_FIELD_NUMBER: _ClassVar[int]
+    LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    WAITING_FIELD_NUMBER: _ClassVar[int]
+    consumer_id: int
+    lease_nanos: int
+    waiting: int
+    def __init__(self, consumer_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., waiting: _Optional[int] = ...) -> None: ...

@@ -235,24 +235,28 @@ class AdvanceResponse(_message.Message):
     def __init__(self, advance_unix_nano: _Optional[int] = ...) -> None: ...
 
 class ConsumeRequest(_message.Message):
-    __slots__ = ("channel_id", "epoch", "consumer_id", "seqs", "incarnation")
+    __slots__ = ("channel_id", "epoch", "consumer_id", "seqs", "incarnation", "lease_nanos")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     CONSUMER_ID_FIELD_NUMBER: _ClassVar[int]
     SEQS_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     consumer_id: int
     seqs: _containers.RepeatedScalarFieldContainer[int]
     incarnation: int
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., consumer_id: _Optional[int] = ..., seqs: _Optional[_Iterable[int]] = ..., incarnation: _Optional[int] = ...) -> None: ...
+    lease_nanos: int
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., consumer_id: _Optional[int] = ..., seqs: _Optional[_Iterable[int]] = ..., incarnation: _Optional[int] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
 
 class ConsumeResponse(_message.Message):
-    __slots__ = ("consumed",)
+    __slots__ = ("consumed", "lease_nanos")
     CONSUMED_FIELD_NUMBER: _ClassVar[int]
+    LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
     consumed: int
-    def __init__(self, consumed: _Optional[int] = ...) -> None: ...
+    lease_nanos: int
+    def __init__(self, consumed: _Optional[int] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
 
 class GetChannelStatusRequest(_message.Message):
     __slots__ = ("channel_id", "epoch")

@@ -107,7 +107,13 @@ class ChannelServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Consume(self, request, context):
-        """Use items up, on channels with a number of consumers. Idempotent.
+        """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
+        The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
+        that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
+        all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
+        ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
+        Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
+        INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

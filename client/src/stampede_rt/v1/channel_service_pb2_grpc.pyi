@@ -52,7 +52,14 @@ class ChannelServiceStub:
     Advance: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]
     """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
     Consume: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.ConsumeRequest, _channel_service_pb2.ConsumeResponse]
-    """Use items up, on channels with a number of consumers. Idempotent."""
+    """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
+    The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
+    that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
+    all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
+    ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
+    Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
+    INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
+    """
     GetChannelStatus: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.GetChannelStatusRequest, _channel_service_pb2.GetChannelStatusResponse]
     """Counters and bounds, taken atomically."""
 
@@ -80,7 +87,14 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     Advance: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]  # type: ignore[assignment]
     """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
     Consume: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.ConsumeRequest, _channel_service_pb2.ConsumeResponse]  # type: ignore[assignment]
-    """Use items up, on channels with a number of consumers. Idempotent."""
+    """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
+    The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
+    that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
+    all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
+    ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
+    Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
+    INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
+    """
     GetChannelStatus: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.GetChannelStatusRequest, _channel_service_pb2.GetChannelStatusResponse]  # type: ignore[assignment]
     """Counters and bounds, taken atomically."""
 
@@ -135,7 +149,14 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _channel_service_pb2.ConsumeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_channel_service_pb2.ConsumeResponse, _abc.Awaitable[_channel_service_pb2.ConsumeResponse]]:
-        """Use items up, on channels with a number of consumers. Idempotent."""
+        """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
+        The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
+        that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
+        all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
+        ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
+        Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
+        INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
+        """
 
     @_abc_1.abstractmethod
     def GetChannelStatus(

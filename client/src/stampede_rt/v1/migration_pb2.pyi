@@ -1,4 +1,5 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
+from stampede_rt.v1 import error_pb2 as _error_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from stampede_rt.v1 import subject_pb2 as _subject_pb2
@@ -87,16 +88,22 @@ class ProducerWindow(_message.Message):
     def __init__(self, producer_id: _Optional[int] = ..., ranges: _Optional[_Iterable[_Union[NumberRange, _Mapping]]] = ..., idle_nanos: _Optional[int] = ...) -> None: ...
 
 class NumberRange(_message.Message):
-    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano")
+    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "continues_run", "error", "answered_ago_nanos")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     ITEMS_FIELD_NUMBER: _ClassVar[int]
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     STAMPED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    CONTINUES_RUN_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    ANSWERED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     items: int
     first_seq: int
     stamped_unix_nano: int
-    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ...) -> None: ...
+    continues_run: bool
+    error: _error_pb2.Error
+    answered_ago_nanos: int
+    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., continues_run: bool = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., answered_ago_nanos: _Optional[int] = ...) -> None: ...
 
 class ConsumerSlot(_message.Message):
     __slots__ = ("consumer_id", "lease_nanos", "consumed_below_seq", "consumed")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Policy, SupernodeInfo
+from stampede_rt.model import Change, ChannelInfo, ChannelStats, ConsumerStats, HostInfo, Policy, SupernodeInfo
 from stampede_rt.v1 import channel_pb2, directory_pb2
 
 _ON_FULL = {
@@ -13,7 +13,7 @@ _ON_FULL = {
     "reject": channel_pb2.ON_FULL_REJECT,
 }
 _FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
-_CHANGES = {
+CHANGE_KINDS = {
     directory_pb2.CHANGE_KIND_ADDED: "added",
     directory_pb2.CHANGE_KIND_UPDATED: "updated",
     directory_pb2.CHANGE_KIND_REMOVED: "removed",
@@ -29,6 +29,7 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
         max_items=policy.max_items,
         max_bytes=policy.max_bytes,
         consumers=policy.consumers,
+        max_age_unconsumed_nanos=policy.max_age_unconsumed_nanos,
     )
     return channel_pb2.ChannelSpec(
         retention=retention,
@@ -41,7 +42,7 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
 
 def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
     """A set-up; what was never stated is None."""
-    retention = spec.retention
+    retention, unconsumed = spec.retention, "max_age_unconsumed_nanos"
     return Policy(
         max_age_nanos=retention.max_age_nanos if retention.HasField("max_age_nanos") else None,
         max_items=retention.max_items if retention.HasField("max_items") else None,
@@ -51,6 +52,7 @@ def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
         max_future_nanos=spec.max_future_nanos if spec.HasField("max_future_nanos") else None,
         content_type=spec.content_type if spec.HasField("content_type") else None,
         max_item_bytes=spec.max_item_bytes if spec.HasField("max_item_bytes") else None,
+        max_age_unconsumed_nanos=retention.max_age_unconsumed_nanos if retention.HasField(unconsumed) else None,
     )
 
 
@@ -112,12 +114,16 @@ def channel_stats(status: channel_pb2.ChannelStatus) -> ChannelStats:
         incarnation=status.record.incarnation,
         host_time=status.host_time_unix_nano,
         policy=policy_from_spec(status.record.spec),
+        consumers=[
+            ConsumerStats(consumer_id=one.consumer_id, lease_nanos=one.lease_nanos, waiting=one.waiting)
+            for one in status.consumers
+        ],
     )
 
 
 def change(message: directory_pb2.DirectoryChange, hosts: Mapping[bytes, directory_pb2.HostRecord]) -> Change:
     """One change of the directory; `hosts` are those known so far, to name a channel's owner."""
     if message.WhichOneof("subject") == "host":
-        return Change(index=message.index, kind=_CHANGES[message.kind], subject=host_info(message.host))
+        return Change(index=message.index, kind=CHANGE_KINDS[message.kind], subject=host_info(message.host))
     info = channel_info(message.channel, hosts.get(message.channel.host_id))
-    return Change(index=message.index, kind=_CHANGES[message.kind], subject=info)
+    return Change(index=message.index, kind=CHANGE_KINDS[message.kind], subject=info)

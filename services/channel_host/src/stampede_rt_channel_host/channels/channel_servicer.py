@@ -8,7 +8,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import StampedeError, error_for
+from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.get_stream import GetStream
@@ -69,21 +69,11 @@ class ChannelServicer:
             await abort(context, error)
 
     async def consume(self, request: pb.ConsumeRequest, context: Any) -> pb.ConsumeResponse:
-        """ChannelService.Consume: no channel of this host counts consumption yet, so every call is refused."""
+        """ChannelService.Consume."""
         try:
-            hosted = self._store.find(request.channel_id, request.epoch)
+            return self._store.find(request.channel_id, request.epoch).consume(request)
         except StampedeError as error:
             await abort(context, error)
-        name = hosted.record.name
-        await abort(
-            context,
-            error_for(
-                "INVALID_ARGUMENT",
-                f"channel {name} counts no consumption: this version of the host does not collect items by consumers; "
-                "bound the channel by age, count or bytes",
-                {"channel": name},
-            ),
-        )
 
     async def get_channel_status(
         self, request: pb.GetChannelStatusRequest, context: Any

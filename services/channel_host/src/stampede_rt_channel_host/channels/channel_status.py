@@ -21,6 +21,10 @@ def channel_status(hosted: HostedChannel, now: int) -> channel_pb2.ChannelStatus
         waiting_gets=len(hosted.gets),
         waiting_puts=len(hosted.puts),
         host_time_unix_nano=now,
+        consumers=[
+            channel_pb2.ConsumerStatus(consumer_id=one.consumer_id, lease_nanos=one.lease_nanos, waiting=one.waiting)
+            for one in channel.consumers(now)
+        ],
     )
 
 

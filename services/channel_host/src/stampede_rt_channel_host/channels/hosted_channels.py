@@ -7,12 +7,14 @@ from typing import Protocol
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2
+from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.records import policy_from_spec
+from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, LEASE_NANOS, Channel
 
 SUBSCRIPTIONS_MAX = 4096
 
@@ -57,6 +59,19 @@ class HostedChannel:
         advanced = self.channel.advance(instant, now)
         self.changed(now)
         return advanced
+
+    def consume(self, request: pb.ConsumeRequest) -> pb.ConsumeResponse:
+        """Use items up for one consumer, and let puts in that waited for room.
+
+        Raises InvalidArgument, ChannelFull, and IncarnationLost if the seqs are those of another incarnation.
+        """
+        if request.incarnation not in (0, self.record.incarnation):
+            raise refusals.other_incarnation(self.record.name, request.incarnation, self.record.incarnation)
+        now = self._now()
+        lease_nanos = request.lease_nanos if request.HasField("lease_nanos") else LEASE_NANOS
+        consumed = self.channel.consume(request.consumer_id, request.seqs, now, lease_nanos=lease_nanos)
+        self.puts.changed(now)
+        return pb.ConsumeResponse(consumed=consumed.items, lease_nanos=consumed.lease_nanos)
 
     def changed(self, now: int) -> None:
         """After an advance or another policy: everybody looks again."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import ChannelNotFound, StampedeError, error_for
+from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, error_for
 
 SHUTTING_DOWN = error_for(
     "SHUTTING_DOWN", "this host is shutting down; resolve the channel again, it gets a new host, or wait for this one"
@@ -43,6 +43,15 @@ def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
         "WRONG_EPOCH",
         f"channel {name} is at epoch {actual} and the request names {stated}; resolve the channel again",
         {"channel": name, "epoch": str(actual)},
+    )
+
+
+def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
+    """The seqs that a consumer names do not belong to the channel's present life."""
+    return IncarnationLost(
+        f"the seqs come from incarnation {stated:x} of channel {name}, which is {actual:x} now: its host was lost and "
+        "items with it; read again, and consume what you are given",
+        metadata={"channel": name},
     )
 
 

@@ -25,7 +25,7 @@ _CHANGE_KINDS = {
     ChangeKind.UPDATED: directory_pb2.CHANGE_KIND_UPDATED,
     ChangeKind.REMOVED: directory_pb2.CHANGE_KIND_REMOVED,
 }
-_LIMIT_FIELDS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
+_LIMIT_FIELDS = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")
 _SPEC_FIELDS = ("max_future_nanos", "content_type", "max_item_bytes")
 
 

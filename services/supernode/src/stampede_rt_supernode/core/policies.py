@@ -27,7 +27,8 @@ _RANGES = {
     "max_age_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
     "max_items": (1, 2**64 - 1, "at least 1"),
     "max_bytes": (1, 2**64 - 1, "at least 1"),
-    "consumers": (1, 2**32 - 1, "at least 1"),
+    "consumers": (1, 1024, "1 to 1024"),
+    "max_age_unconsumed_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
     "max_future_nanos": (0, 2**63 - 1, "0 or more nanoseconds"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
 }
@@ -61,6 +62,10 @@ def check_policy(channel: str, policy: Policy) -> None:
     if policy.on_full == "block" and policy.max_age_nanos is None and policy.consumers is None:
         text = 'on_full="block" waits for ever if nothing makes room; state max_age or consumers with it'
         raise _invalid(channel, "on_full", text)
+    least, most = policy.max_age_nanos, policy.max_age_unconsumed_nanos
+    if most is not None and (least is None or most < least):
+        text = "max_age_unconsumed prolongs max_age for consumers that lag; state both, the first not below the second"
+        raise _invalid(channel, "max_age_unconsumed_nanos", text)
 
 
 def _check_content_type(channel: str, content_type: str | None) -> None:
