@@ -1,0 +1,152 @@
+"""The cut of a group: how much of its channels is visible (paper, section 3.3). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from stampede_rt.timeline import clamp
+from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, TimesBoard
+
+MAX_LEAD_NANOS_DEFAULT = 5_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class GroupDefinition:
+    """How a group is set up. `reference` None: the member that lags most, chosen anew all the time ("oldest").
+
+    `by_end`: a channel's cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` past its
+    start. `idle_after_nanos`: a member silent for so long is left out of "oldest". `incarnation`: cuts compare within
+    one.
+    """
+
+    members: frozenset[bytes]
+    reference: bytes | None = None
+    by_end: bool = False
+    idle_after_nanos: int | None = None
+    max_lead_nanos: int = MAX_LEAD_NANOS_DEFAULT
+    incarnation: int = 1
+    spec_version: int = 1
+
+    def cut_of(self, times: ChannelTimes) -> int | None:
+        """The cut of one channel by itself; None if it never had an item or an advance."""
+        newest = times.newest
+        if newest is None:
+            return times.advance
+        cut = newest
+        if self.by_end and times.newest_end is not None:
+            cut = max(newest, min(times.newest_end, clamp(newest + self.max_lead_nanos)))
+        return cut if times.advance is None else max(cut, times.advance)
+
+
+class Member(NamedTuple):
+    """One member at one moment. `heard` None: its owner has told nothing yet; `cut`: its own, None if it has none."""
+
+    channel_id: bytes
+    heard: Heard | None
+    cut: int | None
+    is_idle: bool
+
+    @property
+    def mark(self) -> int | None:
+        """The later of its newest time and its advance."""
+        return None if self.heard is None else self.heard.times.mark
+
+
+class GroupCut:
+    """The cut of one group as one host knows it: a lower bound that only grows within an incarnation.
+
+    Order of use: make; `merge_floor` what the other hosts of the group know; `settle` when all of them that live have
+    told it. Until then nothing is visible, since somebody may have seen more. `refresh` after each change of the board
+    and at `next_idle`.
+    """
+
+    def __init__(self, definition: GroupDefinition, board: TimesBoard) -> None:
+        self._definition = definition
+        self._board = board
+        self._floor: int | None = None
+        self._settled = False
+
+    @property
+    def definition(self) -> GroupDefinition:
+        """As last defined."""
+        return self._definition
+
+    @property
+    def is_settled(self) -> bool:
+        """All other hosts have told how far the cut was."""
+        return self._settled
+
+    @property
+    def cut(self) -> int | None:
+        """Items with a time before it are visible; None: none are. As of the last refresh."""
+        return self._floor if self._settled else None
+
+    def define(self, definition: GroupDefinition) -> None:
+        """Members came or went: the cut stays where it is. Another incarnation: it begins anew, unsettled."""
+        if definition.incarnation != self._definition.incarnation:
+            self._floor, self._settled = None, False
+        self._definition = definition
+
+    def merge_floor(self, cut: int) -> bool:
+        """Another host of the group has come so far; True if that is further. Never call this with a client's word."""
+        if self._floor is not None and cut <= self._floor:
+            return False
+        self._floor = cut
+        return True
+
+    def settle(self) -> None:
+        """What the other hosts know is merged."""
+        self._settled = True
+
+    def refresh(self, now: int) -> bool:
+        """Raise the cut to where the reference is; True if it moved."""
+        reached = self._reached(now) if self._settled else None
+        return reached is not None and self.merge_floor(reached)
+
+    def member(self, channel_id: bytes, now: int) -> Member:
+        """One member at this moment."""
+        heard = self._board.find(channel_id)
+        cut = None if heard is None else self._definition.cut_of(heard.times)
+        return Member(channel_id, heard, cut, self._is_idle(heard, now))
+
+    def members(self, now: int) -> Iterator[Member]:
+        """All members, in the order of their ids."""
+        return (self.member(channel_id, now) for channel_id in sorted(self._definition.members))
+
+    def waiting_on(self, now: int) -> list[bytes]:
+        """The members that hold the cut back: of those that count, the ones that are not past it."""
+        cut = self.cut
+        counting = (member for member in self.members(now) if self._counts(member))
+        return [one.channel_id for one in counting if one.cut is None or (cut is not None and one.cut <= cut)]
+
+    def next_idle(self, now: int) -> int | None:
+        """When a member may next fall idle, so that the cut moves without anything being put; None: never."""
+        after = self._definition.idle_after_nanos
+        if after is None or self._definition.reference is not None:
+            return None
+        awake = (member.heard for member in self.members(now) if member.heard is not None and not member.is_idle)
+        return min((heard.silent_since + after for heard in awake), default=None)
+
+    def _reached(self, now: int) -> int | None:
+        """The reference's cut; None if there is none, as with "oldest" when a member that counts has none."""
+        reference = self._definition.reference
+        if reference is not None:
+            return self.member(reference, now).cut
+        lowest: int | None = None
+        for member in self.members(now):
+            if member.is_idle:
+                continue
+            if member.cut is None:
+                return None
+            lowest = member.cut if lowest is None else min(lowest, member.cut)
+        return lowest
+
+    def _counts(self, member: Member) -> bool:
+        reference = self._definition.reference
+        return not member.is_idle if reference is None else member.channel_id == reference
+
+    def _is_idle(self, heard: Heard | None, now: int) -> bool:
+        after = self._definition.idle_after_nanos
+        return after is not None and heard is not None and heard.silent_nanos(now) >= after

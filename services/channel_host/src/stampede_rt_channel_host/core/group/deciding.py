@@ -1,0 +1,67 @@
+"""When a cut event is due (paper, section 3.3, Figure 7; decision 0011). Pure.
+
+One host decides for a subscription. Every value that the cut takes asks for an event; it is due when all members have
+come as far, or when they were waited for long enough. What is due at once becomes one event, so that a slow reader gets
+merged ones.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.group.cut import Member
+
+MAX_WAIT_NANOS_DEFAULT = 1_000_000_000
+PENDING_MAX = 256
+
+
+class Boundary(NamedTuple):
+    """A decided event: it brings what became visible before `cut`. `incomplete`: members that were not as far."""
+
+    cut: int
+    incomplete: tuple[bytes, ...] = ()
+
+
+class EventDecider:
+    """Of one subscription. After each change of cut and members, and at `wake_at`: `note`, then `due`."""
+
+    def __init__(self, cut: int | None, max_wait_nanos: int = MAX_WAIT_NANOS_DEFAULT) -> None:
+        """Events from `cut` on; None: nothing is visible yet."""
+        self._decided = cut
+        self._max_wait_nanos = max_wait_nanos
+        self._pending: deque[tuple[int, int]] = deque()  # cuts without an event, ascending, and when each was reached
+
+    def note(self, cut: int | None, now: int) -> None:
+        """The cut has come so far. Among too many that wait, the last ones become one."""
+        last = self._pending[-1][0] if self._pending else self._decided
+        if cut is None or (last is not None and cut <= last):
+            return
+        if len(self._pending) >= PENDING_MAX:
+            self._pending.pop()
+        self._pending.append((cut, now))
+
+    def due(self, members: Iterable[Member], now: int) -> Boundary | None:
+        """The event that is due, if one is. A member that is idle is not waited for."""
+        present = list(members)
+        decided: int | None = None
+        while self._pending and self._is_due(*self._pending[0], present, now):
+            decided = self._pending.popleft()[0]
+        if decided is None:
+            return None
+        self._decided = decided
+        return Boundary(decided, tuple(one.channel_id for one in present if _is_behind(one, decided)))
+
+    def wake_at(self) -> int | None:
+        """When the first cut has waited long enough; None: none waits."""
+        return self._pending[0][1] + self._max_wait_nanos if self._pending else None
+
+    def _is_due(self, cut: int, reached: int, members: list[Member], now: int) -> bool:
+        if now >= reached + self._max_wait_nanos:
+            return True
+        return not any(_is_behind(member, cut) and not member.is_idle for member in members)
+
+
+def _is_behind(member: Member, cut: int) -> bool:
+    return member.mark is None or member.mark < cut

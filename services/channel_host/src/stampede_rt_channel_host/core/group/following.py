@@ -1,0 +1,194 @@
+"""What a moving cut makes visible of one channel, each item once (paper, section 3.3). Pure.
+
+A follower has dealt with all items before its cut that have a seq below its `next_seq`. The next step, to a later cut,
+brings the items between the two cuts, and apart from them the late ones: accepted below the former cut since.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from stampede_rt.model import Reason
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, DeliveredSlice, Slice
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.group.ledger import Ledger, below_place
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Loss:
+    """Items that are due and gone. Everything with a time before `before` may be incomplete, exclusive.
+
+    `items` of them were counted by their seqs, which lie from `first_seq` to `last_seq`; `is_exact`: that is all.
+    """
+
+    before: int
+    items: int
+    is_exact: bool
+    reason: Reason
+    first_seq: int
+    last_seq: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Step:
+    """A part of a step: first what became visible, then what came late, each ascending by (time, seq).
+
+    `is_last` ends the step; only then `loss` says what it should have brought and cannot.
+    """
+
+    slices: list[DeliveredSlice] = field(default_factory=list)
+    late: list[DeliveredSlice] = field(default_factory=list)
+    is_last: bool
+    loss: Loss | None = None
+
+
+class CutFollower:
+    """Where one reader of one channel stands. `cut` None: nothing was visible to it yet.
+
+    Order of use: `begin(cut)`, which must not be before the last one, then `take` until a step is the last.
+    `under_way`: in between.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        cut: int | None,
+        now: int,
+        *,
+        next_seq: int | None = None,
+        incarnation: int | None = None,
+    ) -> None:
+        """From the cut on; with `next_seq`, which goes with an incarnation, behind a place kept from before.
+
+        A place of another incarnation is reported as lost; then everything that is there counts as late or new.
+        """
+        held, _ = channel.look(now)
+        self._channel = channel
+        self._unreported: Loss | None = None
+        self.cut = cut
+        self.under_way = False
+        self._target: Place = FIRST_PLACE
+        self._seq_end = 0
+        self._range_place: Place = FIRST_PLACE  # of the step under way: how far each of its two parts was taken
+        self._late_place: Place = FIRST_PLACE
+        self._given_above = self._given_below = 0
+        if incarnation is not None and incarnation != channel.incarnation:
+            self._unreported = _lost_with_host(channel, cut)
+            next_seq = 1
+        elif next_seq is not None and _reaches(held, cut):
+            self._unreported = _collected(channel, held, 0, 1, is_exact=False)
+        self._ledger = Ledger(held, _place(cut), channel.next_seq if next_seq is None else next_seq)
+
+    @property
+    def next_seq(self) -> int:
+        """Items with a seq below it and a time before the cut are dealt with; this and the cut resume the reader."""
+        return self._ledger.next_seq
+
+    def lowest_owed_seq(self, now: int) -> int:
+        """Every item below it is dealt with, whatever its time. Walks what is hidden."""
+        held, _ = self._channel.look(now)
+        return self._ledger.lowest_owed(held)
+
+    def has_news(self, cut: int) -> bool:
+        """A step to `cut` may bring something."""
+        if self.under_way or self.cut is None or cut > self.cut:
+            return True
+        return cut == self.cut and self._channel.next_seq != self.next_seq
+
+    def begin(self, cut: int) -> None:
+        """Begin a step. What is accepted below `cut` from now on is late, and comes with the next one."""
+        assert not self.under_way, "take the step under way to its end first"
+        assert self.cut is None or cut >= self.cut, "a cut never moves back"
+        self.under_way = True
+        self._target = _place(cut)
+        self._seq_end = self._channel.next_seq
+        self._range_place, self._late_place = _place(self.cut), FIRST_PLACE
+        self._given_above = self._given_below = 0
+
+    def take(self, now: int, limit_bytes: int) -> Step:
+        """The next part of the step, about `limit_bytes` (payload and overhead; at least one slice if any is left)."""
+        assert self.under_way, "begin a step first"
+        held, _ = self._channel.look(now)
+        slices, left = self._take_range(held, limit_bytes)
+        late, left = self._take_late(held, left) if left > 0 else ([], left)
+        if left <= 0:
+            return Step(slices=slices, late=late, is_last=False)
+        return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
+
+    def _take_range(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int]:
+        """Items between the two cuts, from the place reached on, that were there when the step began."""
+        taken: list[DeliveredSlice] = []
+        for part in held.slices(self._range_place, self._target):
+            if left <= 0:
+                return taken, left
+            if part.run.first_seq < self._seq_end:
+                taken.append(self._deliver(held, part))
+                self._given_above += part.items
+                left -= _charge(part)
+            self._range_place = part.last_time, part.end_seq
+        return taken, left
+
+    def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int]:
+        """Items below the former cut that were accepted since."""
+        taken: list[DeliveredSlice] = []
+        for part in below_place(held, _place(self.cut), self.next_seq, self._seq_end):
+            if left <= 0:
+                return taken, left
+            if (part.first_time, part.first_seq) >= self._late_place:
+                taken.append(self._deliver(held, part))
+                self._given_below += part.items
+                left -= _charge(part)
+                self._late_place = part.last_time, part.end_seq
+        return taken, left
+
+    def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
+        """What lies at or past the cut bounds nothing: nobody may see it yet."""
+        following = held.next_time(part.last_time)
+        hidden = following is not None and following >= self._target[0]
+        return DeliveredSlice(part, None if hidden else following)
+
+    def _finish(self, held: Holdings) -> Loss | None:
+        first_seq = self._ledger.lowest_seq
+        lost = self._ledger.settle(
+            held, self._target, self._seq_end, given_above=self._given_above, given_below=self._given_below
+        )
+        self.under_way = False
+        self.cut = self._target[0]
+        unreported, self._unreported = self._unreported, None
+        if unreported is not None:
+            return replace(unreported, items=lost)
+        return _collected(self._channel, held, lost, first_seq) if lost else None
+
+
+def _place(cut: int | None) -> Place:
+    return FIRST_PLACE if cut is None else (cut, 0)
+
+
+def _charge(part: Slice) -> int:
+    return part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
+
+
+def _reaches(held: Holdings, cut: int | None) -> bool:
+    """Retention has taken items at or past the cut."""
+    gone = held.newest_collected
+    return gone is not None and (cut is None or gone >= cut)
+
+
+def _lost_with_host(channel: Channel, cut: int | None) -> Loss:
+    before = max((one for one in (cut, channel.oldest) if one is not None), default=0)
+    detail = "the channel's host was lost, and items with it that the group had not shown"
+    return Loss(before=before, items=0, is_exact=False, reason=Reason("LOST", detail), first_seq=1, last_seq=1)
+
+
+def _collected(channel: Channel, held: Holdings, items: int, first_seq: int, *, is_exact: bool = True) -> Loss:
+    gone = held.newest_collected
+    before = channel.newest if gone is None else gone
+    return Loss(
+        before=0 if before is None else before + 1,
+        items=items,
+        is_exact=is_exact,
+        reason=Reason("COLLECTED", "the channel's retention took items before the group had shown them to this reader"),
+        first_seq=first_seq,
+        last_seq=max(first_seq, channel.next_seq - 1),
+    )

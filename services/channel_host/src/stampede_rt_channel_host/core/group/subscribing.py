@@ -1,0 +1,132 @@
+"""Subscriptions through a group: items in the order of becoming visible (paper, section 3.3). Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.timeline import Bound
+from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Delivery, Gap, Position, Slice
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
+from stampede_rt_channel_host.core.group.following import CutFollower, Loss
+from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
+
+STEP_BYTES_MAX = 2**20
+
+
+class VisibleAll:
+    """Every item once: what the cut lays open in (time, seq) order, and what comes late as it comes.
+
+    With `start`, visible items from there on come first; with `after`, those that are later in time or in seq than an
+    item that the reader has. Where items were put out of order, resuming so may repeat some; it never leaves one out.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        horizon: Horizon,
+        now: int,
+        *,
+        start: Bound | None = None,
+        start_exclusive: bool = False,
+        after: Position | None = None,
+    ) -> None:
+        """Raises InvalidArgument for both start and after, or after without a seq; IncarnationLost."""
+        self._channel = channel
+        self._gap: Gap | None = None
+        self.delivered = 0
+        self.dropped = 0
+        cut, next_seq = horizon.cut, None
+        if after is not None:
+            time, seq = _resume(channel, horizon, now, start, after)
+            cut = None if cut is None else min(cut, time + 1)
+            next_seq = min(seq + 1, channel.next_seq)
+        elif start is not None and cut is not None:
+            low = VisibleReading(channel, horizon, now).resolve_bound(start, now)
+            cut = cut if low is None else min(cut, low + start_exclusive)
+        self._follower = CutFollower(channel, cut, now, next_seq=next_seq)
+
+    def lowest_owed_seq(self, now: int) -> int:
+        """Every item below it was sent or reported. Walks what is hidden."""
+        return self._follower.lowest_owed_seq(now)
+
+    def take(self, horizon: Horizon, now: int, limit_bytes: int) -> Delivery:
+        """The next part; a gap comes behind the items of its step. Empty: wait for the cut or for a late item."""
+        follower = self._follower
+        while self._gap is None and horizon.cut is not None and follower.has_news(horizon.cut):
+            if not follower.under_way:
+                follower.begin(horizon.cut)
+            step = follower.take(now, limit_bytes)
+            self._gap = None if step.loss is None else _gap(step.loss)
+            slices = step.slices + step.late
+            if slices:
+                self.delivered += sum(one.slice.items for one in slices)
+                return Delivery(slices=slices)
+        gap, self._gap = self._gap, None
+        self.dropped += gap.items if gap else 0
+        return Delivery(gap=gap)
+
+
+class VisibleNewest:
+    """Always the latest visible item by (time, seq), never going back; the other ones that became visible are counted.
+
+    `skipped`: of the items meant for it, how many it was not given. Begins as `Channel.subscribe_newest` does.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        horizon: Horizon,
+        now: int,
+        *,
+        start: Bound | None = None,
+        start_exclusive: bool = False,
+        after: Position | None = None,
+    ) -> None:
+        """Raises like `VisibleAll`."""
+        self._channel = channel
+        self._last: Place = FIRST_PLACE
+        self.delivered = 0
+        self._meant = 0
+        self._all = VisibleAll(channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after)
+        if after is not None:
+            assert after.seq is not None, "else VisibleAll had refused it"
+            self._last = after.time, after.seq
+        elif start is None:
+            newest = self._newest(horizon, now)
+            self._last = FIRST_PLACE if newest is None else (newest.last_time, newest.end_seq - 1)
+        elif (low := VisibleReading(channel, horizon, now).resolve_bound(start, now)) is not None:
+            self._last = (low, SEQ_END) if start_exclusive else (low, -1)
+
+    @property
+    def skipped(self) -> int:
+        """As of the last take."""
+        return max(0, self._meant - self.delivered)
+
+    def take(self, horizon: Horizon, now: int) -> DeliveredSlice | None:
+        """The newest visible item, if it is later than the last one taken."""
+        while not (part := self._all.take(horizon, now, STEP_BYTES_MAX)).is_empty:
+            self._meant += sum(one.slice.items for one in part.slices) + (part.gap.items if part.gap else 0)
+        newest = self._newest(horizon, now)
+        if newest is None or (newest.last_time, newest.end_seq - 1) <= self._last:
+            return None
+        self._last = newest.last_time, newest.end_seq - 1
+        self.delivered += 1
+        return DeliveredSlice(newest, None)
+
+    def _newest(self, horizon: Horizon, now: int) -> Slice | None:
+        held, _ = self._channel.look(now)
+        part = next(VisibleHoldings(held, horizon.cut).slices_down(), None)
+        return None if part is None else Slice(part.run, part.hi - 1, part.hi)
+
+
+def _resume(channel: Channel, horizon: Horizon, now: int, start: Bound | None, after: Position) -> tuple[int, int]:
+    VisibleReading(channel, horizon, now).check_position(after)
+    if start is not None:
+        raise InvalidArgument("a subscription has both start and after; give start to begin, after to resume")
+    if after.seq is None:
+        raise InvalidArgument("a subscription resumes after an item, but the position has no seq; use start instead")
+    return after.time, after.seq
+
+
+def _gap(loss: Loss) -> Gap:
+    """Without an exact count it stands for one item at the least, so that a reader hears of it."""
+    return Gap(first_seq=loss.first_seq, last_seq=loss.last_seq, items=max(1, loss.items), reason=loss.reason)

@@ -1,0 +1,213 @@
+"""The part of a channel that a group shows: items before the cut, under a clock that stops there (paper, section 3.3).
+
+Pure. Nothing is copied: a view reads the channel's own index, and answers as a channel of its own would that had never
+got the hidden items.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+from stampede_rt.model import Reason
+from stampede_rt.timeline import Bound, Interval, MetaTime, ResolvedInterval, format_instant
+from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Query, Slice, WakeAt
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
+from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.selection import behind, select
+
+
+class Horizon(NamedTuple):
+    """Where a group ends: its cut (None: nothing is visible), and a few words on who holds it back, when asked for."""
+
+    cut: int | None
+    held_by: Callable[[], str]
+
+
+class VisibleHoldings:
+    """Held items with a time before a cut, to be read like `Holdings`."""
+
+    __slots__ = ("_end", "_held", "_last", "frontier", "newest", "oldest")
+
+    def __init__(self, held: Holdings, cut: int | None) -> None:
+        self._held = held
+        self._end: Place = FIRST_PLACE if cut is None else (cut, 0)
+        self._last = self._end[0] - 1
+        self.frontier = held.frontier
+        self.oldest = held.oldest if held.oldest is not None and held.oldest <= self._last else None
+        self.newest = None if self.oldest is None else held.floor_time(self._last)
+
+    @property
+    def collected_by(self) -> str:
+        """As in `Holdings`."""
+        return self._held.collected_by
+
+    def slices(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE, /) -> Iterator[Slice]:
+        """Visible items at or above `low` and below `high`, ascending."""
+        return self._held.slices(low, min(high, self._end))
+
+    def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE, /) -> Iterator[Slice]:
+        """The same, the last slice first."""
+        return self._held.slices_down(low, min(high, self._end))
+
+    def next_time(self, time: int, /) -> int | None:
+        """The time of the next later visible bucket than `time`."""
+        following = self._held.next_time(time)
+        return following if following is not None and following <= self._last else None
+
+    def floor_time(self, time: int, /) -> int | None:
+        """The time of the visible bucket at or before `time`."""
+        return None if self.oldest is None else self._held.floor_time(min(time, self._last))
+
+
+class VisibleReading(Reading):
+    """Answers one query from what a horizon leaves of a channel."""
+
+    def __init__(self, channel: Channel, horizon: Horizon, now: int) -> None:
+        """`now`: the host's clock, to which the channel is aged."""
+        self._all, retention = channel.look(now)
+        super().__init__(VisibleHoldings(self._all, horizon.cut), retention, channel.incarnation)
+        self.advance, self.consumed_up_to = channel.advanced_to, self._all.newest_consumed
+        self._horizon = horizon
+        self._asked: tuple[Query, ResolvedInterval, int] | None = None
+
+    def now(self, clock: int) -> int:
+        """The clock stops at the cut."""
+        cut = self._horizon.cut
+        return super().now(clock if cut is None else min(clock, cut))
+
+    def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
+        """Before there is a cut, there is no `now` either."""
+        if self._horizon.cut is None and MetaTime.NOW in (interval.start.meta, interval.end.meta):
+            return None
+        return super().resolve_interval(interval, clock)
+
+    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Answer:
+        """What is visible of the query."""
+        if within is not None:
+            self._asked = query, within, clock
+        return super().answer(query, within, clock)
+
+    def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
+        cut = self._horizon.cut
+        if cut is None or first_instant > cut:
+            return WakeAt(None)  # no clock brings that about, only the cut
+        return super()._wake_at(first_instant, clock)
+
+    def _is_finished(self, region: ResolvedInterval) -> bool:
+        """The channel has passed the region, and the cut has likewise."""
+        cut = self._horizon.cut
+        return cut is not None and cut >= region.end + (not region.end_exclusive) and self._is_passed(region)
+
+    def _is_passed(self, region: ResolvedInterval) -> bool:
+        marks = [mark for mark in (self._all.newest, self.advance, self.consumed_up_to) if mark is not None]
+        return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
+
+    def _reason(
+        self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
+    ) -> Reason | None:
+        """What a limit cut off is no part of the answer, so neither is what is hidden behind it."""
+        reason = super()._reason(query, region, complete, truncated, more)
+        if reason is None and not (more and not query.newest_first) and self._hides():
+            return self._hidden()
+        return reason
+
+    def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
+        if self._is_passed(region) or self._hides():
+            return self._hidden()
+        return super()._not_yet(query, region)
+
+    def _no_anchor(self) -> Reason:
+        return super()._no_anchor() if self._all.newest is None else self._hidden()
+
+    def _hides(self) -> bool:
+        """A held item that matches what was asked for lies at or past the cut."""
+        assert self._asked is not None, "set with every answer that gives reasons"
+        query, within, clock = self._asked
+        cut, newest = self._horizon.cut, self._all.newest
+        if newest is None or (cut is not None and (newest < cut or within.end < cut)):
+            return False
+        full_now = max(clock, newest)
+        found, _ = select(self._all, _latest_of(query), within, full_now)
+        return bool(found) and (cut is None or found[0].last_time >= cut)
+
+    def _hidden(self) -> Reason:
+        cut = self._horizon.cut
+        shown = "nothing is visible yet" if cut is None else f"its cut is at {format_instant(cut)}"
+        return Reason("HIDDEN", f"the group hides it: {shown}, {self._horizon.held_by()}")
+
+
+def _latest_of(query: Query) -> Query:
+    """Asks for the latest of the items that `query` asks for."""
+    if query.newest_first:
+        return replace(query, limit=1)
+    positions = [one for one in (query.after, query.newer_than) if one is not None]
+    newer_than = max(positions, key=behind, default=None)
+    return replace(query, limit=1, newest_first=True, after=None, newer_than=newer_than)
+
+
+class GroupView:
+    """The visible part of one channel, read like a channel; the horizon is given with each call, and may only grow."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+
+    def read(self, query: Query, horizon: Horizon, now: int) -> Answer:
+        """What is visible of the query, at once. Raises IncarnationLost like `Channel.read`."""
+        reading = self._reading(query, horizon, now)
+        return reading.answer(query, reading.resolve(query, now), now)
+
+    def begin(self, query: Query, horizon: Horizon, now: int) -> Pending:
+        """Begin a blocking get; see `Channel.begin`."""
+        return Pending(query, self._reading(query, horizon, now).resolve(query, now))
+
+    def poll(self, pending: Pending, horizon: Horizon, now: int) -> Answer | WakeAt:
+        """Its answer, or when to poll again: also after each change of the channel and of the cut."""
+        return VisibleReading(self._channel, horizon, now).poll(pending, now)
+
+    def give_up(self, pending: Pending, horizon: Horizon, now: int) -> Answer:
+        """What there is when the get's time is over, with its reason."""
+        return VisibleReading(self._channel, horizon, now).answer(pending.query, pending.interval, now)
+
+    def stalled(self, floor: int, horizon: Horizon) -> Answer:
+        """The answer to a reader that has seen more than this host can show yet: nothing, rather than less."""
+        cut = horizon.cut
+        behind_at = "nothing is visible here yet" if cut is None else f"the cut is at {format_instant(cut)} here"
+        detail = f"the reader has seen the group up to {format_instant(floor)}, but {behind_at}, {horizon.held_by()}"
+        return Answer(
+            slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False,
+            reason=Reason("HIDDEN", detail), incarnation=self._channel.incarnation,
+        )  # fmt: skip
+
+    def resolve_bound(self, bound: Bound, horizon: Horizon, now: int) -> int | None:
+        """One bound; None if it hangs on what is not visible."""
+        return VisibleReading(self._channel, horizon, now).resolve_bound(bound, now)
+
+    def hidden_items(self, cut: int | None, now: int) -> int:
+        """How many held items the cut hides. Walks them."""
+        held, _ = self._channel.look(now)
+        return sum(part.items for part in held.slices(FIRST_PLACE if cut is None else (cut, 0)))
+
+    def window_too_short(self, cut: int | None, now: int) -> bool:
+        """Items went before the group showed them, or go so: the channel keeps less than it is ahead of the cut."""
+        held, retention = self._channel.look(now)
+        return _has_lost(held, cut) or _outlives_its_age(held, retention, cut)
+
+    def _reading(self, query: Query, horizon: Horizon, now: int) -> VisibleReading:
+        reading = VisibleReading(self._channel, horizon, now)
+        reading.check_position(query.after)
+        reading.check_position(query.newer_than)
+        return reading
+
+
+def _has_lost(held: Holdings, cut: int | None) -> bool:
+    gone = held.newest_collected
+    return gone is not None and (cut is None or gone >= cut)
+
+
+def _outlives_its_age(held: Holdings, retention: Retention, cut: int | None) -> bool:
+    age = retention.limits.max_age_nanos
+    return age is not None and cut is not None and held.newest is not None and held.newest - cut > age

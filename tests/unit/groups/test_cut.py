@@ -1,0 +1,143 @@
+"""Where the cut of a group is, and who holds it."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, TimesBoard
+
+A, B = b"a", b"b"
+S = 10**9
+
+
+def group(**times: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
+    """A settled group of a and b, of which so much is known."""
+    return defined(GroupDefinition(members=frozenset((A, B))), **times)
+
+
+def defined(definition: GroupDefinition, **told: ChannelTimes) -> tuple[GroupCut, TimesBoard]:
+    board = TimesBoard()
+    for name, times in told.items():
+        board.hear(name.encode(), times, 0, 0)
+    cut = GroupCut(definition, board)
+    cut.settle()
+    cut.refresh(0)
+    return cut, board
+
+
+def at(newest: int, *, epoch: int = 1, incarnation: int = 7, end: int | None = None) -> ChannelTimes:
+    return ChannelTimes(epoch, incarnation, newest, end)
+
+
+def test_with_oldest_the_channel_that_lags_most_holds_the_cut() -> None:
+    cut, board = group(a=at(100), b=at(70))
+    assert cut.cut == 70
+    assert cut.waiting_on(0) == [B]
+    board.hear(B, at(130), 0, 0)
+    assert cut.refresh(0)
+    assert (cut.cut, cut.waiting_on(0)) == (100, [A])
+
+
+def test_nothing_is_visible_before_every_channel_has_said_something() -> None:
+    cut, board = group(a=at(100))
+    assert cut.cut is None
+    assert cut.waiting_on(0) == [B]
+    board.hear(B, ChannelTimes(1, 7, advance=40), 0, 0)
+    cut.refresh(0)
+    assert cut.cut == 40
+
+
+def test_a_reference_channel_alone_decides() -> None:
+    definition = GroupDefinition(members=frozenset((A, B)), reference=A)
+    cut, board = defined(definition, a=at(100))
+    assert (cut.cut, cut.waiting_on(0)) == (100, [A])
+    board.hear(B, at(10), 0, 0)
+    assert not cut.refresh(0)
+
+
+def test_the_end_of_the_newest_item_may_be_the_cut_but_not_further_than_max_lead() -> None:
+    definition = GroupDefinition(members=frozenset((A,)), reference=A, by_end=True, max_lead_nanos=5)
+    assert defined(definition, a=at(100, end=103))[0].cut == 103
+    assert defined(definition, a=at(100, end=200))[0].cut == 105
+    assert defined(definition, a=at(100))[0].cut == 100
+
+
+def test_the_cut_never_moves_back() -> None:
+    definition = GroupDefinition(members=frozenset((A,)), by_end=True)
+    cut, board = defined(definition, a=at(100, end=150))
+    board.hear(A, at(110), 0, 0)
+    assert not cut.refresh(0)
+    assert cut.cut == 150
+    board.hear(A, at(5, epoch=2, incarnation=8), 0, 0)  # its host was lost, and all its items
+    assert not cut.refresh(0)
+    assert (cut.cut, cut.waiting_on(0)) == (150, [A])
+
+
+def test_a_member_that_comes_leaves_the_cut_where_it_is_and_one_that_goes_releases_it() -> None:
+    cut, board = group(a=at(100), b=at(70))
+    cut.define(GroupDefinition(members=frozenset((A, B, b"c")), spec_version=2))
+    board.hear(b"c", at(10), 0, 0)
+    cut.refresh(0)
+    assert (cut.cut, cut.waiting_on(0)) == (70, [B, b"c"])
+    cut.define(GroupDefinition(members=frozenset((A,)), spec_version=3))
+    cut.refresh(0)
+    assert cut.cut == 100
+
+
+def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
+    definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
+    board = TimesBoard()
+    board.tell_own(A, at(100), 0)
+    board.tell_own(B, at(70), 0)
+    cut = GroupCut(definition, board)
+    cut.settle()
+    cut.refresh(0)
+    assert (cut.cut, cut.next_idle(0)) == (70, S)
+    board.tell_own(A, at(120), S)
+    cut.refresh(S)
+    assert (cut.cut, cut.waiting_on(S), cut.next_idle(S)) == (120, [A], 2 * S)
+    assert [member.is_idle for member in cut.members(S)] == [False, True]
+    board.tell_own(B, at(80), S)
+    cut.refresh(S)
+    assert (cut.cut, cut.waiting_on(S)) == (120, [A, B])
+
+
+def test_a_member_of_a_host_that_is_not_heard_of_holds_the_cut_though_it_may_be_silent() -> None:
+    definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
+    cut, board = defined(definition, a=at(100), b=at(70))
+    board.confirm([A], 5 * S)
+    cut.refresh(5 * S)
+    assert (cut.cut, cut.waiting_on(5 * S)) == (70, [B])
+    board.confirm([B], 5 * S)
+    board.hear(A, at(110), 0, 5 * S)
+    cut.refresh(5 * S)
+    assert cut.cut == 110
+
+
+def test_what_another_host_has_shown_counts_and_nothing_is_shown_before_that_is_known() -> None:
+    board = TimesBoard()
+    board.tell_own(A, at(100), 0)
+    cut = GroupCut(GroupDefinition(members=frozenset((A,))), board)
+    assert not cut.refresh(0)
+    assert cut.cut is None
+    assert cut.merge_floor(300)
+    assert not cut.merge_floor(200)
+    cut.settle()
+    assert cut.cut == 300
+
+
+def test_another_incarnation_begins_anew() -> None:
+    cut, _ = group(a=at(100), b=at(70))
+    cut.define(GroupDefinition(members=frozenset((A, B)), incarnation=2))
+    assert cut.cut is None
+    cut.settle()
+    cut.refresh(0)
+    assert cut.cut == 70
+
+
+def test_words_of_a_former_owner_change_nothing() -> None:
+    board = TimesBoard()
+    assert board.hear(A, at(50, epoch=3, incarnation=9), 0, 0)
+    assert not board.hear(A, at(99, epoch=2), 0, 0)
+    assert board.hear(A, at(60, epoch=4, incarnation=9), 0, 0)
+    found = board.find(A)
+    assert found is not None
+    assert found.times == at(60, epoch=4, incarnation=9)

@@ -1,0 +1,143 @@
+"""Cut events: when they are due, and what they bring."""
+
+from __future__ import annotations
+
+from stampede_rt.model import Policy
+from stampede_rt_channel_host.core.channel import Channel, Offer
+from stampede_rt_channel_host.core.group import Boundary, CutFollower, EventDecider, Heard, Member, OwnTimes
+from stampede_rt_channel_host.core.group.deciding import PENDING_MAX
+from stampede_rt_channel_host.core.group.times import ChannelTimes
+from tests.unit.groups.channels import INCARNATION, NOW, channel, put, times
+
+WAIT = 100
+
+
+def member(name: bytes, newest: int | None, *, idle: bool = False) -> Member:
+    heard = None if newest is None else Heard(ChannelTimes(1, 1, newest), 0, None)
+    return Member(name, heard, newest, idle)
+
+
+def test_an_event_is_due_when_every_member_is_as_far_as_the_cut() -> None:
+    decider = EventDecider(0, WAIT)
+    decider.note(50, now=0)
+    assert decider.due([member(b"a", 50), member(b"b", 40)], 0) is None
+    assert decider.due([member(b"a", 60), member(b"b", 55)], 0) == Boundary(50)
+    assert decider.wake_at() is None
+
+
+def test_after_max_wait_the_event_comes_and_names_who_was_not_there() -> None:
+    decider = EventDecider(0, WAIT)
+    decider.note(50, now=7)
+    assert decider.wake_at() == 107
+    assert decider.due([member(b"a", 50), member(b"b", None)], 107) == Boundary(50, (b"b",))
+
+
+def test_an_idle_member_is_not_waited_for() -> None:
+    decider = EventDecider(0, WAIT)
+    decider.note(50, now=0)
+    assert decider.due([member(b"a", 50), member(b"b", 1, idle=True)], 0) == Boundary(50, (b"b",))
+
+
+def test_each_step_of_the_reference_is_an_event_though_a_member_lags() -> None:
+    decider = EventDecider(0, WAIT)
+    for at in (10, 20, 30):
+        decider.note(at, now=at)
+    assert decider.due([member(b"text", 30), member(b"video", 15)], 30) == Boundary(10)
+    assert decider.due([member(b"text", 30), member(b"video", 25)], 31) == Boundary(20)
+
+
+def test_a_slow_reader_gets_merged_events_and_nothing_grows() -> None:
+    decider = EventDecider(0, WAIT)
+    for at in range(1, PENDING_MAX * 3):
+        decider.note(at, now=0)
+    assert decider.due([member(b"a", 10**6)], 0) == Boundary(PENDING_MAX * 3 - 1)
+
+
+def test_fifteen_frames_come_with_each_text_item() -> None:
+    """Figure 7 of the paper, with the frames' channel as a member and the text as the reference."""
+    second, frame = 30_000_000, 2_000_000
+    video, text = channel(), channel()
+    follower = CutFollower(video, 0, NOW)
+    decider, of_text, of_video = EventDecider(0, second), OwnTimes(text, NOW), OwnTimes(video, NOW)
+    counts = []
+    for number in range(1, 61):
+        clock = number * frame
+        offer_time = clock - 1
+        put_at(video, offer_time, clock)
+        if number % 15 == 0:
+            put_at(text, offer_time, clock)
+        of_text.observe(clock)
+        of_video.observe(clock)
+        newest = of_text.times(1).newest
+        decider.note(newest, clock)
+        due = decider.due([member(b"text", newest), member(b"video", of_video.times(1).newest)], clock)
+        if due is not None:
+            follower.begin(due.cut)
+            counts.append(len(times([one.slice for one in follower.take(clock, 10**6).slices])))
+    assert counts == [14, 15, 15, 15]  # the frame at the very time of the text is hidden with it
+
+
+def put_at(into: Channel, time: int, clock: int) -> None:
+    into.put(Offer(times=[time], durations=None, lengths=[1]), clock, lambda first_seq, kept, stamped: b"")
+
+
+def test_late_items_come_with_the_next_event_and_apart() -> None:
+    made = channel(10, 20, 30)
+    follower = CutFollower(made, 15, NOW)
+    put(made, 12)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([20], [12])
+    assert step.is_last
+
+
+def test_what_is_accepted_while_an_event_is_under_way_is_late_in_the_next_one() -> None:
+    made = channel(10, 20, 30)
+    follower = CutFollower(made, 0, NOW)
+    follower.begin(25)
+    first = follower.take(NOW, 1)
+    put(made, 5)
+    put(made, 22)
+    rest = []
+    while not (step := follower.take(NOW, 1)).is_last:
+        rest += times([one.slice for one in step.slices + step.late])
+    assert times([one.slice for one in first.slices]) + rest == [10, 20]
+    follower.begin(31)
+    step = follower.take(NOW, 10**6)
+    assert times([one.slice for one in step.slices]) == [30]
+    assert times([one.slice for one in step.late]) == [5, 22]
+
+
+def test_items_that_went_before_they_were_shown_are_counted() -> None:
+    made = channel(10, 20, policy=Policy(max_items=3))
+    follower = CutFollower(made, 5, NOW)
+    for time in (30, 40, 50):
+        put(made, time)
+    follower.begin(60)
+    step = follower.take(NOW, 10**6)
+    assert times([one.slice for one in step.slices]) == [30, 40, 50]
+    assert step.loss is not None
+    assert (step.loss.items, step.loss.is_exact, step.loss.before, step.loss.reason) == (2, True, 21, "COLLECTED")
+
+
+def test_a_follower_goes_on_in_another_process_with_cut_and_seq() -> None:
+    made = channel(10, 20, 30)
+    first = CutFollower(made, 0, NOW)
+    first.begin(25)
+    first.take(NOW, 10**6)
+    put(made, 15)
+    resumed = CutFollower(made, first.cut, NOW, next_seq=first.next_seq, incarnation=INCARNATION)
+    resumed.begin(35)
+    step = resumed.take(NOW, 10**6)
+    assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([30], [15])
+    assert step.loss is None
+
+
+def test_a_place_from_before_the_host_was_lost_is_told_as_lost() -> None:
+    made = channel(10, 20)
+    follower = CutFollower(made, 15, NOW, next_seq=9, incarnation=INCARNATION + 1)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([20], [10])
+    assert step.loss is not None
+    assert (step.loss.reason, step.loss.is_exact) == ("LOST", False)

@@ -1,0 +1,84 @@
+"""Matches: the nearest item of every other member, once nothing nearer can come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.model import Policy
+from stampede_rt_channel_host.core.channel import Channel, Position
+from stampede_rt_channel_host.core.group import FarTrack, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.group.matching import TRACK_ITEMS_MAX
+from tests.unit.groups.channels import INCARNATION, NOW, channel, put
+
+RIGHT = b"right"
+
+
+def passed(right: Channel) -> Callable[[bytes, int], bool]:
+    return lambda _, instant: OwnTimes(right, NOW).times(1).has_passed(instant)
+
+
+def everything(left: Channel, right: Channel, tolerance: int) -> Matcher:
+    return Matcher(left, {RIGHT: OwnTrack(right)}, tolerance, NOW, after=Position(-1, 0))
+
+
+def pairs(matcher: Matcher, right: Channel) -> list[tuple[int, int | None]]:
+    taken = matcher.take(passed(right), NOW, 100)
+    return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]
+
+
+def test_each_item_gets_the_nearest_and_the_earlier_wins_a_tie() -> None:
+    left, right = channel(10, 20, 30), channel(8, 12, 23, 40)
+    matcher = everything(left, right, 5)
+    assert pairs(matcher, right) == [(10, 8), (20, 23), (30, None)]
+    assert matcher.unmatched == 1
+
+
+def test_an_item_waits_until_every_other_member_has_passed_its_tolerance() -> None:
+    left, right = channel(10), channel(9)
+    matcher = everything(left, right, 5)
+    assert pairs(matcher, right) == []
+    right.advance(15, NOW)
+    assert pairs(matcher, right) == []  # something may still come at 15 exactly
+    right.advance(16, NOW)
+    assert pairs(matcher, right) == [(10, 9)]
+
+
+def test_an_item_whose_place_is_settled_is_dropped_and_counted() -> None:
+    left, right = channel(10, 20), channel(10, 20, 40)
+    matcher = everything(left, right, 1)
+    assert len(pairs(matcher, right)) == 2
+    put(left, 15)
+    assert pairs(matcher, right) == []
+    assert matcher.dropped == 1
+
+
+def test_items_that_go_before_they_are_settled_are_counted() -> None:
+    left, right = channel(10, policy=Policy(max_items=2)), channel(1)
+    matcher = everything(left, right, 1)
+    for time in (20, 30):
+        put(left, time)
+    put(right, 100)
+    assert [one for one, _ in pairs(matcher, right)] == [20, 30]
+    assert matcher.dropped == 1
+
+
+def test_of_a_member_at_another_host_places_are_enough_and_their_number_is_bounded() -> None:
+    left = channel(10, 20)
+    far = FarTrack()
+    far.add([(11, 1), (9, 2), (19, 3), (19, 4), (21, 5)])
+    matcher = Matcher(left, {RIGHT: far}, 2, NOW, after=Position(-1, 0))
+    taken = matcher.take(lambda channel_id, instant: True, NOW, 100)
+    assert [(one.matched[RIGHT].time, one.matched[RIGHT].seq, one.matched[RIGHT].item) for one in taken] == [
+        (9, 2, None),
+        (19, 3, None),
+    ]
+    far.add((time, time) for time in range(100, 100 + 2 * TRACK_ITEMS_MAX))
+    assert far.nearest(100, 5, NOW) is None
+    assert far.nearest(99 + 2 * TRACK_ITEMS_MAX, 5, NOW) is not None
+
+
+def test_matching_begins_with_what_comes_and_resumes_behind_an_item() -> None:
+    left, right = channel(10, 20), channel(10, 20, 90)
+    assert pairs(Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW), right) == []
+    resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10, 1, INCARNATION))
+    assert pairs(resumed, right) == [(20, 20)]

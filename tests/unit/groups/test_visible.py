@@ -1,0 +1,110 @@
+"""What a group shows of a channel, and why it shows no more."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import IncarnationLost
+from stampede_rt.model import Policy
+from stampede_rt.timeline import NEWEST, NOW, OLDEST, parse_interval
+from stampede_rt_channel_host.core.channel import Position, Query, WakeAt
+from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll
+from tests.unit.groups.channels import INCARNATION, channel, put, times
+from tests.unit.groups.channels import NOW as CLOCK
+
+
+def horizon(cut: int | None) -> Horizon:
+    return Horizon(cut, lambda: "held back by channel text")
+
+
+def everything() -> Query:
+    return Query(interval=parse_interval(OLDEST, NEWEST))
+
+
+def test_only_items_before_the_cut_are_there_and_the_channel_keeps_the_others() -> None:
+    made = channel(10, 20, 30)
+    view = GroupView(made)
+    answer = view.read(everything(), horizon(30), CLOCK)
+    assert times(answer.slices) == [10, 20]
+    assert answer.next_time is None  # the next one is hidden, and so is its time
+    assert times(made.read(everything(), CLOCK).slices) == [10, 20, 30]
+    assert view.hidden_items(30, CLOCK) == 1
+
+
+def test_an_answer_that_the_cut_leaves_empty_names_who_holds_it() -> None:
+    answer = GroupView(channel(10, 20)).read(Query(interval=parse_interval(20, 25)), horizon(15), CLOCK)
+    assert answer.reason == "HIDDEN"
+    assert answer.reason is not None
+    assert "held back by channel text" in answer.reason.detail
+
+
+def test_the_clock_stops_at_the_cut() -> None:
+    view = GroupView(channel(10, 20))
+    answer = view.read(Query(interval=parse_interval(NOW - "5ns", NOW)), horizon(18), CLOCK)
+    assert answer.interval is not None
+    assert (answer.interval.start, answer.interval.end) == (13, 18)
+    assert times(answer.slices) == [10]  # which lasts up to now, since nothing later is visible
+
+
+def test_without_a_cut_there_is_nothing_and_no_now() -> None:
+    view = GroupView(channel(10))
+    assert view.read(everything(), horizon(None), CLOCK).reason == "HIDDEN"
+    assert view.read(Query(interval=parse_interval(5, NOW)), horizon(None), CLOCK).interval is None
+    assert GroupView(channel()).read(everything(), horizon(None), CLOCK).reason == "NOT_YET"
+
+
+def test_complete_waits_for_the_cut_too() -> None:
+    view = GroupView(channel(10, 20, 30))
+    query = Query(interval=parse_interval(5, 25, "[)"), complete=True)
+    pending = view.begin(query, horizon(22), CLOCK)
+    assert view.poll(pending, horizon(22), CLOCK) == WakeAt(None)
+    answer = view.poll(pending, horizon(25), CLOCK)
+    assert not isinstance(answer, WakeAt)
+    assert answer.complete
+    assert times(answer.slices) == [10, 20]
+
+
+def test_a_reader_that_has_seen_more_is_told_that_the_host_is_stalled() -> None:
+    answer = GroupView(channel(10)).stalled(40, horizon(5))
+    assert (answer.slices, answer.reason, answer.complete) == ((), "HIDDEN", False)
+
+
+def test_a_window_shorter_than_the_lead_is_noticed() -> None:
+    view = GroupView(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
+    assert view.window_too_short(20, 5_001)
+    assert not view.window_too_short(1_500, 5_001)
+
+
+def test_positions_of_another_incarnation_are_refused() -> None:
+    query = Query(interval=parse_interval(OLDEST, NEWEST), after=Position(10, 1, INCARNATION + 1))
+    with pytest.raises(IncarnationLost):
+        GroupView(channel(10)).read(query, horizon(15), CLOCK)
+
+
+def delivered(reader: VisibleAll, cut: int | None) -> list[int]:
+    found: list[int] = []
+    while not (part := reader.take(horizon(cut), CLOCK, 100)).is_empty:
+        found += times([one.slice for one in part.slices])
+    return found
+
+
+def test_a_subscription_brings_what_becomes_visible_and_late_items_as_they_come() -> None:
+    made = channel(10, 20, 30)
+    reader = VisibleAll(made, horizon(20), CLOCK)
+    assert delivered(reader, 20) == []
+    put(made, 15)
+    assert delivered(reader, 20) == [15]
+    assert delivered(reader, 31) == [20, 30]
+
+
+def test_a_subscription_with_a_start_begins_with_what_is_visible_from_there() -> None:
+    made = channel(10, 20, 30)
+    reader = VisibleAll(made, horizon(25), CLOCK, start=OLDEST, start_exclusive=True)
+    assert delivered(reader, 25) == [20]
+    assert delivered(reader, 40) == [30]
+
+
+def test_a_resumed_subscription_leaves_nothing_out() -> None:
+    made = channel(10, 20, 30, 15)  # the last one came late
+    reader = VisibleAll(made, horizon(40), CLOCK, after=Position(20, 2, INCARNATION))
+    assert delivered(reader, 40) == [30, 15]
