@@ -46,8 +46,8 @@ format: setup  ## put the code into the project's form
 stubs: setup  ## generate the protobuf stubs and the synchronous client again
 	$(RUN)/python tools/generate.py
 
-robustness: setup  ## faults that really happen, for half an hour, with a report in out/robustness.md
-	$(RUN)/pytest -m slow
+robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md
+	$(RUN)/pytest -m slow -n 2
 	$(RUN)/python -m tests.robustness --report out/robustness.md
 
 images: setup  ## build the images of deploy/ and prove the compose file, without a container engine

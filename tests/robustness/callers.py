@@ -1,11 +1,10 @@
-"""Callers that write histories, hosts that keep leases, and a probe that measures when the directory serves."""
+"""Callers that write histories, and hosts that keep leases and believe what they were told."""
 
 from __future__ import annotations
 
 import asyncio
 import random
 import time
-from collections.abc import Awaitable, Callable
 from typing import Any
 
 import grpc
@@ -15,7 +14,8 @@ from stampede_rt.status import DETAILS_KEY, from_rpc_error
 from stampede_rt.v1 import channel_pb2, directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
-from tests.robustness.cluster import Cluster, Supernode, request_id
+from stampede_rt_runtime.identity import Role
+from tests.robustness.cluster import Cluster, request_id
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Refusal, Resolve, Seen, Update
 from tests.robustness.histories.operations import Recorder
 
@@ -37,7 +37,13 @@ class Unknown(Exception):
 
 
 async def persist(
-    cluster: Cluster, method: str, request: Any, dice: random.Random, *, seconds: float = CALL_SECONDS
+    cluster: Cluster,
+    method: str,
+    request: Any,
+    dice: random.Random,
+    *,
+    seconds: float = CALL_SECONDS,
+    who: tuple[Role, str] = (Role.CLIENT, "caller"),
 ) -> Any:
     """One call, at one supernode after the other with the same request id. Raises StampedeError for what the directory
     itself refuses, NotDone or Unknown."""
@@ -47,7 +53,7 @@ async def persist(
     while (left := deadline - time.monotonic()) > 0:
         node, turn = nodes[turn % len(nodes)], turn + 1
         try:
-            return await getattr(node.stub, method)(request, timeout=min(left, ATTEMPT_SECONDS))
+            return await getattr(node.stub_for(*who), method)(request, timeout=min(left, ATTEMPT_SECONDS))
         except grpc.aio.AioRpcError as error:
             answered = any(key == DETAILS_KEY for key, _ in error.trailing_metadata() or ())
             refusal = from_rpc_error(error, node.name)
@@ -194,7 +200,8 @@ class HostActor:
             boot_incarnation=self._boot,
         )
         sent = _boottime()
-        entered = await persist(self._cluster, "RegisterHost", request, self._dice, seconds=4.0)
+        who = (Role.HOST, self._name)
+        entered = await persist(self._cluster, "RegisterHost", request, self._dice, seconds=4.0, who=who)
         self._owned = {record.channel_id: record.epoch for record in entered.channels}
         self._lease.granted(sent_nanos=sent, ttl_nanos=entered.lease_ttl_nanos)
         self._entered = time.monotonic()
@@ -205,7 +212,7 @@ class HostActor:
         for node in self._dice.sample(self._cluster.supernodes, len(self._cluster.supernodes)):
             sent = _boottime()
             try:
-                renewed = await node.stub.RenewHostLease(request, timeout=0.6)
+                renewed = await node.stub_for(Role.HOST, self._name).RenewHostLease(request, timeout=0.6)
             except grpc.aio.AioRpcError as error:
                 refusal = from_rpc_error(error, node.name)
                 if isinstance(refusal, LeaseExpired):
@@ -218,68 +225,3 @@ class HostActor:
 
 def _boottime() -> int:
     return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
-
-
-class Probe:
-    """Sends a write every so often, at each supernode in turn, never waiting for the one before.
-
-    `served`: (invoked, answered) of those that were acknowledged. A write is a registration of its own host, which
-    always makes a log entry.
-    """
-
-    def __init__(self, cluster: Cluster, *, every_s: float = 0.1, patience_s: float = 6.0) -> None:
-        self._cluster, self._every_s, self._patience_s = cluster, every_s, patience_s
-        self.served: list[tuple[float, float]] = []
-        self._news = asyncio.Condition()
-
-    async def run(self) -> None:
-        """Probe until cancelled."""
-        pending: set[asyncio.Task[None]] = set()
-        turn = 0
-        try:
-            while True:
-                node, turn = self._cluster.supernodes[turn % len(self._cluster.supernodes)], turn + 1
-                pending.add(task := asyncio.create_task(self.write(node)))
-                task.add_done_callback(pending.discard)
-                await asyncio.sleep(self._every_s)
-        finally:
-            for task in pending:
-                task.cancel()
-
-    async def write(self, node: Supernode) -> None:
-        """One write, whose acknowledgement counts as service."""
-        request = pb.RegisterHostRequest(
-            request_id=request_id(),
-            host_id=b"p" * 16,
-            name="robust-probe",
-            gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
-            boot_incarnation=1,
-        )
-        invoked = time.monotonic()
-        try:
-            await node.stub.RegisterHost(request, timeout=self._patience_s)
-        except grpc.aio.AioRpcError:
-            return
-        self.served.append((invoked, time.monotonic()))
-        async with self._news:
-            self._news.notify_all()
-
-    async def serves_after(self, moment: float, *, seconds: float) -> float:
-        """How long after `moment` a write begun after it was first acknowledged. Raises TimeoutError."""
-        async with asyncio.timeout(seconds), self._news:
-            await self._news.wait_for(lambda: any(invoked >= moment for invoked, _ in self.served[-200:]))
-        return min(answered for invoked, answered in self.served if invoked >= moment) - moment
-
-
-async def with_background(work: list[Awaitable[None]], body: Callable[[], Awaitable[None]]) -> None:
-    """Run `body` beside endless `work`; a failure in either ends both and is raised."""
-    tasks = [asyncio.ensure_future(one) for one in work]
-    main = asyncio.ensure_future(body())
-    try:
-        done, _ = await asyncio.wait([main, *tasks], return_when=asyncio.FIRST_COMPLETED)
-        for task in done:
-            task.result()
-    finally:
-        for task in (main, *tasks):
-            task.cancel()
-        await asyncio.gather(main, *tasks, return_exceptions=True)

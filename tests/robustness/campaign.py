@@ -5,23 +5,35 @@ from __future__ import annotations
 import asyncio
 import itertools
 import random
-import subprocess
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.robustness import faults, hostility
-from tests.robustness.callers import Caller, HostActor, Probe, with_background
+from stampede_rt.errors import StampedeError
+from tests.robustness import faults, hostility, hosts, membership, noise, strangers
+from tests.robustness.callers import Caller, HostActor, TwoOwners
 from tests.robustness.cluster import Cluster, running_cluster
-from tests.robustness.histories.channel_model import acknowledged_writes, check_channel_histories
+from tests.robustness.histories.channel_model import acknowledged_writes, violations
 from tests.robustness.histories.operations import Operation, Recorder
+from tests.robustness.histories.ownership_model import Judged, judge_items
+from tests.robustness.placed_process import DidNotBite
+from tests.robustness.probe import ChannelWrites, Probe, Write, register_probe_host, with_background
 from tests.robustness.scene import Fault, Outcome, Scene
+from tests.robustness.traffic import Traffic
 
-EVERY_FAULT: dict[str, Fault] = {**faults.FAULTS, **hostility.FAULTS}
-CALLERS, HOSTS = 6, 3
-SMALL_DISK = "size=48m"
+OPEN_FAULTS: dict[str, Fault] = {**faults.FAULTS, **hostility.FAULTS, **membership.FAULTS, **noise.FAULTS}
+SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **strangers.FAULTS}
+OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
+HOST_FAULTS: dict[str, Fault] = {
+    **hosts.FAULTS,
+    **noise.FAULTS,
+    **strangers.FAULTS,
+    **{name: fault for name, fault in OPEN_FAULTS.items() if name in OF_THE_DIRECTORY},
+}
+EVERY_FAULT: dict[str, Fault] = {**SECURED_FAULTS, **HOST_FAULTS}
+CALLERS, HOST_ACTORS, WORKERS, HOSTS = 6, 3, 4, 3
 # (delay, jitter, share of chunks that are retransmitted, share at which the connection is reset)
 WEATHERS = {
     "delay of 50 to 100 ms": (0.05, 0.05, 0.0, 0.0),
@@ -32,63 +44,92 @@ WEATHERS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """What came of one campaign. All of it was judged; a violation would have been raised."""
+    """What came of one campaign, judged."""
 
+    title: str
     outcomes: list[Outcome]
     operations: list[Operation]
     names: int
+    violations: tuple[str, ...]  # histories that nothing explains, and promises that were seen broken
+    items: Judged | None  # of the channel hosts, where there were any
     not_done: int
     renewals: int
     registrations: int
     gap_s: float  # the longest time without an acknowledged write while a majority was alive and connected
     gap_in: str
+    stalled_s: float  # the longest that this process was itself kept from looking
     seconds: float
 
     @property
     def acknowledged(self) -> int:
+        """The acknowledged writes of the directory."""
         return acknowledged_writes(self.operations)
 
 
-async def run_campaign(folder: Path, names: Sequence[str], *, seed: int, quiet_s: float = 1.0) -> Findings:
-    """Faults by name, in this order, each followed by `quiet_s` in which everybody serves again.
+def in_rounds(names: Iterable[str], seed: int, seconds: float) -> Iterator[str]:
+    """Every fault once, in an order of its own; and again, in another order, for as long as there is time.
 
-    Raises NotLinearizable, TwoOwners, or TimeoutError if the directory does not come back.
+    The first round may take twice as long: on a slow machine it is cut then, so that a run has an end.
     """
-    with small_disk(folder / "s3"):
-        async with running_cluster(folder) as cluster:
-            campaign = _Campaign(cluster, folder, seed)
-
-            async def body() -> None:
-                for name in names:
-                    await campaign.attempt(name)
-                    await asyncio.sleep(quiet_s)
-
-            return await campaign.run(body)
+    dice, known, began = random.Random(seed), sorted(names), time.monotonic()
+    for turn in itertools.count():
+        for name in dice.sample(known, len(known)):
+            if time.monotonic() - began > (seconds if turn else 2 * seconds):
+                return
+            yield name
 
 
-async def run_weathers(folder: Path, *, seed: int, each_s: float) -> Findings:
+async def run_campaign(
+    folder: Path, title: str, names: Iterable[str], *, seed: int, secured: bool, with_hosts: bool, quiet_s: float = 0.5
+) -> Findings:
+    """Faults by name, in this order, each followed by `quiet_s` in which everybody serves again."""
+    async with running_cluster(folder, secured=secured, hosts=HOSTS if with_hosts else 0) as cluster:
+        campaign = _Campaign(cluster, folder, seed)
+
+        async def body() -> None:
+            for name in names:
+                await campaign.attempt(name, EVERY_FAULT[name])
+                await asyncio.sleep(quiet_s)
+
+        return await campaign.run(title, body)
+
+
+async def run_weathers(folder: Path, title: str, *, seed: int, each_s: float) -> Findings:
     """Every kind of bad network, with a kill -9 of the leader in the middle of each."""
     async with running_cluster(folder, relayed=True) as cluster:
         campaign = _Campaign(cluster, folder, seed)
 
         async def body() -> None:
-            for kind, figures in WEATHERS.items():
-                began = time.monotonic()
-                for one in cluster.supernodes:
-                    one.set_weather(*figures)
-                await asyncio.sleep(each_s / 2)
-                victim = await cluster.leader()
-                await victim.kill()
-                await victim.start()
-                await asyncio.sleep(each_s / 2)
-                for one in cluster.supernodes:
-                    one.set_weather(0, 0, 0, 0)
-                await cluster.all_serve()
-                campaign.scene.ended(f"relay: {kind}, and kill -9 of the leader", began, majority=False)
+            for kind in WEATHERS:
+                await campaign.attempt(kind, lambda scene, kind=kind: _weather(scene, kind, each_s))  # type: ignore[misc]
 
-        return await campaign.run(body)
+        return await campaign.run(title, body)
+
+
+async def _weather(scene: Scene, kind: str, each_s: float) -> None:
+    """One kind of bad network before every supernode. Raises DidNotBite if the relays did nothing of it."""
+    supernodes = scene.cluster.supernodes
+    began = time.monotonic()
+    for one in supernodes:
+        await one.set_weather(*WEATHERS[kind])
+    await asyncio.sleep(each_s / 2)
+    victim = await scene.cluster.leader()
+    killed = time.monotonic()
+    await victim.kill()
+    recovery = await scene.recovery(killed)
+    await victim.start()
+    await asyncio.sleep(each_s / 2)
+    counts = [await one.set_weather(0, 0, 0, 0) for one in supernodes]
+    chunks, stalled, waited_millis, cuts = (sum(column) for column in zip(*counts, strict=True))
+    _, _, stall_share, cut_share = WEATHERS[kind]
+    if not waited_millis or (stall_share and not stalled) or (cut_share and not cuts):
+        raise DidNotBite(
+            f"of {chunks} chunks {stalled} were stalled, {waited_millis} ms in all, {cuts} connections cut"
+        )
+    bite = f"{chunks} chunks waited {waited_millis / chunks:.0f} ms on average, {stalled} stalled; {cuts} resets"
+    scene.ended(f"relay: {kind}, and kill -9 of the leader", began, recovery, majority=False, bite=bite)
 
 
 class _Campaign:
@@ -97,43 +138,72 @@ class _Campaign:
     def __init__(self, cluster: Cluster, folder: Path, seed: int) -> None:
         self._cluster = cluster
         self._recorder = Recorder(time.monotonic)
-        self._hosts = [HostActor(number, cluster, seed) for number in range(HOSTS)]
-        self._callers = [Caller(number, cluster, self._recorder, self._hosts, seed) for number in range(CALLERS)]
-        self._probe = Probe(cluster)
-        self.scene = Scene(cluster, self._probe, random.Random(seed), folder)
+        real = bool(cluster.hosts)
+        self._actors = [] if real else [HostActor(number, cluster, seed) for number in range(HOST_ACTORS)]
+        self._callers = [Caller(number, cluster, self._recorder, self._actors, seed) for number in range(CALLERS)]
+        write: Write = ChannelWrites() if real else register_probe_host
+        self._probe = Probe(cluster, write)
+        self._traffic = Traffic(cluster, Recorder(time.monotonic), seed) if real else None
+        self._broken: list[str] = []
+        self._scene = Scene(cluster, self._probe, random.Random(seed), folder, self._traffic)
 
-    async def attempt(self, name: str) -> None:
-        """One fault; that the directory did not come back in time is noted, and fails the campaign at its end."""
+    async def attempt(self, name: str, fault: Fault) -> None:
+        """One fault. That it did not bite, or that something did not come back in time, fails the campaign at its end;
+        a broken promise ends it."""
         began = time.monotonic()
         try:
-            await EVERY_FAULT[name](self.scene)
-            for one in self._cluster.supernodes:
+            await fault(self._scene)
+            for one in self._cluster.processes():
                 if not one.running:
                     raise TimeoutError(f"{one.name} has ended: {one.last_words()!r}")
             await self._cluster.all_serve()
-        except TimeoutError as error:
-            self.scene.ended(name, began, majority=False, note=f"did not come back in time: {error}", failed=True)
-            await asyncio.gather(*(one.start() for one in self._cluster.supernodes if not one.running))
+        except (TimeoutError, DidNotBite, StampedeError) as error:
+            what = "did not bite" if isinstance(error, DidNotBite) else "did not come back in time"
+            self._scene.ended(name, began, majority=False, bite="-", note=f"{what}: {error}", failed=True)
+            await asyncio.gather(*(one.start() for one in self._cluster.processes() if not one.running))
+            await self._cluster.all_serve()
 
-    async def run(self, body: object) -> Findings:
-        """Run `body` with everything around it, then judge. Raises what was found."""
-        assert callable(body)
+    async def run(self, title: str, body: Callable[[], Awaitable[None]]) -> Findings:
+        """Run `body` with everything around it, then judge."""
         began = time.monotonic()
-        work = [*(host.run() for host in self._hosts), *(caller.run(began) for caller in self._callers)]
-        await with_background([*work, self._probe.run()], body)
-        operations = self._recorder.operations
-        names = await asyncio.to_thread(check_channel_histories, operations)
-        gap_s, moment = longest_gap(self._probe.served, self.scene.outcomes)
+        try:
+            async with self._background(began) as work:
+                await with_background(work, body)
+        except (TwoOwners, AssertionError) as error:
+            self._broken.append(f"{type(error).__name__}: {error}")
+        return await asyncio.to_thread(self._judged, title, began)
+
+    @asynccontextmanager
+    async def _background(self, began: float) -> AsyncIterator[list[Awaitable[None]]]:
+        work: list[Awaitable[None]] = [actor.run() for actor in self._actors]
+        work += [caller.run(began) for caller in self._callers]
+        work.append(self._probe.run())
+        if self._traffic is None:
+            yield work
+            return
+        async with self._traffic as traffic:
+            yield [*work, *(traffic.run(began) for _ in range(WORKERS))]
+
+    def _judged(self, title: str, began: float) -> Findings:
+        seconds = time.monotonic() - began
+        names, wrong = violations(self._recorder.operations)
+        items = None if self._traffic is None else judge_items(self._traffic.recorder.operations)
+        gap_s, moment = longest_gap(self._probe.served, self._scene.outcomes)
+        around = (one.kind for one in self._scene.outcomes if one.began - 1 <= moment <= one.ended + 1)
         return Findings(
-            self.scene.outcomes,
-            operations,
-            names,
-            sum(caller.not_done for caller in self._callers),
-            sum(host.renewals for host in self._hosts),
-            sum(host.registrations for host in self._hosts),
-            gap_s,
-            next((one.kind for one in self.scene.outcomes if one.began - 1 <= moment <= one.ended + 1), "no fault"),
-            time.monotonic() - began,
+            title=title,
+            outcomes=self._scene.outcomes,
+            operations=self._recorder.operations,
+            names=names,
+            violations=(*self._broken, *wrong, *(items.violations if items is not None else ())),
+            items=items,
+            not_done=sum(caller.not_done for caller in self._callers),
+            renewals=sum(actor.renewals for actor in self._actors),
+            registrations=sum(actor.registrations for actor in self._actors),
+            gap_s=gap_s,
+            gap_in=next(around, "no fault"),
+            stalled_s=self._probe.stalled_s,
+            seconds=seconds,
         )
 
 
@@ -147,14 +217,3 @@ def longest_gap(served: Sequence[tuple[float, float]], outcomes: Sequence[Outcom
         if not any(earlier < end and begin < later for begin, end in without)
     ]
     return max(gaps, default=(0.0, 0.0))
-
-
-@contextmanager
-def small_disk(folder: Path) -> Iterator[None]:
-    """A file system of its own under `folder`, small enough to be filled."""
-    folder.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["mount", "-t", "tmpfs", "-o", SMALL_DISK, "robustness", str(folder)], check=True)
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(folder)], check=True)

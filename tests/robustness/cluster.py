@@ -1,173 +1,144 @@
-"""Supernodes as processes in namespaces of their own, and everything that can be done to one."""
+"""A whole cluster as processes in namespaces: supernodes that come and go, a front-end, channel hosts."""
 
 from __future__ import annotations
 
 import asyncio
-import resource
 import secrets
-import signal
-import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 import grpc
 
+from stampede_rt.tls import TlsFiles
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
+from tests.robustness.certificates import Certificates
 from tests.robustness.network import Network, Place
-from tests.robustness.supernode_process import CLOCK_FILE, SNAPSHOT_EVERY
+from tests.robustness.placed_process import READY_SECONDS, PlacedProcess
+from tests.robustness.supernode import PORT, Supernode
 from tests.unit.supernode.processes import clean_environment
 
-PORT, INNER_PORT = 7590, 7591
-READY_SECONDS = 30.0
-SNAPSHOT_ENTRIES = 400
-LEASE_TTL_SECONDS = 2
+SUPERNODES, SPARE_PLACES = 3, 1
+FRONTEND_PORT, HOST_PORT = 7580, 7570
+OPERATOR = "operator"
+COMMAND_SECONDS = 40.0
 
 
-class Supernode:
-    """One supernode: its place, folder and address stay; the process comes and goes."""
+class Frontend(PlacedProcess):
+    """Where the clients of the channel hosts start."""
 
-    def __init__(self, name: str, place: Place, members: str, folder: Path, *, relayed: bool) -> None:
-        self.name, self.place, self.folder = name, place, folder
-        self.address = f"{place.address}:{PORT}"
-        self.data_dir = folder / name
-        self.data_dir.mkdir(parents=True, exist_ok=True)
-        self.clock_file = folder / f"{name}.clock"
-        self.clock_file.write_text("0")
-        self.log_file = folder / f"{name}.log"
-        self._relayed = relayed
-        self._members = members
-        self._process: asyncio.subprocess.Process | None = None
-        self._relay: asyncio.subprocess.Process | None = None
-        self.channel = dial(self.address, secret=None)
-        self.stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(self.channel)
+    package = "stampede_rt_frontend"
 
-    def _command(self) -> list[str]:
-        listen = [f"localhost:{INNER_PORT}"] if self._relayed else [self.address, "--allow-insecure-anywhere"]
-        flags = ["--id", self.name, "--members", self._members, "--data-dir", str(self.data_dir)]
-        flags += ["--lease-ttl", f"{LEASE_TTL_SECONDS}s", "--log-level", "warning", "--listen", *listen]
-        return self.place.command(sys.executable, "-m", "tests.robustness.supernode_process", *flags)
+    def __init__(self, place: Place, folder: Path, tls: TlsFiles | None, supernodes: Sequence[Supernode]) -> None:
+        super().__init__("frontend", place, folder, FRONTEND_PORT, tls)
+        self._seeds = ",".join(one.address for one in supernodes)
 
-    async def launch(self) -> None:
-        """Start the process and do not wait for it."""
-        environment = clean_environment() | {CLOCK_FILE: str(self.clock_file), SNAPSHOT_EVERY: str(SNAPSHOT_ENTRIES)}
-        with self.log_file.open("ab") as log:
-            self._process = await asyncio.create_subprocess_exec(
-                *self._command(), stdout=subprocess.PIPE, stderr=log, env=environment
-            )
+    def flags(self) -> Sequence[str]:
+        """Led to the founders."""
+        return ["--supernodes", self._seeds, *self.listen_flags()]
 
-    async def start(self) -> bool:
-        """Start it and wait until it says that it is ready; False if it ended instead."""
-        if self._relayed and self._relay is None:
-            await self._start_relay()
-        await self.launch()
-        return await self.said_ready()
 
-    async def said_ready(self) -> bool:
-        """Wait for the ready line of a launched process; False if it ended instead."""
-        assert self._process is not None
-        assert self._process.stdout is not None
-        async with asyncio.timeout(READY_SECONDS):
-            return bool(await self._process.stdout.readline())
+class Host(PlacedProcess):
+    """One channel host."""
 
-    async def _start_relay(self) -> None:
-        command = [sys.executable, "-m", "tests.robustness.relay", self.address, f"localhost:{INNER_PORT}"]
-        self._relay = await asyncio.create_subprocess_exec(
-            *self.place.command(*command), stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
-        assert self._relay.stdout is not None
-        await self._relay.stdout.readline()
+    package = "stampede_rt_channel_host"
 
-    def set_weather(self, *figures: float) -> None:
-        """What the relay before it does from now on, see `relay`."""
-        assert self._relay is not None
-        assert self._relay.stdin is not None
-        self._relay.stdin.write((" ".join(map(str, figures)) + "\n").encode())
+    def __init__(self, name: str, place: Place, folder: Path, tls: TlsFiles | None, frontend: Frontend) -> None:
+        super().__init__(name, place, folder, HOST_PORT, tls)
+        self._frontend = frontend
 
-    @property
-    def pid(self) -> int:
-        assert self._process is not None
-        return self._process.pid
-
-    @property
-    def running(self) -> bool:
-        return self._process is not None and self._process.returncode is None
-
-    def signal(self, number: signal.Signals) -> None:
-        """Send it a signal, if it still runs."""
-        if self.running:
-            assert self._process is not None
-            self._process.send_signal(number)
-
-    async def ended(self) -> int:
-        """Wait for its end; returns the exit code."""
-        assert self._process is not None
-        return await self._process.wait()
-
-    async def kill(self) -> None:
-        """kill -9, and wait until it is gone."""
-        self.signal(signal.SIGKILL)
-        if self._process is not None:
-            await self._process.wait()
-
-    def last_words(self) -> str:
-        """The last line that it logged, without the name of its folder."""
-        lines = self.log_file.read_text(errors="replace").splitlines() if self.log_file.exists() else []
-        return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""
-
-    def limit_descriptors(self, spare: int | None) -> None:
-        """Leave it `spare` file descriptors more than it has open; None: as many as this process may have."""
-        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-        opened = len(list(Path(f"/proc/{self.pid}/fd").iterdir()))
-        soft = hard if spare is None else opened + spare
-        resource.prlimit(self.pid, resource.RLIMIT_NOFILE, (soft, hard))
-
-    def step_wall_clock(self, seconds: float) -> None:
-        """Its wall clock is off by so much from now on."""
-        draft = self.clock_file.with_suffix(".next")
-        draft.write_text(f"{int(seconds * 1e9)}".ljust(31))
-        self.clock_file.write_text(draft.read_text())
-
-    async def members_seen(self) -> tuple[str | None, int]:
-        """Whom it takes for the leader, and how far it has applied. Raises AioRpcError."""
-        listed = await self.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=1)
-        leaders = [one.supernode_id for one in listed.supernodes if one.is_leader]
-        return (leaders[0] if leaders else None), listed.applied_index
-
-    async def close(self) -> None:
-        await self.channel.close()
-        self.signal(signal.SIGCONT)
-        await self.kill()
-        if self._relay is not None and self._relay.returncode is None:
-            self._relay.kill()
-            await self._relay.wait()
+    def flags(self) -> Sequence[str]:
+        """With an identity that lasts."""
+        words = ["--name", self.name, "--data-dir", str(self.data_dir), "--frontend", self._frontend.address]
+        return [*words, *self.listen_flags()]
 
 
 class Cluster:
-    """All supernodes, on a network."""
+    """All processes, on a network. `supernodes` are the members that there should be at this moment."""
 
-    def __init__(self, network: Network, folder: Path, *, relayed: bool) -> None:
-        self.network = network
-        names = [f"s{number}" for number in range(1, len(network.places) + 1)]
-        members = ",".join(f"{name}={place.address}:{PORT}" for name, place in zip(names, network.places, strict=True))
+    def __init__(self, network: Network, folder: Path, *, relayed: bool, secured: bool, hosts: int) -> None:
+        self.network, self.folder = network, folder
+        folder.mkdir(parents=True, exist_ok=True)
+        self.certificates = Certificates(folder / "certificates") if secured else None
+        self._spare = network.places[SUPERNODES : SUPERNODES + SPARE_PLACES]
+        places = network.places[:SUPERNODES]
+        members = ",".join(f"s{number}={place.address}:{PORT}" for number, place in enumerate(places, 1))
         self.supernodes = [
-            Supernode(name, place, members, folder, relayed=relayed)
-            for name, place in zip(names, network.places, strict=True)
+            self._supernode(f"s{number}", place, members, relayed) for number, place in enumerate(places, 1)
         ]
+        self.supernodes[-1].mount_small_disk()
+        self._made = SUPERNODES
+        self.frontend: Frontend | None = None
+        self.hosts: list[Host] = []
+        if hosts:
+            front, *others = network.places[SUPERNODES + SPARE_PLACES :]
+            self.frontend = Frontend(front, folder, self._files(Role.FRONTEND, "frontend", front), self.supernodes)
+            self.hosts = [self._host(f"h{number}", place) for number, place in enumerate(others, 1)]
 
-    def named(self, name: str) -> Supernode:
-        return next(one for one in self.supernodes if one.name == name)
+    def _files(self, role: Role, name: str, place: Place | None = None) -> TlsFiles | None:
+        if self.certificates is None:
+            return None
+        return self.certificates.files(role, name, *([place.address] if place is not None else []))
+
+    def caller_files(self, role: Role, name: str) -> TlsFiles | None:
+        """The certificate of a caller; None in a cluster without certificates."""
+        return self._files(role, name)
+
+    def _supernode(self, name: str, place: Place, members: str, relayed: bool = False) -> Supernode:
+        tls = self._files(Role.SUPERNODE, name, place)
+        callers = self.caller_files
+        return Supernode(name, place, self.folder, members=members, tls=tls, callers=callers, relayed=relayed)
+
+    def _host(self, name: str, place: Place) -> Host:
+        assert self.frontend is not None
+        return Host(name, place, self.folder, self._files(Role.HOST, name, place), self.frontend)
+
+    def newcomer(self) -> Supernode:
+        """A supernode that has yet to join, under an id that was never used, in the place that is free."""
+        self._made += 1
+        made = self._supernode(f"s{self._made}", self._spare.pop(), "")
+        made.mount_small_disk()
+        return made
+
+    async def forget(self, one: Supernode) -> None:
+        """It is no member any more: its place is free for the next newcomer."""
+        self.supernodes = [other for other in self.supernodes if other is not one]
+        await one.close()
+        self._spare.append(one.place)
+
+    async def command(self, *words: str, seconds: float = COMMAND_SECONDS) -> tuple[int, str]:
+        """`stampede supernode WORDS` as the operator; its exit code and what it printed. Raises TimeoutError."""
+        environment = clean_environment()
+        if (files := self._files(Role.OPERATOR, OPERATOR)) is not None:
+            names = ("STAMPEDE_TLS_CA", "STAMPEDE_TLS_CERTIFICATE", "STAMPEDE_TLS_KEY")
+            environment |= dict(zip(names, map(str, files.paths()), strict=True))
+        running = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "stampede_rt_supernode", *words),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            env=environment,
+        )
+        try:
+            async with asyncio.timeout(seconds):
+                printed, _ = await running.communicate()
+        finally:
+            if running.returncode is None:
+                running.kill()
+        return running.returncode or 0, printed.decode()
+
+    def processes(self) -> list[PlacedProcess]:
+        """All services that should run."""
+        return [*self.supernodes, *([self.frontend] if self.frontend is not None else []), *self.hosts]
 
     def others(self, one: Supernode) -> list[Supernode]:
+        """The members but for one."""
         return [other for other in self.supernodes if other is not one]
 
     async def leader(self, seconds: float = READY_SECONDS) -> Supernode:
-        """The one that takes itself for the leader, as soon as there is one."""
+        """The one that takes itself for the leader, as soon as there is one. Raises TimeoutError."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             for one in self.supernodes:
@@ -181,17 +152,34 @@ class Cluster:
         raise TimeoutError(f"no supernode led within {seconds} s")
 
     async def all_serve(self, seconds: float = READY_SECONDS) -> float:
-        """Wait until every supernode answers a confirmed read; returns how long that took."""
+        """Wait until every supernode answers a confirmed read; returns how long that took. Raises TimeoutError."""
         began = time.monotonic()
-        for one in self.supernodes:
-            await _serves(one, began + seconds)
+        for one in list(self.supernodes):
+            await serves(one, began + seconds)
         return time.monotonic() - began
 
+    async def start(self) -> None:
+        """Start everything, and wait until it serves."""
+        await _started(self.supernodes)
+        await self.all_serve()
+        if self.frontend is not None:
+            await _started([self.frontend])
+            await _started(self.hosts)
+
     async def close(self) -> None:
-        await asyncio.gather(*(one.close() for one in self.supernodes))
+        """End everything."""
+        await asyncio.gather(*(one.close() for one in self.processes()))
 
 
-async def _serves(one: Supernode, deadline: float) -> None:
+async def _started(several: Sequence[PlacedProcess]) -> None:
+    """Raises OSError with the last words of one that ended instead."""
+    for one, ready in zip(several, await asyncio.gather(*(one.start() for one in several)), strict=True):
+        if not ready:
+            raise OSError(f"{one.name} did not start: {one.last_words()!r}")
+
+
+async def serves(one: Supernode, deadline: float) -> None:
+    """Wait until it answers a confirmed read. Raises TimeoutError with its last words."""
     while time.monotonic() < deadline:
         try:
             await one.stub.ListHosts(pb.ListHostsRequest(page_size=1), timeout=1)
@@ -202,13 +190,14 @@ async def _serves(one: Supernode, deadline: float) -> None:
 
 
 @asynccontextmanager
-async def running_cluster(folder: Path, *, size: int = 3, relayed: bool = False) -> AsyncIterator[Cluster]:
+async def running_cluster(
+    folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0
+) -> AsyncIterator[Cluster]:
     """A cluster that serves, gone without a trace afterwards; its folder stays."""
-    with Network(size) as network:
-        cluster = Cluster(network, folder, relayed=relayed)
+    with Network(SUPERNODES + SPARE_PLACES + (hosts + 1 if hosts else 0)) as network:
+        cluster = Cluster(network, folder, relayed=relayed, secured=secured, hosts=hosts)
         try:
-            await asyncio.gather(*(one.start() for one in cluster.supernodes))
-            await cluster.all_serve()
+            await cluster.start()
             yield cluster
         finally:
             await cluster.close()

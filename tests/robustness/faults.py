@@ -1,15 +1,19 @@
-"""Processes killed and stopped, networks cut. Each does its harm, waits for what must hold, and heals."""
+"""Processes killed and stopped, networks cut. Each does its harm, sees that it is done, waits for what must hold, and
+heals."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 
 import grpc
 
-from tests.robustness.cluster import Supernode
+from tests.robustness.network import Place
+from tests.robustness.placed_process import DidNotBite, PlacedProcess
 from tests.robustness.scene import (
     FROZEN_LEADER_SECONDS_MAX,
     PATIENCE_SECONDS,
@@ -17,6 +21,9 @@ from tests.robustness.scene import (
     Fault,
     Scene,
 )
+from tests.robustness.supernode import Supernode
+
+KILLED, STOPPED = "ended by signal 9", "in kernel state T"
 
 
 async def kill_leader(scene: Scene) -> None:
@@ -25,7 +32,7 @@ async def kill_leader(scene: Scene) -> None:
     await leader.kill()
     recovery = await scene.recovery(began)
     await leader.start()
-    scene.ended("kill -9 of the leader", began, recovery, RECOVERY_SECONDS_MAX)
+    scene.ended("kill -9 of the leader", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=KILLED)
 
 
 async def kill_follower(scene: Scene) -> None:
@@ -34,59 +41,101 @@ async def kill_follower(scene: Scene) -> None:
     await follower.kill()
     recovery = await scene.recovery(began)
     await follower.start()
-    scene.ended("kill -9 of a follower", began, recovery, RECOVERY_SECONDS_MAX)
+    scene.ended("kill -9 of a follower", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=KILLED)
 
 
 async def kill_all(scene: Scene) -> None:
-    """All at once, started again at once: the recovery includes the start of the processes."""
+    """All at once, started again at once: the recovery includes the start of the processes, told apart."""
     began = time.monotonic()
     for one in scene.cluster.supernodes:
         one.signal(signal.SIGKILL)
     for one in scene.cluster.supernodes:
-        await one.ended()
+        await one.kill()
         await one.launch()
     recovering = asyncio.create_task(scene.recovery(began))
-    for one in scene.cluster.supernodes:
-        await one.said_ready()
-    note = f"the last process was up after {time.monotonic() - began:.2f} s"
-    scene.ended("kill -9 of all", began, await recovering, RECOVERY_SECONDS_MAX, majority=False, note=note)
+    up = await asyncio.gather(*(_up_after(one, began) for one in scene.cluster.supernodes))
+    majority_up = sorted(up)[len(up) // 2]
+    scene.ended(
+        "kill -9 of all",
+        began,
+        await recovering,
+        limit_s=RECOVERY_SECONDS_MAX,
+        start_s=majority_up,
+        majority=False,
+        bite=KILLED,
+        note=f"a majority of the processes was up after {majority_up:.2f} s, the last after {max(up):.2f} s",
+    )
+
+
+async def _up_after(one: Supernode, began: float) -> float:
+    await one.said_ready()
+    return time.monotonic() - began
 
 
 async def freeze_leader(scene: Scene) -> None:
     leader, _, _ = await scene.leader_and_other()
     began = time.monotonic()
-    leader.signal(signal.SIGSTOP)
+    await leader.freeze()
     try:
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.dice.uniform(0.0, 3.0))
+        _check_stopped(leader)
     finally:
-        leader.signal(signal.SIGCONT)
-    scene.ended("SIGSTOP of the leader", began, recovery, FROZEN_LEADER_SECONDS_MAX)
+        leader.thaw()
+    scene.ended("SIGSTOP of the leader", began, recovery, limit_s=FROZEN_LEADER_SECONDS_MAX, bite=STOPPED)
 
 
 async def freeze_follower(scene: Scene) -> None:
     _, follower, _ = await scene.leader_and_other()
     began = time.monotonic()
-    follower.signal(signal.SIGSTOP)
+    await follower.freeze()
     try:
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.dice.uniform(2.0, 6.0))
+        _check_stopped(follower)
     finally:
-        follower.signal(signal.SIGCONT)
-    scene.ended("SIGSTOP of a follower", began, recovery, RECOVERY_SECONDS_MAX)
+        follower.thaw()
+    scene.ended("SIGSTOP of a follower", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=STOPPED)
+
+
+def _check_stopped(one: PlacedProcess) -> None:
+    if one.kernel_state() != "T":
+        raise DidNotBite(f"{one.name} went on by itself: it is in kernel state {one.kernel_state()}")
+
+
+Pairs = Sequence[tuple[Place, Place]]
+
+
+@asynccontextmanager
+async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
+    """Nothing passes from the first to the second of each pair; gives what was seen of that. Raises DidNotBite."""
+    network = scene.cluster.network
+    try:
+        for sender, receiver in pairs:
+            network.block(sender, receiver)
+        yield await asyncio.to_thread(_check_ways, scene, pairs)
+    finally:
+        network.unblock_all()
+
+
+def _check_ways(scene: Scene, pairs: Pairs) -> str:
+    """Sends a datagram each way between all supernodes and what else is cut: it arrives where it should, alone."""
+    places = {place for pair in pairs for place in pair} | {one.place for one in scene.cluster.supernodes}
+    arrived = scene.cluster.network.ways(places)
+    every = set(itertools.permutations(places, 2))
+    if arrived != every - set(pairs):
+        wrong = [f"{sender.address} to {receiver.address}" for sender, receiver in arrived ^ (every - set(pairs))]
+        raise DidNotBite(f"not as it should be on the way from {', from '.join(wrong)}")
+    return f"datagrams vanish on {len(pairs)} of {len(every)} ways"
 
 
 async def _partition(scene: Scene, kind: str, pairs: Sequence[tuple[Supernode, Supernode]]) -> None:
-    """Nothing passes from the first to the second of each pair. Callers reach everybody."""
+    """Callers reach everybody all the while."""
     began = time.monotonic()
-    try:
-        for sender, receiver in pairs:
-            scene.cluster.network.block(sender.place, receiver.place)
+    async with cut(scene, [(sender.place, receiver.place) for sender, receiver in pairs]) as bite:
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.dice.uniform(3.0, 6.0))
-    finally:
-        scene.cluster.network.unblock_all()
-    scene.ended(kind, began, recovery)
+    scene.ended(kind, began, recovery, bite=bite)
 
 
 async def split_off_leader(scene: Scene) -> None:
@@ -117,15 +166,18 @@ async def bridge(scene: Scene) -> None:
 
 
 async def unplug_leader(scene: Scene) -> None:
-    leader, _, _ = await scene.leader_and_other()
+    leader, other, _ = await scene.leader_and_other()
+    network = scene.cluster.network
     began = time.monotonic()
-    scene.cluster.network.plug(leader.place, in_=False)
+    network.plug(leader.place, in_=False)
     try:
+        if await asyncio.to_thread(network.ways, (other.place, leader.place)):
+            raise DidNotBite(f"{leader.name} is reached although its link is down")
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.dice.uniform(1.0, 3.0))
     finally:
-        scene.cluster.network.plug(leader.place, in_=True)
-    scene.ended("the leader's link down", began, recovery)
+        network.plug(leader.place, in_=True)
+    scene.ended("the leader's link down", began, recovery, bite="datagrams to it vanish")
 
 
 async def past_compaction(scene: Scene) -> None:
@@ -133,18 +185,19 @@ async def past_compaction(scene: Scene) -> None:
     leader, away, other = await scene.leader_and_other()
     began = time.monotonic()
     pairs = [(leader, away), (away, leader), (other, away), (away, other)]
-    try:
-        for sender, receiver in pairs:
-            scene.cluster.network.block(sender.place, receiver.place)
+    async with cut(scene, [(sender.place, receiver.place) for sender, receiver in pairs]):
+        _, left_at = await away.members_seen()
         _, index = await leader.members_seen()
         await _grow(scene, leader, index + 1000)
-    finally:
-        scene.cluster.network.unblock_all()
+        kept = await asyncio.to_thread(leader.first_index_kept)
+        if kept <= left_at + 1:
+            raise DidNotBite(f"{leader.name} has its log from {kept} on, and {away.name} needs it from {left_at + 1}")
     healed = time.monotonic()
     _, target = await leader.members_seen()
     await _grow(scene, away, target, write=False)
     took = time.monotonic() - healed
-    scene.ended("partition past log compaction", began, note=f"level again {took:.1f} s after it healed")
+    bite = f"it had applied up to {left_at}, and the leader's log began at {kept}"
+    scene.ended("partition past log compaction", began, bite=bite, note=f"level again {took:.1f} s after it healed")
 
 
 async def _grow(scene: Scene, one: Supernode, target: int, *, write: bool = True) -> None:

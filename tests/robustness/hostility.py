@@ -1,39 +1,35 @@
-"""Disks that are full or damaged, clocks that step, descriptors that run out, noise on every port."""
+"""Disks that are full or damaged, clocks that step, file descriptors that run out."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import os
-import pickle
 import shutil
 import socket
-import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
-import grpc
-
-from stampede_rt.v1 import directory_service_pb2, membership_service_pb2, raft_service_pb2
-from tests.robustness.cluster import PORT, Supernode
+from tests.robustness.placed_process import DidNotBite, PlacedProcess
 from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.supernode import Supernode
 
-GARBAGE_CONNECTIONS = 12
+HOUR, DAY = 3600.0, 86400.0
+CLOCK_TOLERANCE_SECONDS = 5.0
 
 
 async def full_disk(scene: Scene) -> None:
     """The disk of one supernode, a small tmpfs, has no byte left for a while."""
-    victim = scene.cluster.supernodes[-1]
+    victim = next(one for one in scene.cluster.supernodes if one.has_small_disk)
     began = time.monotonic()
     ballast = victim.data_dir / "ballast"
-    with ballast.open("wb", buffering=0) as file:
-        try:
-            while file.write(b"\0" * 4096):
-                pass
-        except OSError:
-            pass  # full, as wanted
+    with ballast.open("wb", buffering=0) as file, contextlib.suppress(OSError):  # full, as wanted
+        while file.write(b"\0" * 4096):
+            pass
+    free = os.statvfs(victim.data_dir).f_bavail
+    if free:
+        raise DidNotBite(f"the disk of {victim.name} has {free} blocks left")
     recovery = await scene.recovery(began)
     for _ in range(30):  # its write-ahead log has some room of its own; writes enough to need more
         if not victim.running:
@@ -44,7 +40,7 @@ async def full_disk(scene: Scene) -> None:
     if died:
         await victim.start()
     note = f"it ended ({victim.last_words()[:120]!r}) and was started again" if died else "it went on"
-    scene.ended("full disk", began, recovery, note=note)
+    scene.ended("full disk", began, recovery, bite="no block was free", note=note)
 
 
 async def _has_ended(one: Supernode, *, within_s: float) -> bool:
@@ -65,18 +61,21 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     spare = scene.folder / "spare"
     shutil.copytree(victim.data_dir, spare)
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
-    what = harm(scene.dice.choice(files))
+    chosen = scene.dice.choice(files)
+    what = harm(chosen)
+    if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():
+        raise DidNotBite(f"{chosen.name} is as it was")
     started = await victim.start()
     note = f"{what}: " + ("harmless, it serves" if started else f"refused: {victim.last_words()[:160]!r}")
     await asyncio.sleep(2.0)  # what it would say wrong, the callers hear now
     if not started or not victim.running:
-        await victim.kill()
+        await victim.close()
         for file in victim.data_dir.iterdir():
             file.unlink() if file.is_file() else shutil.rmtree(file)
         shutil.copytree(spare, victim.data_dir, dirs_exist_ok=True)
         await victim.start()
     shutil.rmtree(spare)
-    scene.ended(kind, began, await scene.recovery(began), note=note)
+    scene.ended(kind, began, await scene.recovery(began), bite="the file differs from its copy", note=note)
 
 
 async def flip_bit(scene: Scene) -> None:
@@ -101,111 +100,78 @@ async def truncate(scene: Scene) -> None:
 
 
 async def step_clock(scene: Scene) -> None:
-    seconds = scene.dice.choice([-3600.0, 3600.0, -10 * 365 * 86400.0, 10 * 365 * 86400.0])
-    victims = scene.dice.choice([scene.cluster.supernodes, [await scene.cluster.leader()]])
+    """Of the leader, or of all services, and by so much that certificates, where there are any, stay valid."""
+    secured = scene.cluster.certificates is not None
+    seconds = scene.dice.choice([-120.0, HOUR, 30 * DAY] if secured else [-HOUR, HOUR, -3650 * DAY, 3650 * DAY])
+    leader = await scene.cluster.leader()
+    victims: Sequence[PlacedProcess] = scene.dice.choice([scene.cluster.processes(), [leader]])
     began = time.monotonic()
     for one in victims:
         one.step_wall_clock(seconds)
-    recovery = await scene.recovery(began)
-    await asyncio.sleep(3.0)
-    for one in victims:
-        one.step_wall_clock(0)
-    scene.ended("wall clock step", began, recovery, RECOVERY_SECONDS_MAX, note=f"{seconds:+.0f} s at {len(victims)}")
+    try:
+        recovery = await scene.recovery(began)
+        await asyncio.sleep(3.0)
+        seen = await leader.wall_clock_nanos() / 1e9 - time.time()
+        if abs(seen - seconds) > CLOCK_TOLERANCE_SECONDS:
+            raise DidNotBite(f"{leader.name} says that its clock is off by {seen:+.0f} s, not {seconds:+.0f} s")
+        recovery = max(recovery, await scene.recovery(time.monotonic()))
+    finally:
+        for one in victims:
+            one.step_wall_clock(0)
+    bite = f"the leader's answers were off by {seen:+.0f} s"
+    note = f"{seconds:+.0f} s at {len(victims)} of {len(scene.cluster.processes())} processes"
+    scene.ended("wall clock step", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=note)
 
 
 async def exhaust_descriptors(scene: Scene) -> None:
-    """A supernode may open three files more, and many callers connect to it."""
-    victim = scene.dice.choice(scene.cluster.supernodes)
+    """A service may open three files more, and many callers connect to it."""
+    victim = scene.dice.choice(scene.cluster.processes())
     began = time.monotonic()
-    victim.limit_descriptors(3)
+    limit = victim.limit_descriptors(3)
     connections = [_connect(victim) for _ in range(40)]
     try:
         recovery = await scene.recovery(began)
         await asyncio.sleep(3.0)
+        most = victim.descriptors() if victim.running else limit
     finally:
         for connection in connections:
             connection.close()
         if victim.running:
             victim.limit_descriptors(None)
+    if most < limit:
+        raise DidNotBite(f"{victim.name} had {most} of {limit} descriptors open with 40 callers waiting")
     died = not victim.running
     if died:
         await victim.start()
     fresh = await asyncio.to_thread(_answers, victim)
     note = f"{victim.name} {'ended and was started again' if died else 'went on'}; new connections: {fresh}"
-    scene.ended("file descriptors exhausted", began, recovery, RECOVERY_SECONDS_MAX, note=note)
+    bite = f"all {limit} descriptors were open"
+    scene.ended("file descriptors exhausted", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=note)
 
 
-def _connect(one: Supernode) -> socket.socket:
+def _connect(one: PlacedProcess) -> socket.socket:
     connection = socket.socket()
     connection.setblocking(False)
-    connection.connect_ex((one.place.address, PORT))
+    connection.connect_ex((one.place.address, one.port))
     return connection
 
 
-def _answers(one: Supernode) -> str:
-    """Whether a new connection gets HTTP/2 settings; the listener must have survived."""
-    with socket.create_connection((one.place.address, PORT), timeout=10) as connection:
-        connection.settimeout(10)
-        connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0)))
-        return "served" if connection.recv(9) else "closed at once"
-
-
-class _Trap:
-    """Unpickled, it leaves a file behind."""
-
-    def __init__(self, canary: Path) -> None:
-        self._canary = canary
-
-    def __reduce__(self) -> tuple[object, tuple[list[str]]]:
-        return subprocess.check_call, (["touch", str(self._canary)],)
-
-
-async def garbage(scene: Scene) -> None:
-    """Random bytes and pickles on every port, raw and as messages of every streaming and unary method of Raft."""
-    began = time.monotonic()
-    canary = scene.folder / "canary"
-    trap = pickle.dumps(_Trap(canary))
-    for one in scene.cluster.supernodes:
-        await asyncio.to_thread(
-            _send_raw, one, [trap, *(scene.dice.randbytes(3000) for _ in range(GARBAGE_CONNECTIONS))]
-        )
-        for payload in (trap, scene.dice.randbytes(2000)):
-            await _send_as_messages(one, payload)
-    recovery = await scene.recovery(began)
-    if canary.exists():
-        raise AssertionError("a pickle that came from the network was loaded")
-    if not all(one.running for one in scene.cluster.supernodes):
-        raise AssertionError("a supernode ended because of what came from the network")
-    scene.ended("random bytes and pickles on every port", began, recovery, RECOVERY_SECONDS_MAX)
-
-
-def _send_raw(one: Supernode, payloads: list[bytes]) -> None:
-    preface = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
-    for payload in payloads:
-        for data in (payload, preface + payload):
-            connection = socket.create_connection((one.place.address, PORT), timeout=5)
-            with connection, contextlib.suppress(OSError):  # it may hang up on us, which is its right
-                connection.sendall(data)
-
-
-async def _send_as_messages(one: Supernode, payload: bytes) -> None:
-    for module in (directory_service_pb2, membership_service_pb2, raft_service_pb2):
-        for service in module.DESCRIPTOR.services_by_name.values():
-            for method in service.methods:
-                path = f"/{service.full_name}/{method.name}"
-                call: Any = one.channel.stream_stream(path)(iter([payload]), timeout=0.3)  # type: ignore[arg-type]
-                try:
-                    async for _ in call:
-                        pass
-                except grpc.aio.AioRpcError:
-                    pass  # any refusal will do; what counts is checked by the caller
+def _answers(one: PlacedProcess) -> str:
+    """Whether a new connection is accepted and kept; the listener must have survived."""
+    with socket.create_connection((one.place.address, one.port), timeout=10) as connection:
+        connection.settimeout(1.0)
+        if one.tls is None:
+            connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0)))
+        try:
+            return "served" if connection.recv(9) else "closed at once"
+        except TimeoutError:  # a service with certificates waits for our hello
+            return "served" if one.tls is not None else "not answered"
 
 
 FAULTS: dict[str, Fault] = {
     "full_disk": full_disk,
     "flip_bit": flip_bit,
     "truncate": truncate,
-    "step_clock": step_clock,
     "exhaust_descriptors": exhaust_descriptors,
-    "garbage": garbage,
+    "step_clock": step_clock,
 }

@@ -1,12 +1,24 @@
-"""Network namespaces, one per supernode, on a bridge: links that can be cut in either direction (Linux, root)."""
+"""Network namespaces, one per process, on a bridge: links that can be cut in either direction (Linux, root)."""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import itertools
 import os
+import secrets
 import shutil
+import socket
 import subprocess
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import TracebackType
+
+WITNESS_PORT = 7598
+WITNESS_SECONDS = 0.3
+CLONE_NEWNET = 0x40000000  # sched.h
 
 
 def unavailable_because() -> str | None:
@@ -43,6 +55,7 @@ class Network:
         self._bridge = f"rtb{tag}"
         self._prefix = f"10.213.{third}"
         self._drops_silently = shutil.which("iptables") is not None
+        self._witnesses: dict[str, socket.socket] = {}
         self.places = [
             Place(f"rt{tag}-{number}", f"rtv{tag}-{number}", f"{self._prefix}.{10 + number}") for number in range(size)
         ]
@@ -54,6 +67,7 @@ class Network:
             _ip("link", "set", self._bridge, "up")
             for place in self.places:
                 self._make(place)
+                self._witnesses[place.namespace] = _socket_inside(place)
         except BaseException:
             self.close()
             raise
@@ -66,6 +80,8 @@ class Network:
 
     def close(self) -> None:
         """Take everything down; what was not made yet is passed over."""
+        for witness in self._witnesses.values():
+            witness.close()
         for place in self.places:
             subprocess.run(["ip", "netns", "del", place.namespace], capture_output=True, check=False)
             subprocess.run(["ip", "link", "del", place.outer_link], capture_output=True, check=False)
@@ -93,6 +109,29 @@ class Network:
         """Pull the place's cable, or put it back in."""
         _ip("link", "set", place.outer_link, "up" if in_ else "down")
 
+    def ways(self, places: Iterable[Place]) -> set[tuple[Place, Place]]:
+        """From whom to whom a datagram arrives at this moment, of all pairs. Blocks for WITNESS_SECONDS at most."""
+        tokens: dict[bytes, tuple[Place, Place]] = {}
+        for sender, receiver in itertools.permutations(places, 2):
+            tokens[token := secrets.token_bytes(8)] = (sender, receiver)
+            with contextlib.suppress(OSError):  # the sender was told that there is no way
+                self._witnesses[sender.namespace].sendto(token, (receiver.address, WITNESS_PORT))
+        deadline = time.monotonic() + WITNESS_SECONDS
+        arrived = set()
+        for receiver in {receiver for _, receiver in tokens.values()}:
+            arrived |= {tokens[token] for token in self._inbox(receiver, deadline) if token in tokens}
+        return arrived
+
+    def _inbox(self, place: Place, deadline: float) -> Iterator[bytes]:
+        """What has arrived there, and what does until `deadline`."""
+        inbox = self._witnesses[place.namespace]
+        while True:
+            inbox.settimeout(max(0.001, deadline - time.monotonic()))
+            try:
+                yield inbox.recv(64)
+            except TimeoutError:
+                return
+
     def _make(self, place: Place) -> None:
         inner = "eth0"
         _ip("netns", "add", place.namespace)
@@ -102,6 +141,24 @@ class Network:
         _ip("-n", place.namespace, "addr", "add", f"{place.address}/24", "dev", inner)
         for link in (inner, "lo"):
             _ip("-n", place.namespace, "link", "set", link, "up")
+
+
+def _socket_inside(place: Place) -> socket.socket:
+    """A socket of this process in the namespace of `place`. Only the thread that makes it goes there."""
+
+    def make() -> socket.socket:
+        descriptor = os.open(f"/run/netns/{place.namespace}", os.O_RDONLY)
+        try:
+            if ctypes.CDLL(None, use_errno=True).setns(descriptor, CLONE_NEWNET) != 0:
+                raise OSError(ctypes.get_errno(), f"cannot enter the namespace {place.namespace}")
+        finally:
+            os.close(descriptor)
+        witness = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        witness.bind((place.address, WITNESS_PORT))
+        return witness
+
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(make).result()
 
 
 def _ip(*words: str) -> None:

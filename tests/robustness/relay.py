@@ -1,9 +1,10 @@
 """A TCP relay that makes a network bad: `python -m tests.robustness.relay LISTEN_HOST:PORT TO_HOST:PORT`.
 
-Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share`: every chunk waits delay plus up to jitter; a
-`stall_share` of them waits 0.2 to 0.6 s more, which is what a lost segment costs a TCP reader (RFC 6298);
-at a `cut_share` of them the connection is reset. Bytes of one connection stay in order, as TCP has it; those of
-different connections overtake each other.
+Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share`, each answered with a line that counts what
+the weather before it did: chunks, of those stalled, milliseconds waited in all, connections cut. Every chunk waits
+delay plus up to jitter; a `stall_share` of them waits 0.2 to 0.6 s more, which is what a lost segment costs a TCP
+reader (RFC 6298); at a `cut_share` of them the connection is reset. Bytes of one connection stay in order, as TCP has
+it; those of different connections overtake each other.
 """
 
 from __future__ import annotations
@@ -20,17 +21,33 @@ CHUNKS_WAITING_MAX = 256
 
 @dataclass(slots=True)
 class Weather:
-    """What happens to a chunk."""
+    """What happens to a chunk, and how often it did."""
 
     delay_s: float = 0.0
     jitter_s: float = 0.0
     stall_share: float = 0.0
     cut_share: float = 0.0
+    chunks: int = 0
+    stalled: int = 0
+    waited_s: float = 0.0
+    cuts: int = 0
 
     def wait_s(self) -> float:
         """How long the next chunk is on its way."""
         stalled = random.random() < self.stall_share
-        return self.delay_s + random.random() * self.jitter_s + (random.uniform(0.2, 0.6) if stalled else 0.0)
+        wait_s = self.delay_s + random.random() * self.jitter_s + (random.uniform(0.2, 0.6) if stalled else 0.0)
+        self.chunks, self.stalled, self.waited_s = self.chunks + 1, self.stalled + stalled, self.waited_s + wait_s
+        return wait_s
+
+    def cuts_now(self) -> bool:
+        """Whether the connection is reset instead."""
+        cut = random.random() < self.cut_share
+        self.cuts += cut
+        return cut
+
+    def counts(self) -> str:
+        """The line of counts."""
+        return f"{self.chunks} {self.stalled} {round(1000 * self.waited_s)} {self.cuts}"
 
 
 class Relay:
@@ -67,7 +84,7 @@ class Relay:
         try:
             with contextlib.suppress(OSError):
                 while chunk := await reader.read(CHUNK_BYTES):
-                    if random.random() < self.weather.cut_share or sending.done():
+                    if self.weather.cuts_now() or sending.done():
                         return
                     await waiting.put((now() + self.weather.wait_s(), chunk))
         finally:
@@ -92,7 +109,8 @@ async def main(listen: str, to: str) -> None:
     async with await asyncio.start_server(relay.serve, host, int(port)):
         print("ready", flush=True)
         while line := await asyncio.to_thread(sys.stdin.readline):
-            relay.weather = Weather(*(float(word) for word in line.split()))
+            former, relay.weather = relay.weather, Weather(*map(float, line.split()[:4]))
+            print(former.counts(), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import platform
 import statistics
+import time
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tests.robustness.campaign import Findings
 from tests.robustness.scene import Outcome
+
+VIOLATION_CHARS_MAX = 3000  # the whole history of a name may be long
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,95 +28,197 @@ class Simulated:
     seconds: float
 
 
-def write_report(command: str, state: str, load: str, real: Sequence[Findings], simulated: Simulated | None) -> str:
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of the suite. `load`: the load average at its start and end, other work of the machine included."""
+
+    command: str
+    revision: str
+    seconds: float
+    load: tuple[float, float]
+    findings: Sequence[Findings]
+    simulated: Simulated | None
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """What became of all faults."""
+        return [outcome for findings in self.findings for outcome in findings.outcomes]
+
+
+def write_report(run: Run) -> str:
     """The page, in Markdown."""
-    outcomes = [outcome for findings in real for outcome in findings.outcomes]
-    parts = [
-        _head(command, state, load),
-        _summary(real, outcomes, simulated),
-        _faults(outcomes),
-        _notes(outcomes),
-    ]
-    return "\n".join(part for part in parts if part)
+    parts = [_head(run), _verdict(run), _summary(run), _faults(run.outcomes), _campaigns(run), _bites(run.outcomes)]
+    return "\n".join(part for part in [*parts, _notes(run.outcomes), _violations(run)] if part)
 
 
-def _head(command: str, state: str, load: str) -> str:
-    return f"""# Robustness
+def _head(run: Run) -> str:
+    made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
+    machine = f"{os.cpu_count()} cores ({platform.machine()}, Linux {platform.release()})"
+    return f"""# A run of {run.seconds / 60:.0f} minutes
 
-Made by `{command}` at {state}, on {os.cpu_count()} cores ({platform.machine()}, Linux {platform.release()}, Python
-{platform.python_version()}); {load}. Every history that callers recorded was judged linearizable, and at no moment did
-two hosts believe that they own a channel: a violation would have ended the run without this page.
+Made by `{run.command}` at {run.revision}, {made}, on {machine}, with Python {platform.python_version()}; load average
+{run.load[0]:.1f} at the start and {run.load[1]:.1f} at the end.
 """
 
 
-def _summary(real: Sequence[Findings], outcomes: Sequence[Outcome], simulated: Simulated | None) -> str:
-    operations = [operation for findings in real for operation in findings.operations]
-    worst = max(real, key=lambda findings: findings.gap_s, default=None)
-    rows = [
-        ("faults injected into real processes", len(outcomes)),
-        ("calls recorded and judged", len(operations)),
-        ("names (each a history of its own)", sum(findings.names for findings in real)),
+def _verdict(run: Run) -> str:
+    broken = broken_promises(run)
+    if not broken:
+        return "**Every promise was kept.**\n"
+    return "**Broken promises:**\n\n" + "\n".join(f"- {one}" for one in broken) + "\n"
+
+
+def _summary(run: Run) -> str:
+    operations = [operation for findings in run.findings for operation in findings.operations]
+    worst = max(run.findings, key=lambda findings: findings.gap_s, default=None)
+    stalled = max((findings.stalled_s for findings in run.findings), default=0.0)
+    unexplained = sum(len(findings.violations) for findings in run.findings)
+    rows: list[tuple[str, object]] = [
+        ("faults injected into real processes", len(run.outcomes)),
+        ("kinds of faults", len({outcome.kind for outcome in run.outcomes})),
+        ("calls of the directory, recorded and judged", len(operations)),
+        ("names (each a history of its own)", sum(findings.names for findings in run.findings)),
         ("calls whose outcome their caller never heard", sum(operation.ambiguous for operation in operations)),
-        ("calls refused for want of a majority, certainly not done", sum(findings.not_done for findings in real)),
-        ("acknowledged writes", sum(findings.acknowledged for findings in real)),
-        ("**acknowledged writes lost**", "**0**"),
-        ("lease renewals / registrations of hosts", _leases(real)),
+        ("calls refused for want of a majority, certainly not done", sum(one.not_done for one in run.findings)),
+        ("acknowledged writes", sum(findings.acknowledged for findings in run.findings)),
+        ("**histories that show a lost, stale or doubled write, and other violations**", f"**{unexplained}**"),
+        ("lease renewals / registrations of hosts without items", _leases(run.findings)),
         ("longest time without service, a majority alive", f"{worst.gap_s:.2f} s ({worst.gap_in})" if worst else "-"),
+        ("longest time that the measuring process itself did not run", f"{stalled:.2f} s"),
+        *_item_rows(run.findings),
+        *_simulated_rows(run.simulated),
     ]
-    if simulated is not None:
-        failed = ", ".join(map(str, simulated.failed)) or "none"
-        rows += [
-            ("simulated seeds / failed", f"{simulated.seeds} / {failed}"),
-            ("simulated calls judged / acknowledged writes", f"{simulated.operations} / {simulated.acknowledged}"),
-            ("simulated puts that hosts acknowledged", simulated.puts),
-        ]
     return "## Summary\n\n" + _table(("what", "figure"), rows)
+
+
+def _item_rows(findings: Iterable[Findings]) -> list[tuple[str, object]]:
+    judged = [one.items for one in findings if one.items is not None]
+    if not judged:
+        return []
+    return [
+        ("channels with items / acknowledged puts", f"{_sum(judged, 'channels')} / {_sum(judged, 'acknowledged')}"),
+        (
+            "**acknowledged items lost while their host lived / shown twice**",
+            f"**{_sum(judged, 'lost')} / {_sum(judged, 'doubled')}**",
+        ),
+        ("items gone with a killed or fenced host, readers being told", _sum(judged, "gone_with_host")),
+    ]
+
+
+def _sum(several: Iterable[object], name: str) -> int:
+    return sum(getattr(one, name) for one in several)
+
+
+def _simulated_rows(simulated: Simulated | None) -> list[tuple[str, object]]:
+    if simulated is None:
+        return []
+    failed = ", ".join(map(str, simulated.failed)) or "none"
+    return [
+        ("simulated seeds / failed", f"{simulated.seeds} / {failed}"),
+        ("simulated calls judged / acknowledged writes", f"{simulated.operations} / {simulated.acknowledged}"),
+        ("simulated puts that hosts acknowledged", simulated.puts),
+    ]
 
 
 def _leases(real: Sequence[Findings]) -> str:
     return f"{sum(one.renewals for one in real)} / {sum(one.registrations for one in real)}"
 
 
-def _faults(outcomes: Sequence[Outcome]) -> str:
+def _faults(outcomes: Iterable[Outcome]) -> str:
     """Recovery counts from the harm to the acknowledgement of a write that was begun after it."""
-    kinds: dict[str, list[Outcome]] = defaultdict(list)
-    for outcome in outcomes:
-        kinds[outcome.kind].append(outcome)
-    rows = []
-    for kind, members in kinds.items():
-        measured = [one.recovery_s for one in members if one.recovery_s is not None]
-        limit = members[0].limit_s
-        late = sum(limit is not None and took > limit for took in measured)
-        rows.append(
-            (
-                kind,
-                len(members),
-                f"{statistics.median(measured):.2f} s" if measured else "-",
-                f"{max(measured):.2f} s" if measured else "-",
-                f"{limit:.0f} s" if limit is not None else "-",
-                "-" if limit is None else "kept" if not late else f"**{late} of {len(members)} over it**",
-            )
-        )
-    title = "## Faults by kind\n\nServed again: from the harm to the acknowledgement of a write begun after it.\n\n"
+    rows = [_fault_row(kind, members) for kind, members in sorted(_by_kind(outcomes).items())]
+    title = (
+        "## Faults by kind\n\nServed again: from the harm to the acknowledgement of a write begun after it; for hosts, "
+        "of a put under a new owner or incarnation.\n\n"
+    )
     return title + _table(("fault", "times", "served again, median", "worst", "limit", "verdict"), rows)
 
 
-def _notes(outcomes: Sequence[Outcome]) -> str:
+def _by_kind(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
+    kinds: dict[str, list[Outcome]] = defaultdict(list)
+    for outcome in outcomes:
+        kinds[outcome.kind].append(outcome)
+    return kinds
+
+
+def _fault_row(kind: str, members: Sequence[Outcome]) -> tuple[object, ...]:
+    measured = [one.recovery_s for one in members if one.recovery_s is not None]
+    limit = next((one.limit_s for one in members if one.limit_s is not None), None)
+    return (
+        kind,
+        len(members),
+        f"{statistics.median(measured):.2f} s" if measured else "-",
+        f"{max(measured):.2f} s" if measured else "-",
+        f"{limit:.0f} s" if limit is not None else "-",
+        _row_verdict(members, limit),
+    )
+
+
+def _row_verdict(members: Sequence[Outcome], limit: float | None) -> str:
+    if failed := sum(one.failed for one in members):
+        return f"**{failed} of {len(members)} failed**"
+    if late := sum(one.late for one in members):
+        return f"**{late} of {len(members)} over it**"
+    if excused := [one for one in members if one.over_limit]:
+        slowest = max(one.start_s for one in excused)
+        return f"kept, but for up to {slowest:.1f} s in which processes started ({len(excused)} of {len(members)})"
+    return "-" if limit is None else "kept"
+
+
+def _campaigns(run: Run) -> str:
+    rows = [
+        (
+            one.title,
+            f"{one.seconds:.0f} s",
+            len(one.outcomes),
+            len(one.operations),
+            one.acknowledged,
+            f"{one.gap_s:.2f} s",
+        )
+        for one in run.findings
+    ]
+    header = ("campaign", "took", "faults", "calls", "acknowledged writes", "longest without service")
+    return "## Campaigns\n\n" + _table(header, rows) if rows else ""
+
+
+def _bites(outcomes: Iterable[Outcome]) -> str:
+    """A fault whose effect was not seen fails the run; here is what was seen of the last of each kind."""
+    rows = [(kind, members[-1].bite) for kind, members in sorted(_by_kind(outcomes).items())]
+    return "## What showed that the harm was done\n\n" + _table(("fault", "the last time"), rows) if rows else ""
+
+
+def _notes(outcomes: Iterable[Outcome]) -> str:
     lines = [f"- {outcome.kind}: {outcome.note}" for outcome in outcomes if outcome.note]
-    return "## What was seen\n\n" + "\n".join(lines) + "\n" if lines else ""
+    return "## What came of it\n\n" + "\n".join(lines) + "\n" if lines else ""
+
+
+def _violations(run: Run) -> str:
+    found = [text for findings in run.findings for text in findings.violations]
+    texts = "\n\n".join(f"```\n{text[:VIOLATION_CHARS_MAX]}\n```" for text in found)
+    return f"## Violations\n\n{texts}\n" if found else ""
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines) + "\n"
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def broken_promises(run: Run) -> list[str]:
+    """Histories that nothing explains, recoveries that took longer than promised or did not come, faults that did not
+    bite or were not reached, seeds that failed. A line each."""
+    broken = [f"{one.title}: {text.splitlines()[0]}" for one in run.findings for text in one.violations]
+    broken += limits_broken(run.outcomes)
+    if run.simulated is not None:
+        broken += [f"simulated seed {seed}" for seed in run.simulated.failed]
+    return broken
 
 
 def limits_broken(outcomes: Iterable[Outcome]) -> list[str]:
     """The recoveries that took longer than promised, and those that did not come at all."""
     outcomes = list(outcomes)
     late = [
-        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s"
+        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s (start of processes: {one.start_s:.2f} s)"
         for one in outcomes
-        if one.recovery_s is not None and one.limit_s is not None and one.recovery_s > one.limit_s
+        if one.late
     ]
     return late + [f"{one.kind}: {one.note}" for one in outcomes if one.failed]

@@ -7,63 +7,74 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from tests.robustness.callers import Probe
-from tests.robustness.cluster import Cluster, Supernode
+from tests.robustness.cluster import Cluster
+from tests.robustness.probe import Probe
+from tests.robustness.supernode import Supernode
+from tests.robustness.traffic import Traffic
 
 RECOVERY_SECONDS_MAX, FROZEN_LEADER_SECONDS_MAX = 5.0, 4.0
 PATIENCE_SECONDS = 40.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of one fault. `recovery_s`: from the harm to the acknowledgement of a write begun after it."""
+    """What became of one fault. Times in seconds.
+
+    `recovery_s`: from the harm to the acknowledgement of a write begun after it. `start_s`: how much of that it took
+    to start processes. `bite`: what showed that the harm was done.
+    """
 
     kind: str
     began: float
     ended: float
     recovery_s: float | None = None
     limit_s: float | None = None
+    start_s: float = 0.0
     majority: bool = True  # of the supernodes was alive and connected all the time
+    bite: str = ""
     note: str = ""
     failed: bool = False
+
+    @property
+    def over_limit(self) -> bool:
+        """Whether it took longer than promised."""
+        return self.limit_s is not None and self.recovery_s is not None and self.recovery_s > self.limit_s
+
+    @property
+    def late(self) -> bool:
+        """Whether the promise was broken: over the limit, and not for the time that starting processes took."""
+        return self.over_limit and (self.recovery_s or 0.0) - self.start_s > (self.limit_s or 0.0)
 
 
 @dataclass
 class Scene:
-    """Where faults happen."""
+    """Where faults happen. `traffic` is None in a cluster without channel hosts."""
 
     cluster: Cluster
     probe: Probe
     dice: random.Random
     folder: Path
+    traffic: Traffic | None = None
     outcomes: list[Outcome] = field(default_factory=list)
 
     async def recovery(self, since: float) -> float:
-        """How long after `since` the directory served again."""
+        """How long after `since` the directory served again. Raises TimeoutError."""
         return await self.probe.serves_after(since, seconds=PATIENCE_SECONDS)
 
     async def leader_and_other(self) -> tuple[Supernode, Supernode, Supernode]:
+        """The leader, and two others in any order."""
         leader = await self.cluster.leader()
         first, second = self.dice.sample(self.cluster.others(leader), 2)
         return leader, first, second
 
-    def ended(
-        self,
-        kind: str,
-        began: float,
-        recovery_s: float | None = None,
-        limit_s: float | None = None,
-        *,
-        majority: bool = True,
-        note: str = "",
-        failed: bool = False,
-    ) -> None:
-        """Take the fault down, which ends now."""
-        outcome = Outcome(kind, began, time.monotonic(), recovery_s, limit_s, majority, note, failed)
+    def ended(self, kind: str, began: float, recovery_s: float | None = None, **facts: Any) -> None:
+        """Take the fault down, which ends now; `facts` are the other fields of Outcome."""
+        outcome = Outcome(kind=kind, began=began, ended=time.monotonic(), recovery_s=recovery_s, **facts)
         self.outcomes.append(outcome)
         measured = "" if recovery_s is None else f" served again after {recovery_s:.2f} s"
-        print(f"{outcome.ended:10.1f}  {kind}{measured} {note}", flush=True)
+        print(f"{outcome.ended:10.1f}  {kind}{measured} [{outcome.bite}] {outcome.note}", flush=True)
 
 
 Fault = Callable[[Scene], Awaitable[None]]

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from tests.robustness.histories.linearizability import check_linearizable
+from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
 from tests.robustness.histories.operations import Operation, by_key
 
 
@@ -176,10 +176,26 @@ def check_channel_histories(operations: Iterable[Operation]) -> int:
     """Judge each name's history; returns how many names. Raises NotLinearizable or Undecided."""
     histories = by_key(operations)
     for history in histories.values():
-        answers = [one.answer for one in history if isinstance(one.answer, Seen) and one.answer.created]
-        model = ChannelModel(frozenset(answer.channel_id for answer in answers))
-        check_linearizable([one for one in history if not _says_nothing(one)], Absent(), model.step)
+        _check(history)
     return len(histories)
+
+
+def violations(operations: Iterable[Operation]) -> tuple[int, list[str]]:
+    """How many names there are, and what is wrong with those whose history nothing explains. Raises nothing."""
+    histories = by_key(operations)
+    wrong = []
+    for history in histories.values():
+        try:
+            _check(history)
+        except (NotLinearizable, Undecided) as error:
+            wrong.append(str(error))
+    return len(histories), wrong
+
+
+def _check(history: list[Operation]) -> None:
+    answers = [one.answer for one in history if isinstance(one.answer, Seen) and one.answer.created]
+    model = ChannelModel(frozenset(answer.channel_id for answer in answers))
+    check_linearizable([one for one in history if not _says_nothing(one)], Absent(), model.step)
 
 
 def _says_nothing(operation: Operation) -> bool:

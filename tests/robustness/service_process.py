@@ -1,15 +1,17 @@
-"""A supernode, `python -m tests.robustness.supernode_process SUPERNODE'S FLAGS`, with a wall clock that can be stepped
-and a log that is compacted early. Otherwise it is the one that users start.
+"""A service as users start it, `python -m tests.robustness.service_process PACKAGE FLAGS`, with two seams: a wall clock
+that can be stepped, and for supernodes a log that is compacted early.
 
 The kernel has no namespace for CLOCK_REALTIME (time_namespaces(7): monotonic and boottime only), so the step is put
-between the process and `time.time_ns`, from which the supernode takes all its wall-clock times. The lease clock
+between the process and `time.time_ns`, from which services take all their wall-clock times. The lease clock
 (CLOCK_BOOTTIME) does not see it, just as when an operator sets the date. `time.time` is left alone: gRPC makes
 deadlines of it, which its C code then compares with the kernel's clock, so that half a step would break what a whole
-one does not.
+one does not. A library before the C library (libfaketime 0.9.10) steps gRPC's clock, too, but does more harm than a
+stepped clock: `time.sleep` fails, and timed waits on the monotonic clock go wrong.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import time
@@ -39,14 +41,13 @@ def compact_early(entries: int) -> None:
 
 
 def main() -> int:
-    """Run the supernode; returns its exit code."""
+    """Run the service; returns its exit code."""
+    package, *words = sys.argv[1:]
     if file := os.environ.get(CLOCK_FILE):
         shift_wall_clock(Path(file))
     if entries := os.environ.get(SNAPSHOT_EVERY):
         compact_early(int(entries))
-    from stampede_rt_supernode.app import main as run
-
-    return run()
+    return int(importlib.import_module(f"{package}.app").main(words))
 
 
 if __name__ == "__main__":

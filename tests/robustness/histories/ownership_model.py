@@ -1,0 +1,149 @@
+"""One channel's items as a sequential object with one owner at a time, and what readers must have been shown.
+
+An owner takes items under one *incarnation*, with a seq that grows. Once anything was heard of a later incarnation,
+nothing may come from an earlier one: two incarnations that both accept are two owners.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from tests.robustness.histories.linearizability import NotLinearizable, Undecided, check_linearizable
+from tests.robustness.histories.operations import Operation, by_key
+
+
+@dataclass(frozen=True, slots=True)
+class Put:
+    """One item, whose payload nobody else puts."""
+
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Newest:
+    """What is the newest item?"""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadAll:
+    """Which items are there? The retention lets none go while a history lasts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """The item was taken."""
+
+    incarnation: int
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The newest item's seq, 0 if there was none."""
+
+    incarnation: int
+    seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """All items: (seq, payload)."""
+
+    incarnation: int
+    items: tuple[tuple[int, bytes], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Owned:
+    """Who owns the channel, the newest seq that was heard of, and the incarnations that are over."""
+
+    incarnation: int = 0
+    seq: int = 0
+    past: frozenset[int] = frozenset()
+
+    def under(self, incarnation: int) -> Owned | None:
+        """The state once `incarnation` was heard of, or None if that one is over."""
+        if incarnation == self.incarnation:
+            return self
+        return None if incarnation in self.past else Owned(incarnation, 0, self.past | {self.incarnation})
+
+
+def step(state: Owned, operation: Operation) -> Owned | None:
+    """The state after `operation`, or None where it cannot answer so."""
+    answer = operation.answer
+    if isinstance(answer, Accepted):
+        owned = state.under(answer.incarnation)
+        fits = owned is not None and answer.seq > owned.seq
+        return Owned(owned.incarnation, answer.seq, owned.past) if owned is not None and fits else None
+    if isinstance(answer, Found | Listed):
+        owned = state.under(answer.incarnation)
+        newest = answer.seq if isinstance(answer, Found) else max((seq for seq, _ in answer.items), default=0)
+        # More than was heard of: put by somebody who has not heard of it either.
+        fits = owned is not None and newest >= owned.seq
+        return Owned(owned.incarnation, newest, owned.past) if owned is not None and fits else None
+    raise AssertionError(f"no such answer: {answer}")
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What came of the histories. `lost`: acknowledged and not shown to a later reader of the same incarnation;
+    `doubled`: shown twice; `unexplained`: neither put by anybody, or two owners, or stale, see `violations`.
+    `gone_with_host`: acknowledged under an incarnation that is over, as the promise allows and readers are told."""
+
+    channels: int
+    acknowledged: int
+    lost: int
+    doubled: int
+    gone_with_host: int
+    violations: tuple[str, ...]
+
+
+def judge_items(operations: Iterable[Operation]) -> Judged:
+    """Judge each channel's history. Raises nothing: all violations are in the answer."""
+    histories = by_key(operations)
+    lost = doubled = gone = acknowledged = 0
+    violations: list[str] = []
+    for name, history in histories.items():
+        missing, twice, strange = _shown_wrong(history)
+        lost, doubled = lost + len(missing), doubled + len(twice)
+        violations += [f"{name}: {payload!r} was acknowledged and is lost" for payload in sorted(missing)]
+        violations += [f"{name}: {payload!r} was taken twice" for payload in sorted(twice)]
+        violations += [f"{name}: {payload!r} was put by nobody" for payload in sorted(strange)]
+        try:
+            check_linearizable([one for one in history if not one.ambiguous], Owned(), step)
+        except (NotLinearizable, Undecided) as error:
+            violations.append(str(error))
+        by_incarnation = _acknowledged(history)
+        acknowledged += sum(map(len, by_incarnation.values()))
+        gone += sum(map(len, list(by_incarnation.values())[:-1]))
+    return Judged(len(histories), acknowledged, lost, doubled, gone, tuple(violations))
+
+
+def _acknowledged(history: Sequence[Operation]) -> dict[int, list[Operation]]:
+    """The acknowledged puts of each incarnation, in the order in which those were first heard of."""
+    found: dict[int, list[Operation]] = defaultdict(list)
+    for one in sorted(history, key=lambda one: one.returned):
+        if isinstance(one.answer, Accepted):
+            found[one.answer.incarnation].append(one)
+    return found
+
+
+def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], set[bytes]]:
+    """The payloads that complete readings show to be lost, doubled, and of nobody."""
+    acknowledged = _acknowledged(history)
+    put = {one.call.payload for one in history if isinstance(one.call, Put)}
+    lost: set[bytes] = set()
+    doubled: set[bytes] = set()
+    strange: set[bytes] = set()
+    for reading in history:
+        if not isinstance(reading.answer, Listed):
+            continue
+        payloads = [payload for _, payload in reading.answer.items]
+        before = [one for one in acknowledged[reading.answer.incarnation] if one.returned < reading.invoked]
+        shown = set(reading.answer.items)
+        lost |= {one.call.payload for one in before if (one.answer.seq, one.call.payload) not in shown}
+        doubled |= {payload for payload, times in Counter(payloads).items() if times > 1}
+        strange |= set(payloads) - put
+    return lost, doubled, strange

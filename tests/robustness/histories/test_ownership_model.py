@@ -1,0 +1,81 @@
+"""What is planted in the history of a channel's items is found, and nothing where nothing is."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.robustness.histories.operations import Operation
+from tests.robustness.histories.ownership_model import Accepted, Found, Listed, Newest, Put, ReadAll, judge_items
+
+A, B = 7, 8
+
+
+def op(call: object, invoked: float, returned: float | None, answer: object = None) -> Operation:
+    return Operation("cam", call, invoked, *(() if returned is None else (returned, answer)))  # type: ignore[arg-type]
+
+
+def put(payload: bytes, invoked: float, incarnation: int, seq: int, *, took: float = 1.0) -> Operation:
+    return op(Put(payload), invoked, invoked + took, Accepted(incarnation, seq))
+
+
+def newest(invoked: float, incarnation: int, seq: int) -> Operation:
+    return op(Newest(), invoked, invoked + 1, Found(incarnation, seq))
+
+
+def listed(invoked: float, incarnation: int, *items: tuple[int, bytes]) -> Operation:
+    return op(ReadAll(), invoked, invoked + 1, Listed(incarnation, items))
+
+
+FIRST, SECOND = put(b"1", 0, A, 1), put(b"2", 2, A, 2)
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        [],
+        [FIRST, SECOND, newest(4, A, 2), listed(6, A, (1, b"1"), (2, b"2"))],
+        # Two at once: either order will do.
+        [put(b"1", 0, A, 2), put(b"2", 0, A, 1), newest(4, A, 2)],
+        # The channel has a new owner; what the former one held is gone, and a reader is told so by the incarnation.
+        [FIRST, put(b"2", 2, B, 1), newest(4, B, 1), listed(6, B, (1, b"2"))],
+        # A new owner without an item yet.
+        [FIRST, newest(2, B, 0), put(b"2", 4, B, 1)],
+        # A put whose answer nobody heard was taken, or not.
+        [FIRST, op(Put(b"2"), 2, None), newest(4, A, 2), listed(6, A, (1, b"1"), (2, b"2"))],
+        [FIRST, op(Put(b"2"), 2, None), newest(4, A, 1)],
+        # A slow answer of the former owner, given before the new one took anything.
+        [FIRST, put(b"2", 2, A, 2, took=5), put(b"3", 4, B, 1)],
+    ],
+)
+def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]) -> None:
+    judged = judge_items(history)
+    assert judged.violations == ()
+    assert (judged.lost, judged.doubled) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("history", "complaint"),
+    [
+        # The former owner takes an item after the new one has taken one.
+        ([FIRST, put(b"2", 2, B, 1), put(b"3", 4, A, 2)], "no order of these operations"),
+        # Or answers a reader.
+        ([FIRST, put(b"2", 2, B, 1), newest(4, A, 1)], "no order of these operations"),
+        # Two items with one seq.
+        ([FIRST, put(b"2", 2, A, 1)], "no order of these operations"),
+        # A reader is shown what was the newest before an acknowledged put.
+        ([FIRST, SECOND, newest(4, A, 1)], "no order of these operations"),
+        # An acknowledged item is lost, though its owner is still there and has newer ones.
+        ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged and is lost"),
+        # A put that was tried again was taken twice.
+        ([FIRST, SECOND, listed(4, A, (1, b"1"), (2, b"2"), (3, b"2"))], "b'2' was taken twice"),
+        # An item of the lost incarnation shows up in the new one.
+        ([FIRST, put(b"2", 2, B, 1), listed(4, B, (1, b"2"), (2, b"ghost"))], "b'ghost' was put by nobody"),
+    ],
+)
+def test_a_planted_violation_is_found(history: list[Operation], complaint: str) -> None:
+    assert any(complaint in violation for violation in judge_items(history).violations)
+
+
+def test_items_that_went_with_their_host_are_counted_apart_from_lost_ones() -> None:
+    judged = judge_items([FIRST, SECOND, put(b"3", 4, B, 1)])
+    assert (judged.channels, judged.acknowledged, judged.gone_with_host, judged.lost) == (1, 3, 2, 0)

@@ -1,0 +1,223 @@
+"""Channel hosts killed, stopped and cut off: what they acknowledged under a lease that ended, nobody may believe."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.status import from_rpc_error
+from stampede_rt.tls import TlsReader
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
+from tests.robustness.cluster import Host
+from tests.robustness.faults import KILLED, STOPPED, cut
+from tests.robustness.placed_process import DidNotBite
+from tests.robustness.scene import PATIENCE_SECONDS, Fault, Scene
+from tests.robustness.supernode import LEASE_TTL_SECONDS
+from tests.robustness.traffic import CLIENT, Traffic
+from tests.unit.channel_host.rig import run_of
+
+STALE_PUTS = 10
+RETRY_SECONDS = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Pinned:
+    """A channel of our own at one host, with an item in it."""
+
+    channel: aio.Channel
+    host: Host
+    before: st.ChannelInfo
+    incarnation: int
+
+
+async def kill_host(scene: Scene) -> None:
+    """It stays away: its channels get a new owner when its lease has ended."""
+    pinned = await _pin(scene)
+    began = time.monotonic()
+    await pinned.host.kill()
+    recovery = await _put_again(scene, pinned, began)
+    bite = f"{KILLED}; {_reopened(pinned)}"
+    await _start(pinned.host)
+    await _read(scene, pinned)
+    scene.ended("host: kill -9, its channels go elsewhere", began, recovery, bite=bite)
+
+
+async def restart_host(scene: Scene) -> None:
+    """It is back within its lease: its channels stay with it, empty, in a new incarnation."""
+    pinned = await _pin(scene)
+    began = time.monotonic()
+    await pinned.host.kill()
+    await _start(pinned.host)
+    recovery = await _put_again(scene, pinned, began)
+    await _read(scene, pinned)
+    start = f"of which its start {pinned.host.start_seconds:.2f} s"
+    bite = f"{KILLED}; {_reopened(pinned)}"
+    scene.ended("host: kill -9 and a restart", began, recovery, bite=bite, note=start)
+
+
+async def kill_all_hosts(scene: Scene) -> None:
+    """All at once, started again at once."""
+    pinned = await _pin(scene)
+    began = time.monotonic()
+    for host in scene.cluster.hosts:
+        await host.kill()
+    await asyncio.gather(*(_start(host) for host in scene.cluster.hosts))
+    recovery = await _put_again(scene, pinned, began)
+    await _read(scene, pinned)
+    slowest = max(host.start_seconds for host in scene.cluster.hosts)
+    bite = f"{KILLED}; {_reopened(pinned)}"
+    kind = "host: kill -9 of all"
+    scene.ended(kind, began, recovery, bite=bite, majority=False, note=f"of which the start {slowest:.2f} s")
+
+
+async def freeze_host(scene: Scene) -> None:
+    """Stopped for longer than its lease. The puts that it finds in its inbox when it goes on, it must refuse."""
+    pinned = await _pin(scene)
+    async with _direct(scene, pinned.host) as connection:
+        if not await _accepted(connection, pinned):
+            raise DidNotBite(f"{pinned.host.name} takes no put under the epoch that is in force")
+        began = time.monotonic()
+        await pinned.host.freeze()
+        try:
+            await asyncio.sleep(scene.dice.uniform(0.0, 1.0))
+            waiting = [asyncio.create_task(_accepted(connection, pinned)) for _ in range(STALE_PUTS)]
+            recovery = await _put_again(scene, pinned, began)
+            given_away = time.monotonic()
+            late = [asyncio.create_task(_accepted(connection, pinned)) for _ in range(STALE_PUTS)]
+            await asyncio.sleep(scene.dice.uniform(0.1, 2.0))
+        finally:
+            pinned.host.thaw()
+        _check_refused(pinned, await asyncio.gather(*waiting, *late, _accepted(connection, pinned)))
+    bite = f"{STOPPED} for {time.monotonic() - began:.1f} s; {_reopened(pinned)}"
+    note = f"{2 * STALE_PUTS + 1} puts under the old epoch were refused, some sent {given_away - began:.1f} s into it"
+    scene.ended("host: SIGSTOP beyond its lease", began, recovery, bite=bite, note=note)
+
+
+async def cut_off_host(scene: Scene) -> None:
+    """It reaches no supernode, and its callers reach it: it must fence itself before its channels go elsewhere."""
+    pinned = await _pin(scene)
+    places = [one.place for one in scene.cluster.supernodes]
+    pairs = [(pinned.host.place, place) for place in places] + [(place, pinned.host.place) for place in places]
+    async with _direct(scene, pinned.host) as connection:
+        began = time.monotonic()
+        trying = asyncio.create_task(_last_accepted(connection, pinned))
+        async with cut(scene, pairs) as seen:
+            recovery = await _put_again(scene, pinned, began)
+            given_away = time.monotonic()
+            last = await trying
+            _check_refused(pinned, [await _accepted(connection, pinned)])
+        if last > given_away:
+            raise AssertionError(f"{pinned.host.name} took a put after {pinned.channel.host} had taken one")
+    bite = f"{seen}; {_reopened(pinned)}"
+    note = f"it took its last put {last - began:.2f} s into it; the new owner took one at {given_away - began:.2f} s"
+    scene.ended("host: cut off from all supernodes", began, recovery, bite=bite, note=note)
+
+
+def _traffic(scene: Scene) -> Traffic:
+    assert scene.traffic is not None, "this fault is for clusters with channel hosts"
+    return scene.traffic
+
+
+async def _pin(scene: Scene) -> Pinned:
+    """Raises StampedeError if the cluster has no such host."""
+    traffic = _traffic(scene)
+    host = scene.dice.choice(scene.cluster.hosts)
+    channel = await traffic.open(f"robust-pinned/{time.monotonic_ns()}", host=host.name)
+    item = await traffic.put(channel)
+    if channel.host != host.name:
+        raise DidNotBite(f"the channel is at {channel.host}, not at {host.name}")
+    return Pinned(channel, host, channel.info, item.incarnation)
+
+
+async def _put_again(scene: Scene, pinned: Pinned, since: float) -> float:
+    """Put until one is acknowledged under another incarnation; returns how long after `since` that was.
+
+    Raises TimeoutError.
+    """
+    traffic = _traffic(scene)
+    async with asyncio.timeout(PATIENCE_SECONDS):
+        while True:
+            try:
+                item = await traffic.put(pinned.channel)
+            except st.StampedeError:
+                pass  # there is no owner for the moment
+            else:
+                if item.incarnation != pinned.incarnation:
+                    return time.monotonic() - since
+            await asyncio.sleep(RETRY_SECONDS)
+
+
+def _reopened(pinned: Pinned) -> str:
+    """Raises AssertionError if the channel goes on as if nothing had happened."""
+    after = pinned.channel.info
+    if after.epoch <= pinned.before.epoch or after.incarnation == pinned.incarnation:
+        raise AssertionError(f"the channel is at epoch {after.epoch} in the same incarnation after its host was lost")
+    return f"from {pinned.host.name}, epoch {pinned.before.epoch}, to {after.host}, epoch {after.epoch}"
+
+
+async def _read(scene: Scene, pinned: Pinned) -> None:
+    """What is there now goes into the history: an item of the lost incarnation among it would be one of nobody."""
+    await _traffic(scene).read_all(pinned.channel)
+
+
+async def _start(host: Host) -> None:
+    if not await host.start():
+        raise TimeoutError(f"{host.name} did not start again: {host.last_words()!r}")
+
+
+def _direct(scene: Scene, host: Host) -> grpc.aio.Channel:
+    files = scene.cluster.caller_files(Role.CLIENT, CLIENT)
+    return dial(host.address, secret=None, tls=None if files is None else TlsReader(files))
+
+
+async def _accepted(connection: grpc.aio.Channel, pinned: Pinned) -> bool:
+    """Whether the host takes a put under the epoch of `pinned.before`, by a caller that does not look again."""
+    request = pb.PutRequest(
+        channel_id=pinned.before.channel_id, epoch=pinned.before.epoch, puts=[run_of(b"stale", number=1)]
+    )
+    call: Any = ChannelServiceStub(connection).Put(iter((request,)), timeout=PATIENCE_SECONDS)
+    try:
+        acks = [ack async for response in call for ack in response.acks]
+    except grpc.aio.AioRpcError as error:
+        if not from_rpc_error(error, pinned.host.name).retryable:
+            raise
+        return False
+    return any(ack.HasField("first_seq") for ack in acks)
+
+
+async def _last_accepted(connection: grpc.aio.Channel, pinned: Pinned) -> float:
+    """Put under the old epoch until the host refuses; when the last one that it took was sent."""
+    last = sent = time.monotonic()
+    deadline = sent + 2 * LEASE_TTL_SECONDS
+    while await _accepted(connection, pinned):
+        last = sent
+        if last > deadline:
+            raise AssertionError(f"{pinned.host.name} serves {2 * LEASE_TTL_SECONDS} s after it was cut off")
+        await asyncio.sleep(RETRY_SECONDS)
+        sent = time.monotonic()
+    return last
+
+
+def _check_refused(pinned: Pinned, accepted: Sequence[bool]) -> None:
+    if any(accepted):
+        epoch = pinned.before.epoch
+        raise AssertionError(f"{pinned.host.name} took {sum(accepted)} puts under epoch {epoch}, which was over")
+
+
+FAULTS: dict[str, Fault] = {
+    "kill_host": kill_host,
+    "restart_host": restart_host,
+    "kill_all_hosts": kill_all_hosts,
+    "freeze_host": freeze_host,
+    "cut_off_host": cut_off_host,
+}

@@ -1,0 +1,176 @@
+"""Supernodes that come and go while faults go on, by the commands of the runbook."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+
+import grpc
+
+from stampede_rt.v1 import directory_service_pb2 as pb
+from tests.robustness.cluster import serves
+from tests.robustness.faults import cut
+from tests.robustness.placed_process import DidNotBite
+from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.robustness.supernode import Supernode
+
+REMOVED_SECONDS = 10.0
+PAUSE_SECONDS = 0.5
+
+
+async def grow_and_shrink(scene: Scene) -> None:
+    """A fourth joins and a follower is removed, while something goes wrong with another."""
+    began = time.monotonic()
+    troubled = scene.dice.choice(scene.cluster.supernodes)
+    async with _trouble(scene, troubled) as trouble:
+        newcomer = await _join(scene)
+        leader = await scene.cluster.leader()
+        leaver = next(one for one in scene.cluster.others(leader) if one not in (newcomer, troubled))
+        await _remove(scene, leaver)
+    recovery = await scene.recovery(began)
+    bite = await _listed(scene, newcomer, leaver)
+    scene.ended("membership: one joins, a follower is removed", began, recovery, bite=bite, note=f"beside {trouble}")
+
+
+async def remove_leader(scene: Scene) -> None:
+    """A fourth joins and the leader is removed: it hands over first."""
+    began = time.monotonic()
+    newcomer = await _join(scene)
+    leader = await scene.cluster.leader()
+    removed = time.monotonic()
+    await _remove(scene, leader)
+    recovery = await scene.recovery(removed)
+    bite = await _listed(scene, newcomer, leader)
+    kind = "membership: one joins, the leader is removed"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+
+
+async def replace_dead(scene: Scene) -> None:
+    """One dies with its disk; it is removed, and another joins under a new id, while something goes wrong meanwhile."""
+    _, dead, _ = await scene.leader_and_other()
+    began = time.monotonic()
+    await dead.kill()
+    recovery = await scene.recovery(began)
+    await _command(scene, "remove", dead.name)
+    await scene.cluster.forget(dead)
+    async with _trouble(scene, scene.dice.choice(scene.cluster.supernodes)) as trouble:
+        newcomer = await _join(scene)
+    bite = await _listed(scene, newcomer, dead)
+    kind = "membership: a dead one is replaced by one that joins"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=f"beside {trouble}")
+
+
+async def volunteer_leaves(scene: Scene) -> None:
+    """One that has joined is removed at once, before it has ever led, and another one later takes its place."""
+    began = time.monotonic()
+    newcomer = await _join(scene)
+    await _remove(scene, newcomer)
+    recovery = await scene.recovery(began)
+    bite = await _listed(scene, None, newcomer)
+    scene.ended("membership: a volunteer joins and leaves", began, recovery, bite=bite)
+
+
+async def _join(scene: Scene) -> Supernode:
+    """A newcomer is prepared, started, and let in. Raises TimeoutError."""
+    newcomer = scene.cluster.newcomer()
+    listen = ["--data-dir", str(newcomer.data_dir), "--listen", newcomer.address, "--id", newcomer.name]
+    await _command(scene, "join", *listen)
+    if not await newcomer.start():
+        raise TimeoutError(f"{newcomer.name} ended instead of joining: {newcomer.last_words()!r}")
+    scene.cluster.supernodes.append(newcomer)
+    await serves(newcomer, time.monotonic() + PATIENCE_SECONDS)
+    return newcomer
+
+
+async def _remove(scene: Scene, one: Supernode) -> None:
+    """It is removed, and ends by itself when it hears of it. Raises DidNotBite if it goes on."""
+    await _command(scene, "remove", one.name)
+    scene.cluster.supernodes.remove(one)
+    try:
+        async with asyncio.timeout(REMOVED_SECONDS):
+            await one.ended()
+    except TimeoutError:
+        raise DidNotBite(f"{one.name} was removed {REMOVED_SECONDS} s ago and still runs") from None
+    await scene.cluster.forget(one)
+
+
+async def _command(scene: Scene, verb: str, *words: str) -> None:
+    """`stampede supernode VERB`, again until it succeeds: it is refused while no majority serves."""
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    while True:
+        members = ",".join(one.address for one in scene.cluster.supernodes)
+        code, printed = await scene.cluster.command(verb, *words, "--member", members)
+        if code == 0:
+            return
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"stampede supernode {verb} {' '.join(words)}: {printed.strip()}")
+        await asyncio.sleep(PAUSE_SECONDS)
+
+
+async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -> str:
+    """All members name the newcomer, and none the leaver. Raises DidNotBite."""
+    wanted = {one.name for one in scene.cluster.supernodes}
+    assert newcomer is None or newcomer.name in wanted
+    assert leaver.name not in wanted
+    deadline = time.monotonic() + PATIENCE_SECONDS
+    for one in scene.cluster.supernodes:
+        seen: set[str] = set()
+        while seen != wanted:
+            if time.monotonic() > deadline:
+                raise DidNotBite(f"{one.name} takes {sorted(seen)} for the members, which are {sorted(wanted)}")
+            with contextlib.suppress(grpc.aio.AioRpcError):
+                listed = await one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=2)
+                seen = {record.supernode_id for record in listed.supernodes}
+            await asyncio.sleep(0.05)
+    came = f"{newcomer.name} came, " if newcomer is not None else ""
+    return f"{came}{leaver.name} went; all list {', '.join(sorted(wanted))}"
+
+
+@asynccontextmanager
+async def _trouble(scene: Scene, victim: Supernode) -> AsyncIterator[str]:
+    """Soon after the block began `victim` is killed, stopped or cut off for a moment; gives which."""
+    kinds: dict[str, Callable[[Scene, Supernode], Awaitable[None]]] = {
+        "kill -9": _kill_for_a_moment,
+        "SIGSTOP": _freeze_for_a_moment,
+        "a partition": _cut_off_for_a_moment,
+    }
+    kind = scene.dice.choice(sorted(kinds))
+
+    async def later() -> None:
+        await asyncio.sleep(scene.dice.uniform(0.0, 2.0))
+        await kinds[kind](scene, victim)
+
+    task = asyncio.create_task(later())
+    try:
+        yield f"{kind} of {victim.name}"
+    finally:
+        await task
+
+
+async def _kill_for_a_moment(_scene: Scene, victim: Supernode) -> None:
+    await victim.kill()
+    await victim.start()
+
+
+async def _freeze_for_a_moment(scene: Scene, victim: Supernode) -> None:
+    await victim.freeze()
+    await asyncio.sleep(scene.dice.uniform(1.0, 3.0))
+    victim.thaw()
+
+
+async def _cut_off_for_a_moment(scene: Scene, victim: Supernode) -> None:
+    others = [one.place for one in scene.cluster.others(victim)]
+    pairs = [(victim.place, other) for other in others] + [(other, victim.place) for other in others]
+    async with cut(scene, pairs):
+        await asyncio.sleep(scene.dice.uniform(1.0, 3.0))
+
+
+FAULTS: dict[str, Fault] = {
+    "grow_and_shrink": grow_and_shrink,
+    "remove_leader": remove_leader,
+    "replace_dead": replace_dead,
+    "volunteer_leaves": volunteer_leaves,
+}

@@ -1,0 +1,203 @@
+"""What is no call of ours at every port: random bytes, pickles, HTTP/1, half TLS hellos, giant frames and messages."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import pickle
+import socket
+import ssl
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import grpc
+
+from stampede_rt.tls import TlsFiles
+from stampede_rt.v1 import (
+    channel_service_pb2,
+    directory_service_pb2,
+    frontend_service_pb2,
+    gatekeeper_service_pb2,
+    membership_service_pb2,
+    raft_service_pb2,
+)
+from stampede_rt_runtime.identity import Role
+from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+
+PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+SETTINGS = bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+HTTP1 = b"GET / HTTP/1.1\r\nHost: stampede\r\nContent-Length: 1000000000\r\n\r\n" + b"a" * 4096
+RANDOM_PAYLOADS, RANDOM_BYTES = 8, 3000
+HALF_HELLOS = 40
+GIANT_MESSAGE_BYTES = 64 * 2**20
+FRAME_BYTES_MAX = 2**24 - 1
+MEMORY_BYTES_MAX = 96 * 2**20  # the limit for one message is 20 MiB, and several may be under way
+SERVICES = (
+    channel_service_pb2,
+    directory_service_pb2,
+    frontend_service_pb2,
+    gatekeeper_service_pb2,
+    membership_service_pb2,
+    raft_service_pb2,
+)
+
+
+class _Trap:
+    """Unpickled, it leaves a file behind."""
+
+    def __init__(self, canary: Path) -> None:
+        self._canary = canary
+
+    def __reduce__(self) -> tuple[object, tuple[list[str]]]:
+        return subprocess.check_call, (["touch", str(self._canary)],)
+
+
+async def noise(scene: Scene) -> None:
+    """All of it at every port, in the clear and, where there are certificates, within TLS, too."""
+    began = time.monotonic()
+    canary = scene.folder / "canary"
+    trap = pickle.dumps(_Trap(canary))
+    insider = scene.cluster.caller_files(Role.SUPERNODE, scene.cluster.supernodes[0].name)
+    payloads = [trap, HTTP1, *(scene.dice.randbytes(RANDOM_BYTES) for _ in range(RANDOM_PAYLOADS))]
+    payloads += [PREFACE + payload for payload in payloads] + [giant_frame(), giant_message()]
+    victims = scene.cluster.processes()
+    before = {one.name: _memory_from_now(one) for one in victims}
+    refused = 0
+    for one in victims:
+        with half_hellos(one):
+            refused += await asyncio.to_thread(_send_all, one, payloads, insider)
+            for payload in (trap, scene.dice.randbytes(2000), b"\0" * GIANT_MESSAGE_BYTES):
+                refused += await _send_as_messages(one, payload, insider)
+    recovery = await scene.recovery(began)
+    _check_unharmed(victims, canary)
+    grown = {one.name: one.memory_peak_bytes() - before[one.name] for one in victims}
+    worst = max(grown, key=lambda name: grown[name])
+    if grown[worst] > MEMORY_BYTES_MAX:
+        raise AssertionError(f"{worst} grew by {grown[worst] / 2**20:.0f} MiB for noise")
+    bite = f"{refused} connections and calls were refused at {len(victims)} ports"
+    note = f"the memory of {worst} grew most, by {grown[worst] / 2**20:.0f} MiB"
+    kind = "noise at every port: random bytes, pickles, HTTP/1, half TLS hellos, giant frames"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=note)
+
+
+def _memory_from_now(one: PlacedProcess) -> int:
+    one.forget_memory_peak()
+    return one.memory_peak_bytes()
+
+
+def _check_unharmed(victims: Sequence[PlacedProcess], canary: Path) -> None:
+    """Raises AssertionError."""
+    if canary.exists():
+        raise AssertionError("a pickle that came from the network was loaded")
+    for one in victims:
+        if not one.running:
+            raise AssertionError(f"{one.name} ended because of what came from the network: {one.last_words()!r}")
+
+
+def giant_frame() -> bytes:
+    """An HTTP/2 DATA frame of the greatest length that its header can name, most of it really sent."""
+    header = FRAME_BYTES_MAX.to_bytes(3, "big") + bytes((0, 0)) + (1).to_bytes(4, "big")
+    return PREFACE + SETTINGS + header + b"\0" * (4 * 2**20)
+
+
+def giant_message() -> bytes:
+    """A frame that opens a stream with headers that go on and on (CONTINUATION frames without an end)."""
+
+    def frame(kind: int, payload: bytes) -> bytes:
+        return len(payload).to_bytes(3, "big") + bytes((kind, 0)) + (1).to_bytes(4, "big") + payload
+
+    return PREFACE + SETTINGS + frame(1, b"\x82\x86") + b"".join(frame(9, b"\0" * 16384) for _ in range(256))
+
+
+@contextlib.contextmanager
+def half_hellos(one: PlacedProcess) -> Iterator[None]:
+    """While entered, callers have said half of a TLS hello, and nothing since. Raises DidNotBite if none was let in."""
+    outgoing = ssl.MemoryBIO()
+    hello = ssl.create_default_context().wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="stampede")
+    with contextlib.suppress(ssl.SSLWantReadError):
+        hello.do_handshake()
+    half = outgoing.read()[:100]
+    with contextlib.ExitStack() as stack:
+        for _ in range(HALF_HELLOS):
+            address = (one.place.address, one.port)
+            connection = stack.enter_context(socket.create_connection(address, timeout=5))
+            connection.sendall(half)
+        yield
+
+
+def _send_all(one: PlacedProcess, payloads: Sequence[bytes], insider: TlsFiles | None) -> int:
+    """Returns how many connections the service ended. Raises DidNotBite if it ended none."""
+    contexts: list[ssl.SSLContext | None] = [None] if insider is None else [None, tls_context(insider)]
+    ended = sum(_send(one, payload, context) for payload in payloads for context in contexts)
+    if not ended:
+        raise DidNotBite(f"{one.name} hung up on none of {len(payloads)} connections full of noise")
+    return ended
+
+
+def tls_context(files: TlsFiles) -> ssl.SSLContext:
+    """A caller's side of TLS with these files."""
+    ca, certificate, key = map(str, files.paths())
+    context = ssl.create_default_context(cafile=ca)
+    context.load_cert_chain(certificate, key)
+    context.set_alpn_protocols(["h2"])
+    return context
+
+
+def _send(one: PlacedProcess, payload: bytes, context: ssl.SSLContext | None) -> bool:
+    """Whether the service hung up within a moment."""
+    plain = socket.create_connection((one.place.address, one.port), timeout=5)
+    try:
+        with plain, _wrapped(plain, one, context) as connection:
+            connection.settimeout(0.2)
+            connection.sendall(payload)
+            while connection.recv(65536):
+                pass
+    except TimeoutError:
+        return False  # it waits for the rest; hanging up is left to us
+    except OSError:
+        return True
+    return True
+
+
+def _wrapped(plain: socket.socket, one: PlacedProcess, context: ssl.SSLContext | None) -> socket.socket:
+    return plain if context is None else context.wrap_socket(plain, server_hostname=one.place.address)
+
+
+async def _send_as_messages(one: PlacedProcess, payload: bytes, insider: TlsFiles | None) -> int:
+    """The payload as the message of every method there is; returns how many calls were refused."""
+    options = [("grpc.max_send_message_length", 2 * GIANT_MESSAGE_BYTES)]
+    methods = [
+        f"/{service.full_name}/{method.name}"
+        for module in SERVICES
+        for service in module.DESCRIPTOR.services_by_name.values()
+        for method in service.methods
+    ]
+    if len(payload) == GIANT_MESSAGE_BYTES:
+        methods = methods[:: len(methods) // 3]  # one will do for each port, and more cost time
+    async with _unlimited(one, insider, options) as channel:
+        return sum([await _refused(channel, method, payload) for method in methods])
+
+
+def _unlimited(one: PlacedProcess, insider: TlsFiles | None, options: Any) -> grpc.aio.Channel:
+    """A connection that sends what the product's own would not."""
+    if insider is None:
+        return grpc.aio.insecure_channel(one.address, options=options)
+    ca, certificate, key = (path.read_bytes() for path in insider.paths())
+    return grpc.aio.secure_channel(one.address, grpc.ssl_channel_credentials(ca, key, certificate), options=options)
+
+
+async def _refused(channel: Any, method: str, payload: bytes) -> bool:
+    call = channel.stream_stream(method)(iter([payload]), timeout=0.3 if len(payload) < 2**20 else 5)
+    try:
+        async for _ in call:
+            pass
+    except grpc.aio.AioRpcError:
+        return True  # any refusal will do; what counts is checked by the caller
+    return False
+
+
+FAULTS: dict[str, Fault] = {"noise": noise}

@@ -1,0 +1,168 @@
+"""A service process in a namespace of its own, everything that can be done to it, and how one sees that it was done."""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from stampede_rt.tls import TlsFiles
+from tests.robustness.network import Place
+from tests.robustness.service_process import CLOCK_FILE
+from tests.unit.supernode.processes import clean_environment
+
+READY_SECONDS = 30.0
+SEEN_SECONDS = 2.0
+
+
+class DidNotBite(AssertionError):
+    """A fault was injected and its effect was not seen: the campaign would prove nothing by it."""
+
+
+class PlacedProcess:
+    """Its place, folder and address stay; the process comes and goes. What is run is the service in `package`."""
+
+    package = ""
+
+    def __init__(self, name: str, place: Place, folder: Path, port: int, tls: TlsFiles | None) -> None:
+        self.name, self.place, self.folder, self.port, self.tls = name, place, folder, port, tls
+        self.address = f"{place.address}:{port}"
+        self.data_dir = folder / name
+        self.log_file = folder / f"{name}.log"
+        self.clock_file = folder / f"{name}.clock"
+        self.clock_file.write_text("0")
+        self._process: asyncio.subprocess.Process | None = None
+        self._launched = 0.0
+        self.start_seconds = 0.0  # of the last start, from the launch to the ready line
+
+    def flags(self) -> Sequence[str]:
+        """What the service is told beside where it listens."""
+        raise NotImplementedError
+
+    def listen_flags(self) -> list[str]:
+        """Where it listens, and with what."""
+        if self.tls is None:
+            return ["--listen", self.address, "--allow-insecure-anywhere"]
+        return ["--listen", self.address, *self.tls_flags()]
+
+    def tls_flags(self) -> list[str]:
+        """Its certificates, if the cluster has any."""
+        if self.tls is None:
+            return []
+        ca, certificate, key = map(str, self.tls.paths())
+        return ["--tls-ca", ca, "--tls-certificate", certificate, "--tls-key", key]
+
+    def environment(self) -> dict[str, str]:
+        """What the process finds in its environment."""
+        return clean_environment() | {CLOCK_FILE: str(self.clock_file)}
+
+    async def launch(self) -> None:
+        """Start the process and do not wait for it."""
+        module = "tests.robustness.service_process"
+        words = [sys.executable, "-m", module, self.package, *self.flags(), "--log-level", "warning"]
+        self._launched = time.monotonic()
+        with self.log_file.open("ab") as log:
+            self._process = await asyncio.create_subprocess_exec(
+                *self.place.command(*words), stdout=subprocess.PIPE, stderr=log, env=self.environment()
+            )
+
+    async def start(self) -> bool:
+        """Start it and wait until it says that it is ready; False if it ended instead."""
+        await self.launch()
+        return await self.said_ready()
+
+    async def said_ready(self) -> bool:
+        """Wait for the ready line of a launched process; False if it ended instead."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        async with asyncio.timeout(READY_SECONDS):
+            ready = bool(await self._process.stdout.readline())
+        self.start_seconds = time.monotonic() - self._launched
+        return ready
+
+    @property
+    def pid(self) -> int:
+        assert self._process is not None
+        return self._process.pid
+
+    @property
+    def running(self) -> bool:
+        return self._process is not None and self._process.returncode is None
+
+    def signal(self, number: signal.Signals) -> None:
+        """Send it a signal, if it still runs."""
+        if self.running:
+            assert self._process is not None
+            self._process.send_signal(number)
+
+    async def ended(self) -> int:
+        """Wait for its end; returns the exit code."""
+        assert self._process is not None
+        return await self._process.wait()
+
+    async def kill(self) -> None:
+        """kill -9, and wait until it is gone. Raises DidNotBite if it had ended by itself."""
+        self.signal(signal.SIGKILL)
+        if self._process is not None and await self.ended() != -signal.SIGKILL:
+            raise DidNotBite(f"{self.name} had ended before it was killed: {self.last_words()!r}")
+
+    async def freeze(self) -> None:
+        """SIGSTOP; returns when the kernel shows it as stopped. Raises DidNotBite if it never does."""
+        self.signal(signal.SIGSTOP)
+        deadline = time.monotonic() + SEEN_SECONDS
+        while self.kernel_state() != "T":
+            if time.monotonic() > deadline:
+                raise DidNotBite(f"{self.name} is in state {self.kernel_state()} after SIGSTOP")
+            await asyncio.sleep(0.01)
+
+    def thaw(self) -> None:
+        """SIGCONT."""
+        self.signal(signal.SIGCONT)
+
+    def kernel_state(self) -> str:
+        """The state letter of proc(5)."""
+        return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+    def last_words(self) -> str:
+        """The last line that it logged, without the name of its folder."""
+        lines = self.log_file.read_text(errors="replace").splitlines() if self.log_file.exists() else []
+        return lines[-1].replace(f"{self.data_dir}/", "") if lines else ""
+
+    def limit_descriptors(self, spare: int | None) -> int:
+        """Leave it `spare` file descriptors more than it has open; None: as many as this process may have.
+
+        Returns the limit.
+        """
+        _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        soft = hard if spare is None else self.descriptors() + spare
+        resource.prlimit(self.pid, resource.RLIMIT_NOFILE, (soft, hard))
+        return soft
+
+    def descriptors(self) -> int:
+        """How many file descriptors it has open."""
+        return len(list(Path(f"/proc/{self.pid}/fd").iterdir()))
+
+    def step_wall_clock(self, seconds: float) -> None:
+        """Its wall clock is off by so much from now on (see `service_process`)."""
+        self.clock_file.write_text(f"{int(seconds * 1e9)}".ljust(31))
+
+    def forget_memory_peak(self) -> None:
+        """`memory_peak_bytes` counts from now on (proc(5), clear_refs)."""
+        Path(f"/proc/{self.pid}/clear_refs").write_text("5")
+
+    def memory_peak_bytes(self) -> int:
+        """The most memory that it had resident at once."""
+        status = Path(f"/proc/{self.pid}/status").read_text()
+        return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) * 1024
+
+    async def close(self) -> None:
+        """Nothing of it runs any more."""
+        self.thaw()
+        self.signal(signal.SIGKILL)
+        if self._process is not None:
+            await self.ended()

@@ -1,0 +1,111 @@
+"""Measures when the directory serves, and whether this process was itself kept from looking."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable, Sequence
+
+import grpc
+
+from stampede_rt.v1 import directory_pb2
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime.identity import Role
+from tests.robustness.cluster import Cluster, request_id
+from tests.robustness.supernode import Supernode
+
+PROBE_HOST = "robust-probe"
+PROBE_NAMES = 50
+
+Write = Callable[[Supernode, float], Awaitable[None]]
+
+
+async def register_probe_host(node: Supernode, patience_s: float) -> None:
+    """A write as a host: always a log entry. Its host is offered to the directory as an owner of channels."""
+    request = pb.RegisterHostRequest(
+        request_id=request_id(),
+        host_id=b"p" * 16,
+        name=PROBE_HOST,
+        gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
+        boot_incarnation=1,
+    )
+    await node.stub_for(Role.HOST, PROBE_HOST).RegisterHost(request, timeout=patience_s)
+
+
+class ChannelWrites:
+    """A write as a client, for clusters where every host must be a real one: a channel is made, and forgotten."""
+
+    def __init__(self) -> None:
+        self._turn = 0
+
+    async def __call__(self, node: Supernode, patience_s: float) -> None:
+        self._turn += 1
+        name = f"robust-probe/{self._turn % PROBE_NAMES}"
+        opened = await node.stub.OpenChannel(
+            pb.OpenChannelRequest(request_id=request_id(), name=name, create=True), timeout=patience_s
+        )
+        forget = pb.DeleteChannelRequest(request_id=request_id(), channel_id=opened.channel.channel_id)
+        with contextlib.suppress(grpc.aio.AioRpcError):  # it was served: what is left over is found by the next turn
+            await node.stub.DeleteChannel(forget, timeout=patience_s)
+
+
+class Probe:
+    """Sends a write every so often, at each supernode in turn, never waiting for the one before.
+
+    `served`: (invoked, answered) of those that were acknowledged. `stalled_s`: the longest that this process came late
+    to its own turn, which is how far its figures may be too high for want of a processor.
+    """
+
+    def __init__(self, cluster: Cluster, write: Write, *, every_s: float = 0.1, patience_s: float = 6.0) -> None:
+        self._cluster, self._write, self._every_s, self._patience_s = cluster, write, every_s, patience_s
+        self.served: list[tuple[float, float]] = []
+        self.stalled_s = 0.0
+        self._news = asyncio.Condition()
+
+    async def run(self) -> None:
+        """Probe until cancelled."""
+        pending: set[asyncio.Task[None]] = set()
+        turn = 0
+        try:
+            while True:
+                node, turn = self._cluster.supernodes[turn % len(self._cluster.supernodes)], turn + 1
+                pending.add(task := asyncio.create_task(self.write(node)))
+                task.add_done_callback(pending.discard)
+                due = time.monotonic() + self._every_s
+                await asyncio.sleep(self._every_s)
+                self.stalled_s = max(self.stalled_s, time.monotonic() - due)
+        finally:
+            for task in pending:
+                task.cancel()
+
+    async def write(self, node: Supernode) -> None:
+        """One write, whose acknowledgement counts as service."""
+        invoked = time.monotonic()
+        try:
+            await self._write(node, self._patience_s)
+        except grpc.aio.AioRpcError:
+            return
+        self.served.append((invoked, time.monotonic()))
+        async with self._news:
+            self._news.notify_all()
+
+    async def serves_after(self, moment: float, *, seconds: float) -> float:
+        """How long after `moment` a write begun after it was first acknowledged. Raises TimeoutError."""
+        async with asyncio.timeout(seconds), self._news:
+            await self._news.wait_for(lambda: any(invoked >= moment for invoked, _ in self.served[-200:]))
+        return min(answered for invoked, answered in self.served if invoked >= moment) - moment
+
+
+async def with_background(work: Sequence[Awaitable[None]], body: Callable[[], Awaitable[None]]) -> None:
+    """Run `body` beside endless `work`; a failure in either ends both and is raised."""
+    tasks = [asyncio.ensure_future(one) for one in work]
+    main = asyncio.ensure_future(body())
+    try:
+        done, _ = await asyncio.wait([main, *tasks], return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in (main, *tasks):
+            task.cancel()
+        await asyncio.gather(main, *tasks, return_exceptions=True)

@@ -1,0 +1,123 @@
+"""Certificates that are renewed while they are used, and callers without the right one, in a cluster that has them."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import socket
+import ssl
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from stampede_rt.tls import TlsFiles
+from stampede_rt_runtime.identity import Role
+from tests.robustness.certificates import Certificates
+from tests.robustness.noise import tls_context
+from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+
+SEEN_SECONDS = 15.0
+KIND_REFUSED = "callers with a foreign, an expired and no certificate"
+
+
+async def rotate(scene: Scene) -> None:
+    """A new authority takes over, every certificate is issued anew, the former authority is forgotten."""
+    certificates = _certificates(scene)
+    victims = scene.cluster.processes()
+    began = time.monotonic()
+    former = _copied(certificates.files(Role.CLIENT, "stranger"), scene.folder / "former")
+    certificates.take_over()
+    newcomer = certificates.files(Role.CLIENT, f"newcomer-{int(began)}")
+    await _each(victims, lambda one: accepts(one, newcomer), "trusts the new authority")
+    certificates.renew()
+    await _each(victims, lambda one: _shows_own(one, newcomer), "shows its new certificate")
+    certificates.forget_former()
+    late = TlsFiles(ca=certificates.ca, certificate=former.certificate, key=former.key)
+    await _each(victims, lambda one: not accepts(one, late), "refuses the former authority's")
+    recovery = await scene.recovery(time.monotonic())
+    bite = f"all {len(victims)} services show new certificates and refuse the former"
+    kind = "rotation of all certificates and of the authority"
+    shutil.rmtree(scene.folder / "former")
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+
+
+async def strangers(scene: Scene) -> None:
+    """Each is refused at every port, while the same call with the right certificate is let in."""
+    certificates = _certificates(scene)
+    began = time.monotonic()
+    right = certificates.files(Role.CLIENT, "stranger")
+    elsewhere = scene.folder / "foreign"
+    wrong = {
+        "foreign": certificates.foreign(Role.CLIENT, "stranger", elsewhere),
+        "expired": certificates.expired(Role.CLIENT, "stranger"),
+        "no": None,
+    }
+    refused = 0
+    for one in scene.cluster.processes():
+        if not await asyncio.to_thread(accepts, one, right):
+            raise DidNotBite(f"{one.name} refuses the right certificate, so that a refusal says nothing")
+        for kind, files in wrong.items():
+            if await asyncio.to_thread(accepts, one, files, certificates.ca):
+                raise AssertionError(f"{one.name} lets in a caller with {kind} certificate")
+            refused += 1
+    shutil.rmtree(elsewhere)
+    recovery = await scene.recovery(began)
+    bite = f"{refused} of {refused} callers were refused, and the right one was let in everywhere"
+    scene.ended(KIND_REFUSED, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+
+
+def _certificates(scene: Scene) -> Certificates:
+    assert scene.cluster.certificates is not None, "this fault is for clusters with certificates"
+    return scene.cluster.certificates
+
+
+def _copied(files: TlsFiles, folder: Path) -> TlsFiles:
+    """The same under names that no rotation touches."""
+    folder.mkdir()
+    ca, certificate, key = (shutil.copy(path, folder) for path in files.paths())
+    return TlsFiles(ca=ca, certificate=certificate, key=key)
+
+
+async def _each(victims: list[PlacedProcess], holds: Callable[[PlacedProcess], bool], what: str) -> None:
+    """Wait until it holds for every service. Raises DidNotBite."""
+    deadline = time.monotonic() + SEEN_SECONDS
+    for one in victims:
+        while not await asyncio.to_thread(holds, one):
+            if time.monotonic() > deadline:
+                raise DidNotBite(f"not so {SEEN_SECONDS} s after the change: {one.name} {what}")
+            await asyncio.sleep(0.1)
+
+
+def accepts(one: PlacedProcess, files: TlsFiles | None, ca: Path | None = None) -> bool:
+    """Whether a service that is called now lets this caller in; without files: one that has no certificate at all."""
+    if files is not None:
+        context = tls_context(files)
+    else:
+        context = ssl.create_default_context(cafile=str(ca))
+        context.set_alpn_protocols(["h2"])
+    try:
+        with _connected(one, context) as connection:
+            return connection.recv(1) != b""  # with TLS 1.3 it says no after the handshake only
+    except (ssl.SSLError, ConnectionError):
+        return False
+
+
+def _shows_own(one: PlacedProcess, caller: TlsFiles) -> bool:
+    assert one.tls is not None
+    with _connected(one, tls_context(caller)) as connection:
+        shown = connection.getpeercert(binary_form=True)
+    own = one.tls.paths()[1].read_text().strip()
+    return shown is not None and ssl.DER_cert_to_PEM_cert(shown).strip() == own
+
+
+def _connected(one: PlacedProcess, context: ssl.SSLContext) -> ssl.SSLSocket:
+    plain = socket.create_connection((one.place.address, one.port), timeout=5)
+    try:
+        return context.wrap_socket(plain, server_hostname=one.place.address)
+    except BaseException:
+        plain.close()
+        raise
+
+
+FAULTS: dict[str, Fault] = {"rotate": rotate, "strangers": strangers}

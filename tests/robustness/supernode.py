@@ -1,0 +1,151 @@
+"""One supernode under test: its store on a disk that can be filled, stubs to call it as this or that participant."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import grpc
+
+from stampede_rt.tls import TlsFiles, TlsReader
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
+from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME
+from tests.robustness.network import Place
+from tests.robustness.placed_process import PlacedProcess
+from tests.robustness.service_process import SNAPSHOT_EVERY
+
+PORT, INNER_PORT = 7590, 7591
+SNAPSHOT_ENTRIES = 400
+LEASE_TTL_SECONDS = 2
+SMALL_DISK = "size=48m"
+
+CallerFiles = Callable[[Role, str], TlsFiles | None]
+
+
+class Supernode(PlacedProcess):
+    """One supernode. `members`: the founders, for one of them; empty for one that joined. `callers`: the certificates
+    of those who call it."""
+
+    package = "stampede_rt_supernode"
+
+    def __init__(
+        self,
+        name: str,
+        place: Place,
+        folder: Path,
+        *,
+        members: str,
+        tls: TlsFiles | None,
+        callers: CallerFiles,
+        relayed: bool = False,
+    ) -> None:
+        super().__init__(name, place, folder, PORT, tls)
+        self._members, self._callers, self._relayed = members, callers, relayed
+        self._relay: asyncio.subprocess.Process | None = None
+        self._channels: dict[tuple[Role, str], grpc.aio.Channel] = {}
+        self._stubs: dict[tuple[Role, str], Any] = {}
+        self.has_small_disk = False
+
+    def flags(self) -> Sequence[str]:
+        """As a founder or as one that joined; the latter finds the rest in its folder."""
+        founding = ["--id", self.name, "--members", self._members] if self._members else []
+        listen = ["--listen", f"localhost:{INNER_PORT}", *self.tls_flags()] if self._relayed else self.listen_flags()
+        return [*founding, "--data-dir", str(self.data_dir), "--lease-ttl", f"{LEASE_TTL_SECONDS}s", *listen]
+
+    def environment(self) -> dict[str, str]:
+        """With an early compaction."""
+        return super().environment() | {SNAPSHOT_EVERY: str(SNAPSHOT_ENTRIES)}
+
+    async def start(self) -> bool:
+        """Start it, behind its relay if it has one."""
+        if self._relayed and self._relay is None:
+            await self._start_relay()
+        return await super().start()
+
+    def channel(self, role: Role = Role.CLIENT, name: str = "caller") -> grpc.aio.Channel:
+        """A connection as that participant; kept."""
+        if (role, name) not in self._channels:
+            files = self._callers(role, name)
+            reader = None if files is None else TlsReader(files)
+            self._channels[role, name] = dial(self.address, secret=None, tls=reader)
+        return self._channels[role, name]
+
+    def stub_for(self, role: Role, name: str) -> Any:
+        """The directory's service, called by that participant."""
+        if (role, name) not in self._stubs:
+            self._stubs[role, name] = directory_service_pb2_grpc.DirectoryServiceStub(self.channel(role, name))
+        return self._stubs[role, name]
+
+    @property
+    def stub(self) -> Any:
+        """The directory's service, called by a client."""
+        return self.stub_for(Role.CLIENT, "caller")
+
+    async def members_seen(self) -> tuple[str | None, int]:
+        """Whom it takes for the leader, and how far it has applied. Raises AioRpcError."""
+        listed = await self.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=1)
+        leaders = [one.supernode_id for one in listed.supernodes if one.is_leader]
+        return (leaders[0] if leaders else None), listed.applied_index
+
+    async def wall_clock_nanos(self) -> int:
+        """What it says the time is."""
+        return int((await self.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).time_unix_nano)
+
+    def mount_small_disk(self) -> None:
+        """Give it a file system of its own, small enough to be filled, before its first start."""
+        self.data_dir.mkdir(parents=True, exist_ok=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", SMALL_DISK, "robustness", str(self.data_dir)], check=True)
+        self.has_small_disk = True
+
+    def first_index_kept(self) -> int:
+        """The first position that its log still has; what came before is in the snapshot only.
+
+        Read from a copy: the process has its store to itself.
+        """
+        with tempfile.TemporaryDirectory(dir=self.folder) as copy:
+            for file in self.data_dir.glob(f"{DATABASE_NAME}*"):
+                shutil.copy(file, copy)
+            with closing(sqlite3.connect(Path(copy, DATABASE_NAME))) as store:
+                return int(store.execute("SELECT min(log_index) FROM entry").fetchone()[0])
+
+    async def _start_relay(self) -> None:
+        command = [sys.executable, "-m", "tests.robustness.relay", self.address, f"localhost:{INNER_PORT}"]
+        self._relay = await asyncio.create_subprocess_exec(
+            *self.place.command(*command), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        assert self._relay.stdout is not None
+        await self._relay.stdout.readline()
+
+    async def set_weather(self, *figures: float) -> list[int]:
+        """What the relay before it does from now on, and what it did before, see `relay`."""
+        assert self._relay is not None
+        assert self._relay.stdin is not None
+        assert self._relay.stdout is not None
+        self._relay.stdin.write((" ".join(map(str, figures)) + "\n").encode())
+        return [int(word) for word in (await self._relay.stdout.readline()).split()]
+
+    async def close(self) -> None:
+        """Nothing of it runs any more, and its disk is gone."""
+        for channel in self._channels.values():
+            await channel.close()
+        await super().close()
+        if self._relay is not None and self._relay.returncode is None:
+            self._relay.kill()
+            await self._relay.wait()
+        self._unmount()
+
+    def _unmount(self) -> None:
+        if self.has_small_disk:
+            self.has_small_disk = False
+            subprocess.run(["umount", "--lazy", str(self.data_dir)], check=True)

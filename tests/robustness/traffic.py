@@ -1,0 +1,101 @@
+"""Clients of the product that put and read items at real channel hosts, and take down what they were told."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_runtime.identity import Role
+from tests.robustness.cluster import Cluster
+from tests.robustness.histories.operations import Recorder
+from tests.robustness.histories.ownership_model import Accepted, Found, Listed, Newest, Put, ReadAll
+
+CLIENT = "traffic"
+NAMES_AT_ONCE, NAMES_CHANGE_SECONDS = 3, 10.0
+PAUSE_SECONDS = 0.05
+KEPT_SECONDS = "1h"  # longer than any campaign: nothing is collected
+ITEMS_MAX = 1_000_000
+
+
+class Traffic:
+    """One connection, several workers on it. Enter it as a context manager before `run`."""
+
+    def __init__(self, cluster: Cluster, recorder: Recorder, seed: int) -> None:
+        self._cluster, self.recorder = cluster, recorder
+        self._dice = random.Random(f"traffic-{seed}")
+        self._numbers = 0
+        self._handles: dict[str, aio.Channel] = {}
+        self._rt: aio.Connection | None = None
+        self.failed = 0  # calls that ended with an error, whose outcome is open
+
+    async def __aenter__(self) -> Traffic:
+        assert self._cluster.frontend is not None
+        files = self._cluster.caller_files(Role.CLIENT, CLIENT)
+        self._rt = await aio.connect(self._cluster.frontend.address, tls=files).__aenter__()
+        return self
+
+    async def __aexit__(self, *exc_info: object) -> None:
+        await self.rt.aclose()
+
+    @property
+    def rt(self) -> aio.Connection:
+        """The connection."""
+        assert self._rt is not None, "enter the traffic first"
+        return self._rt
+
+    async def run(self, began: float) -> None:
+        """Put and read until cancelled: channels come and go, and a few are in use at a time."""
+        while True:
+            age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
+            await self.once(f"robust-data/{age}-{self._dice.randrange(NAMES_AT_ONCE)}")
+            await asyncio.sleep(self._dice.uniform(0, 2 * PAUSE_SECONDS))
+
+    async def once(self, name: str) -> None:
+        """One random call about one channel, taken down."""
+        chance = self._dice.random()
+        try:
+            channel = await self.open(name)
+            if chance < 0.6:
+                await self.put(channel)
+            elif chance < 0.95:
+                await self.newest(channel)
+            else:
+                await self.read_all(channel)
+        except st.StampedeError:
+            self.failed += 1
+
+    async def open(self, name: str, host: str | None = None) -> aio.Channel:
+        """The channel, made if it is not there. Raises StampedeError."""
+        if name not in self._handles:
+            kept = {"max_age": KEPT_SECONDS, "max_items": ITEMS_MAX}
+            self._handles[name] = await self.rt.channel(name, host=host, **kept)  # type: ignore[arg-type]
+        return self._handles[name]
+
+    async def put(self, channel: aio.Channel) -> st.Item:
+        """Put one item that nobody else puts. Raises StampedeError."""
+        self._numbers += 1
+        call, invoked = Put(f"{self._numbers}".encode()), time.monotonic()
+        try:
+            item = await channel.put(call.payload)
+        except BaseException:
+            self.recorder.ambiguous(channel.name, call, invoked)
+            raise
+        self.recorder.done(channel.name, call, invoked, Accepted(item.incarnation, item.seq))
+        return item
+
+    async def newest(self, channel: aio.Channel) -> None:
+        """Ask for the newest item. Raises StampedeError."""
+        invoked = time.monotonic()
+        items = await channel.get(st.OLDEST, st.NEWEST, newest_first=True, limit=1, payloads=False)
+        seq = items[0].seq if items else 0
+        self.recorder.done(channel.name, Newest(), invoked, Found(items.incarnation, seq))
+
+    async def read_all(self, channel: aio.Channel) -> None:
+        """Ask for all items. Raises StampedeError."""
+        invoked = time.monotonic()
+        items = await channel.get(st.OLDEST, st.NEWEST)
+        listed = tuple((item.seq, item.payload or b"") for item in items)
+        self.recorder.done(channel.name, ReadAll(), invoked, Listed(items.incarnation, listed))
