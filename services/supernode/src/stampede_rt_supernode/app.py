@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import sys
 from collections.abc import AsyncIterator, Coroutine, Sequence
 from dataclasses import dataclass
@@ -56,6 +57,7 @@ async def serve(settings: SupernodeSettings) -> None:
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
     async with _open_log(settings, founding, server, credentials) as (log, replica):
+        _tune_garbage_collection()
         parts = _assemble(settings, founding, log, replica, credentials)
         _register(parts, server.grpc)
         await server.start()
@@ -72,6 +74,16 @@ async def serve(settings: SupernodeSettings) -> None:
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)
+
+
+def _tune_garbage_collection() -> None:
+    """Records are freed by their last reference; only what refers in circles needs the collector.
+
+    With Python's defaults it walks over every record of the directory time and again: 200 ms at a stretch for 100,000
+    channels, as measured, during which no thread runs.
+    """
+    gc.freeze()
+    gc.set_threshold(5_000, 5, 1_000)
 
 
 @dataclass(frozen=True, kw_only=True)
