@@ -1,4 +1,4 @@
-"""`stampede bench paper`: measures what the paper measured, prints tables, draws charts."""
+"""`stampede bench`: the paper's figures as tables and charts; our match beside the synchroniser of ROS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
+from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost
 from stampede_rt_bench.tables import Table
@@ -26,10 +28,19 @@ FIGURES: dict[str, tuple[str, Figure]] = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmarks. Returns the exit code: 0, 1 if charts cannot be written, 130 after Ctrl-C."""
     arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
+    run: Callable[[argparse.Namespace], int] = arguments.run
+    try:
+        return run(arguments)
+    except KeyboardInterrupt:
+        print("\nstampede bench: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _paper(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
+    effort = Effort(items_max=arguments.items_max, runs=arguments.runs)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        effort = Effort(items_max=arguments.items_max, runs=arguments.runs)
         for name in arguments.figure or FIGURES:
             title, measure = FIGURES[name]
             print(f"\n{title[0].upper()}{title[1:]}", flush=True)
@@ -40,16 +51,28 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return EXIT_FAILED
-    except KeyboardInterrupt:
-        print("\nstampede bench: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+    return 0
+
+
+def _matching(arguments: argparse.Namespace) -> int:
+    compare(arguments.seconds, arguments.seed).print()
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    listing = "\n".join(f"  {name:<10}{title}" for name, (title, _) in FIGURES.items())
     parser = argparse.ArgumentParser(prog="stampede bench", description="Benchmarks, with their peers beside them.")
     kinds = parser.add_subparsers(dest="kind", metavar="NAME", required=True)
+    _add_paper(kinds)
+    text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
+    matching = kinds.add_parser("matching", help=text, description=text)
+    matching.add_argument("--seconds", type=_between(15, 3600), default=60, help="of each recording (default: 60)")
+    matching.add_argument("--seed", type=_between(0, 2**31), default=1, help="of the recordings (default: 1)")
+    matching.set_defaults(run=_matching)
+    return parser
+
+
+def _add_paper(kinds: Any) -> None:
+    listing = "\n".join(f"  {name:<10}{title}" for name, (title, _) in FIGURES.items())
     paper = kinds.add_parser(
         "paper",
         description=f"The figures of the paper, measured on this machine:\n\n{listing}",
@@ -65,12 +88,12 @@ def _parser() -> argparse.ArgumentParser:
         help="the largest channel (default: 10,000,000, which takes 4 GiB and some minutes)",
     )
     paper.add_argument(
-        "--runs", type=_between(1, RUNS_MAX), default=5, metavar="N", help="how often each figure is taken (default: 5)"
+        "--runs", type=_between(1, RUNS_MAX), default=5, metavar="N", help="how often each is taken (default: 5)"
     )
     paper.add_argument(
         "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="where the charts go (default: out/bench)"
     )
-    return parser
+    paper.set_defaults(run=_paper)
 
 
 def _between(least: int, most: int) -> Callable[[str], int]:

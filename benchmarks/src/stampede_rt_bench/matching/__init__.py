@@ -1,0 +1,1 @@
+"""Our match beside the synchroniser of ROS message_filters, on the same recorded inputs."""

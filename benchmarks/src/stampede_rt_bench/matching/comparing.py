@@ -1,0 +1,42 @@
+"""The table: every scenario, both synchronisers."""
+
+from __future__ import annotations
+
+from stampede_rt_bench.matching import message_filters, ours
+from stampede_rt_bench.matching.recording import NANOS_PER_MS, SCENARIOS, record
+from stampede_rt_bench.matching.sets import Judgement, judge
+from stampede_rt_bench.tables import Table
+
+COLUMNS = ("inputs", "synchroniser", "possible", "right", "wrong", "unmatched", "told of", "delay p50 ms", "p99", "max")
+
+
+def compare(seconds: int, seed: int) -> Table:
+    """Replay every scenario. `seconds` is the length of each recording."""
+    synchronisers = {"g.match": ours.replay}
+    if message_filters.is_installed():
+        synchronisers["message_filters"] = message_filters.replay
+    table = Table(COLUMNS)
+    for conditions in SCENARIOS:
+        arrivals = record(conditions, seconds, seed)
+        for name, replay in synchronisers.items():
+            tolerance = conditions.tolerance_nanos
+            judgement = judge(replay(arrivals, tolerance), arrivals, tolerance)
+            table.rows.append((conditions.name, name, *_cells(judgement)))
+    table.notes = [
+        f"{seconds} s, seed {seed}; lidar 10 Hz (the reference), camera 30 Hz, radar 20 Hz; tolerance 20 ms.",
+        "possible: sets that a complete view has, each of the nearest items; right: of the given ones, those;",
+        "wrong: other ones. unmatched: lidar items without a set; told of: how many of them the user hears of",
+        "('-': there is no such word). delay: from the arrival of a set's last item until it is given out.",
+    ]
+    if len(synchronisers) == 1:
+        table.notes.append(f"ROS message_filters is not here; Debian has it as {message_filters.PACKAGE}.")
+    return table
+
+
+def _cells(judgement: Judgement) -> tuple[str, ...]:
+    delays = judgement.delays_nanos
+    shown = [
+        f"{delays[int(share * (len(delays) - 1))] / NANOS_PER_MS:.1f}" if delays else "-" for share in (0.5, 0.99, 1)
+    ]
+    counts = (judgement.possible, judgement.right, judgement.wrong, judgement.unmatched)
+    return (*map(str, counts), "-" if judgement.told is None else str(judgement.told), *shown)

@@ -1,0 +1,53 @@
+"""Our match on a recording: the core as a host runs it, in the recording's time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from stampede_rt.model import Policy
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
+from stampede_rt_bench.matching.sets import FoundSet, Replay
+from stampede_rt_channel_host.core.channel import Channel, Offer
+from stampede_rt_channel_host.core.group import Matched, Matcher, OwnTimes, OwnTrack
+
+ITEMS_MAX = 1000
+
+
+def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
+    """What was matched, and when, had the items come as recorded."""
+    start = arrivals[0].arrived
+    policy = Policy(max_age_nanos=60_000_000_000, max_future_nanos=1_000_000_000)
+    channels = {stream: Channel(policy, incarnation=1, name=stream) for stream in RATES_HZ}
+    times = {stream: OwnTimes(channel, start) for stream, channel in channels.items()}
+    tracks = {stream.encode(): OwnTrack(channel) for stream, channel in channels.items() if stream != REFERENCE}
+    matcher = Matcher(channels[REFERENCE], tracks, tolerance_nanos, start)
+    found: list[FoundSet] = []
+    for arrival in arrivals:
+        _put(channels[arrival.stream], arrival)
+        times[arrival.stream].observe(arrival.arrived)
+        found += [_found(one, arrival.arrived) for one in _take(matcher, times, arrival.arrived) if not one.missing]
+    return Replay(sets=found, told_unmatched=matcher.unmatched)
+
+
+def _take(matcher: Matcher, times: Mapping[str, OwnTimes], now: int) -> list[Matched]:
+    def has_passed(member: bytes, instant: int) -> bool:
+        return times[member.decode()].times(1).has_passed(instant)
+
+    return matcher.take(has_passed, now, ITEMS_MAX)
+
+
+def _found(matched: Matched, given: int) -> FoundSet:
+    times = {member.decode(): near.time for member, near in matched.matched.items()}
+    return FoundSet(given=given, reference=matched.item.slice.first_time, times=times)
+
+
+def _put(channel: Channel, arrival: Arrival) -> None:
+    raw = encode_run([b"."], times=[arrival.time])
+
+    def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+        return seal_run(raw, first_seq)
+
+    outcome = channel.put(Offer(times=[arrival.time], durations=None, lengths=[1]), arrival.arrived, seal)
+    if outcome.run is None:
+        raise AssertionError(f"{arrival} was not taken: {outcome.rejections}")
