@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from time import time_ns
 from typing import Any
 
+from stampede_rt._async.consuming import consume
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.puts import Numbers, PutStreams, Single
 from stampede_rt._async.reader import Reader
@@ -23,6 +25,7 @@ from stampede_rt.model import ChannelStats, Item, Policy
 from stampede_rt.policy import parse_policy
 from stampede_rt.reading import Wait
 from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
+from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import Port
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
@@ -86,6 +89,19 @@ class Channel(Reader):
 
         return Sampler(self._session, f"channel {self.name!r}", put, fn, every_nanos, MonotonicClock())
 
+    async def consume(self, items: Item | Iterable[Item]) -> int:
+        """Use items up, on a channel with `consumers` or `max_age_unconsumed`; how many were not used up before.
+
+        An item goes once all of the channel's consumers have consumed it, the oldest first; until then everybody sees
+        it. The consumer is this connection, whatever handle it uses: the first call takes one of the channel's places
+        (`consume([])` does that alone), the library keeps it until the connection is closed, and a process that dies
+        loses it within 10 s. A place never taken holds all items for its first taker; who takes one that another has
+        lost starts at the newest item. Safe to repeat, and tried again by itself.
+        Raises ChannelFull if all places are taken, InvalidArgument if the channel counts no consumption,
+        IncarnationLost if the channel's host was lost after the items were read.
+        """
+        return await consume(self._session, self._state, items)
+
     async def advance(self, time: InstantLike) -> int:
         """Promise that nothing earlier than `time` will come; the highest promise up to now is returned."""
         instant = parse_instant(time)
@@ -101,13 +117,15 @@ class Channel(Reader):
         return await self._session.perform(self._state, advance_at)
 
     async def stats(self) -> ChannelStats:
-        """Counters and bounds, taken at one moment."""
+        """Counters and bounds, taken at one moment, and how far the host's clock is ahead of this machine's."""
 
         async def status_at(binding: Binding) -> ChannelStats:
             port = self._session.ports.to(binding.target)
             request = channel_pb.GetChannelStatusRequest(channel_id=binding.channel_id, epoch=binding.epoch)
+            sent, sent_s = time_ns(), monotonic_s()
             response = await port.call(port.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
-            return channel_stats(response.status)
+            asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
+            return channel_stats(response.status, clock_offset_nanos=response.status.host_time_unix_nano - asked_at)
 
         return await self._session.perform(self._state, status_at)
 
@@ -117,12 +135,23 @@ class Channel(Reader):
         max_age: DurationLike | None = None,
         max_items: int | None = None,
         max_bytes: int | None = None,
+        consumers: int | None = None,
         on_full: str | None = None,
         max_future: DurationLike | None = None,
+        max_age_unconsumed: DurationLike | None = None,
     ) -> Policy:
-        """Change the channel's policy while it runs; what is left out stays. Returns the policy after the change."""
+        """Change the channel's policy while it runs; what is left out stays. Returns the policy after the change.
+
+        More consumers: new places, which hold all that is held. Fewer: those go whose leases end first.
+        """
         policy = parse_policy(
-            max_age=max_age, max_items=max_items, max_bytes=max_bytes, on_full=on_full, max_future=max_future
+            max_age=max_age,
+            max_items=max_items,
+            max_bytes=max_bytes,
+            consumers=consumers,
+            on_full=on_full,
+            max_future=max_future,
+            max_age_unconsumed=max_age_unconsumed,
         )
 
         async def configure_at(binding: Binding) -> Policy:

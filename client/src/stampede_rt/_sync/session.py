@@ -64,10 +64,13 @@ class Session:
     """The caches and the retries behind every handle of one connection."""
 
     def __init__(self, frontends: tuple[str, ...], credentials: Credentials, *, peer_name: str, zone: str) -> None:
+        self.zone = zone
         self.ports = Ports(credentials)
         self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.closed = False
+        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # who the connection is where items are consumed
+        self.consumer_places: dict[bytes, Attached] = {}  # that it keeps, by channel id; see `consuming`
         self._attached: dict[Attached, None] = {}  # in the order of their coming
 
     def open(self) -> None:

@@ -93,8 +93,8 @@ def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
     )
 
 
-def channel_stats(status: channel_pb2.ChannelStatus) -> ChannelStats:
-    """A channel's counters as callers see them."""
+def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None) -> ChannelStats:
+    """A channel's counters as callers see them, with the host's clock offset if the caller has measured it."""
     counters = status.counters
     return ChannelStats(
         accepted=counters.accepted,
@@ -118,6 +118,7 @@ def channel_stats(status: channel_pb2.ChannelStatus) -> ChannelStats:
             ConsumerStats(consumer_id=one.consumer_id, lease_nanos=one.lease_nanos, waiting=one.waiting)
             for one in status.consumers
         ],
+        clock_offset_nanos=clock_offset_nanos,
     )
 
 

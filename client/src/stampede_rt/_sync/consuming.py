@@ -1,0 +1,129 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Using items up, on channels that count consumption (paper, section 3.4: reference count).
+
+The consumer is the connection: all its handles of a channel share one place there. The place is kept by a lease that
+each `consume` renews, and the library in between, in the background, until the connection is closed. A process that
+dies loses its places when their leases end.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+
+from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt.binding import Binding
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
+from stampede_rt.model import Item
+from stampede_rt.transports.concurrency_sync import Background, Mutex, Signal
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+
+SEQS_MAX = 4096
+RENEWALS_PER_LEASE = 3
+END_TIMEOUT_S = 1.0
+_log = logging.getLogger("stampede_rt")
+
+
+def consume(session: Session, state: ChannelState, items: Item | Iterable[Item]) -> int:
+    """See `Channel.consume`."""
+    seqs = _seqs_by_incarnation([items] if isinstance(items, Item) else items)
+    consumed, lease_s = 0, 0.0
+    for incarnation, chunk in seqs:
+        response = _consume(session, state, incarnation, chunk)
+        consumed += response.consumed
+        lease_s = response.lease_nanos / 1e9
+    kept = session.consumer_places.setdefault(state.info.channel_id, _KeptPlace(session, state))
+    assert isinstance(kept, _KeptPlace), "nothing else is put there"
+    kept.keep(lease_s)
+    return consumed
+
+
+def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]]]:
+    """In requests of a size that hosts take; one without seqs if there are no items: it takes a place, or keeps it."""
+    found: dict[int, list[int]] = {}
+    for item in items:
+        if not isinstance(item, Item):
+            raise InvalidArgument(f"{item!r} is to be consumed; give the items that a read or subscription gave you")
+        found.setdefault(item.incarnation, []).append(item.seq)
+    requests: list[tuple[int, Sequence[int]]] = [
+        (incarnation, seqs[first : first + SEQS_MAX])
+        for incarnation, seqs in found.items()
+        for first in range(0, len(seqs), SEQS_MAX)
+    ]
+    return requests or [(0, ())]
+
+
+def _consume(
+    session: Session,
+    state: ChannelState,
+    incarnation: int = 0,
+    seqs: Sequence[int] = (),
+    lease_nanos: int | None = None,
+    timeout_s: float = CALL_TIMEOUT_S,
+) -> channel_pb.ConsumeResponse:
+    """One request, tried again as often as that helps: consuming twice is as good as once."""
+
+    def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
+        port = session.ports.to(binding.target)
+        request = channel_pb.ConsumeRequest(
+            channel_id=binding.channel_id,
+            epoch=binding.epoch,
+            consumer_id=session.consumer_id,
+            seqs=seqs,
+            incarnation=incarnation,
+            lease_nanos=lease_nanos,
+        )
+        response: channel_pb.ConsumeResponse = port.call(port.channels.Consume, request, timeout_s)
+        return response
+
+    return session.perform(state, consume_at, timeout_s)
+
+
+class _KeptPlace:
+    """Renews the lease on the connection's place at one channel until the connection is closed, then gives it up."""
+
+    def __init__(self, session: Session, state: ChannelState) -> None:
+        self._session = session
+        self._state = state
+        self._mutex = Mutex()
+        self._stop = Signal()
+        self._lease_s = 0.0
+        self._background: Background | None = None
+
+    def keep(self, lease_s: float) -> None:
+        """The place was just taken or renewed for so long. Begins to renew it, unless that is under way."""
+        with self._mutex:
+            self._lease_s = lease_s
+            if self._background is None:
+                self._session.attach(self)
+                self._background = Background(self._run, f"consumer of {self._state.info.name}")
+
+    def end(self) -> None:
+        """Give the place up, so that nothing waits for the lease to end. What closing the connection does."""
+        self._stop.set()
+        if self._background is None or not self._background.join(END_TIMEOUT_S):
+            return
+        try:
+            _consume(self._session, self._state, lease_nanos=0, timeout_s=END_TIMEOUT_S)
+        except StampedeError as error:
+            _log.info("the place at channel %s goes when its lease ends: %s", self._state.info.name, error)
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.wait(self._lease_s / RENEWALS_PER_LEASE):
+                self._renew()
+        except StampedeError as error:
+            if not self._session.closed:
+                _log.warning("the place as consumer of %s is lost: %s", self._state.info.name, error)
+            self._session.consumer_places.pop(self._state.info.channel_id, None)
+            self._session.detach(self)
+
+    def _renew(self) -> None:
+        """Raises what makes it useless to try again: the channel is deleted, or all places are taken by others."""
+        try:
+            response = _consume(self._session, self._state, timeout_s=self._lease_s / RENEWALS_PER_LEASE)
+            self._lease_s = response.lease_nanos / 1e9
+        except StampedeError as error:
+            if self._session.closed or not (error.retryable or isinstance(error, DeadlineExceeded)):
+                raise
+            _log.info("cannot renew the place as consumer of %s yet: %s", self._state.info.name, error)
