@@ -13,19 +13,24 @@ import grpc
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
+from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.sweep import sweep_forever
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
+from stampede_rt_channel_host.queues.queue_servicer import QueueServicer
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
 from stampede_rt_runtime.clock import HostClock
 
 logger = logging.getLogger(__name__)
 
-CHANNELS_TOLD_MAX = 1000  # how many a registration's answer names
+CHANNELS_TOLD_MAX = QUEUES_TOLD_MAX = 1000  # how many a registration's answer names
 
 
 class ChannelHost:
@@ -59,6 +64,14 @@ class ChannelHost:
             lease_held=self._registration.lease_held,
             memory_bytes_max=memory_bytes_max,
         )
+        self.queues = QueueStore(
+            identity,
+            QueueDirectory(self._supernodes),
+            MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos),
+            now=self.store.now,
+            lease_held=self._registration.lease_held,
+            on_departures=lambda hosted: None,
+        )
         self._gatekeeper = GatekeeperServicer(self.store, identity)
         self._streams = OpenStreams()
         self._on_serving = on_serving
@@ -70,6 +83,7 @@ class ChannelHost:
         """Serve gatekeeper and data on `server`."""
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self._gatekeeper, server)
         ChannelServicer(self.store, self._streams).add_to(server)
+        QueueServicer(self.queues, self._streams).add_to(server)
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """Register as reachable at `target`, and keep the lease from then on.
@@ -81,6 +95,7 @@ class ChannelHost:
         await self._entering
         self._start(self._registration.keep(), "lease")
         self._start(sweep_forever(self.store), "sweep")
+        self._start(sweep_queues_forever(self.queues), "queue sweep")
 
     async def leave(self) -> None:
         """Deregister, then tell whoever waits and all streams that the host goes. Ends an `enter` under way."""
@@ -89,8 +104,10 @@ class ChannelHost:
         if self._entering is not None and not self._entering.done():
             self._entering.cancel()
         self.store.close()
+        self.queues.close()
         await self._registration.leave()
         self.store.end_all(refusals.SHUTTING_DOWN)
+        self.queues.end_all(refusals.SHUTTING_DOWN)
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self._supernodes.aclose()
 
@@ -104,10 +121,15 @@ class ChannelHost:
             logger.error("a task of the host died", exc_info=failure, extra={"task": task.get_name()})
             self._on_defect(failure)
 
+    def _footprint_bytes(self) -> int:
+        return self.queues.footprint_bytes() + sum(hosted.footprint_bytes() for hosted in self.store.all())
+
     def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
         self.store.registered(response.channels, all_told=len(response.channels) < CHANNELS_TOLD_MAX)
+        self.queues.registered(response.queues, all_told=len(response.queues) < QUEUES_TOLD_MAX)
 
     def _lease_changed(self, held: bool) -> None:
         if not held:
             self.store.fence()
+            self.queues.fence()
         self._on_serving(held)

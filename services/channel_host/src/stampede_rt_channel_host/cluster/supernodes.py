@@ -8,7 +8,7 @@ import random
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import grpc
 
@@ -26,6 +26,15 @@ SUPERNODES_MAX = 64
 
 Dial = Callable[[str], grpc.aio.Channel]
 Explain = Callable[[str], Awaitable[StampedeError | None]]
+Service = Callable[[grpc.aio.Channel], Any]
+
+
+class _Call(NamedTuple):
+    """A call that may be made several times; `service` makes its stub."""
+
+    method: str
+    request: Any
+    service: Service
 
 
 class Supernodes:
@@ -46,18 +55,26 @@ class Supernodes:
         self._channels: dict[str, grpc.aio.Channel] = {}
         self.cluster_id = ""
 
-    async def call(self, method: str, request: Any, timeout_s: float) -> Any:
-        """One call of DirectoryService. Tries all supernodes, asks the front-ends for others, and tries again.
+    async def call(
+        self,
+        method: str,
+        request: Any,
+        timeout_s: float,
+        *,
+        service: Service = directory_service_pb2_grpc.DirectoryServiceStub,
+    ) -> Any:
+        """One call of `service`. Tries all supernodes, asks the front-ends for others, and tries again.
 
         Updates carry a request id, so repeating them is safe. Raises what the directory answers, or the last failure
         once `timeout_s` is over.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
+        call = _Call(method, request, service)
         while True:  # ends with the backoff's deadline
             try:
                 if not self._targets:
                     await self.bind(backoff.deadline_s)
-                return await self._call_each(method, request, backoff.deadline_s)
+                return await self._call_each(call, backoff.deadline_s)
             except StampedeError as error:
                 if not may_pass(error):
                     raise
@@ -125,7 +142,7 @@ class Supernodes:
                 raise
             logger.debug("no front-end answers", extra={"why": str(error)})
 
-    async def _call_each(self, method: str, request: Any, deadline_s: float) -> Any:
+    async def _call_each(self, call: _Call, deadline_s: float) -> Any:
         failure: StampedeError = Unavailable("the front-ends name no supernode")
         waiting, tried = deque(self._targets), set[str]()
         while waiting and len(tried) < SUPERNODES_MAX:
@@ -135,7 +152,7 @@ class Supernodes:
                 continue
             tried.add(target)
             try:
-                answer = await self._call_one(target, method, request, min(left_s, TRY_SECONDS_MAX))
+                answer = await self._call_one(target, call, min(left_s, TRY_SECONDS_MAX))
             except StampedeError as error:
                 if not may_pass(error):
                     raise
@@ -146,9 +163,9 @@ class Supernodes:
             return answer
         raise failure
 
-    async def _call_one(self, target: str, method: str, request: Any, timeout_s: float) -> Any:
-        stub = directory_service_pb2_grpc.DirectoryServiceStub(self._channel(target))
-        return await _call(getattr(stub, method), request, timeout_s, target)
+    async def _call_one(self, target: str, call: _Call, timeout_s: float) -> Any:
+        stub = call.service(self._channel(target))
+        return await _call(getattr(stub, call.method), call.request, timeout_s, target)
 
     def _prefer(self, target: str) -> None:
         if self._targets[:1] != [target]:

@@ -10,8 +10,8 @@ from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.shelf import Shelf
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
-BATCH_BYTES_MAX = 2**20
-"""Of a batch with several items, on the wire."""
+BATCH_BYTES_MAX = 2**20 - 2**16
+"""Of a batch with several items, on the wire: with a little beside it, it makes a message of 1 MiB."""
 DELIVERY_BYTES = 16
 """What an item's delivery id and number take on the wire, at the most."""
 VIEWS_MAX = 4096
@@ -47,18 +47,19 @@ class View:
 
 
 class Taker:
-    """One stream that takes. `credit` is what it may still be sent; it waits whenever it can be served.
+    """One stream that takes. `credit` is what it may still be sent; it waits whenever that is left and it is not busy.
 
-    `lease_nanos` None: the queue's.
+    `lease_nanos` None: the queue's. `unsent` was dealt to it, and nobody has begun to send it.
     """
 
-    __slots__ = ("credit", "lease_nanos", "taker_id", "unsent")
+    __slots__ = ("credit", "is_busy", "lease_nanos", "taker_id", "unsent")
 
     def __init__(self, taker_id: int, lease_nanos: int | None = None) -> None:
         self.taker_id = taker_id
         self.lease_nanos = lease_nanos
         self.credit = 0
-        self.unsent: Batch | None = None  # dealt, and not known to be sent: it waits for no further one meanwhile
+        self.is_busy = False  # from being dealt a batch until that is sent
+        self.unsent: Batch | None = None
 
 
 class _Draft:
@@ -109,7 +110,7 @@ class Dealing:
 
     def wait(self, taker: Taker, now: int) -> None:
         """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
-        waits = taker.credit and taker.unsent is None and taker not in self._line
+        waits = taker.credit and not taker.is_busy and taker not in self._line
         if waits and not self._serve(taker, 1, now):
             self._line[taker] = None
 
@@ -139,6 +140,7 @@ class Dealing:
         if not draft.items:
             return False
         taker.credit -= draft.items
+        taker.is_busy = True
         taker.unsent = Batch(draft.slices, now + lease_nanos)
         self.dealt.append((taker, taker.unsent))
         return True

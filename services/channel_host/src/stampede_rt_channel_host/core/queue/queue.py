@@ -69,9 +69,13 @@ class Queue:
         taker.credit += credit
         self._dealing.wait(taker, clock)
 
-    def sent(self, taker: Taker, now: int) -> None:
-        """What it was dealt last is on its way: it waits for more."""
+    def sending(self, taker: Taker) -> None:
+        """What it was dealt last is being sent: from now on it counts as delivered."""
         taker.unsent = None
+
+    def sent(self, taker: Taker, now: int) -> None:
+        """What it was dealt last has been sent: it waits for more."""
+        taker.unsent, taker.is_busy = None, False
         self.grant(taker, 0, now)
 
     def drain(self, taker: Taker) -> None:
@@ -136,7 +140,7 @@ class Queue:
         return min((one for one in due if one is not None), default=None)
 
     def take_dealt(self) -> list[tuple[Taker, Batch]]:
-        """Who was given what since the last call. Each batch is to be sent, then `sent` is to be called."""
+        """Who was given what since the last call. Each batch is to be sent: say `sending`, then `sent`."""
         dealt, self._dealing.dealt = self._dealing.dealt, []
         return dealt
 

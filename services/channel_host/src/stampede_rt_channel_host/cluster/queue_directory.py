@@ -1,0 +1,27 @@
+"""What a host asks the directory about queues (paper, sections 3.5 and 4.3)."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import queue_directory_service_pb2 as pb
+from stampede_rt.v1 import queue_directory_service_pb2_grpc
+from stampede_rt_channel_host.cluster.supernodes import Supernodes
+
+CALL_SECONDS_MAX = 4.0
+
+
+class QueueDirectory:
+    """Each method blocks for CALL_SECONDS_MAX at most and raises what the directory answers, or Unavailable."""
+
+    def __init__(self, supernodes: Supernodes) -> None:
+        self._supernodes = supernodes
+
+    async def resolve(self, queue_id: bytes) -> pb.ResolveQueueResponse:
+        """The queue as of now and its owner; mailboxes, too. Raises QueueNotFound."""
+        request = pb.ResolveQueueRequest(queue_id=queue_id)
+        response: pb.ResolveQueueResponse = await self._supernodes.call(
+            "ResolveQueue",
+            request,
+            CALL_SECONDS_MAX,
+            service=queue_directory_service_pb2_grpc.QueueDirectoryServiceStub,
+        )
+        return response

@@ -1,0 +1,113 @@
+"""One stream of enqueues: runs are judged and acked in order; acks gather while the last write is in flight."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
+from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.incoming import ack_of, check_number, enqueue_of, refused
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.requests import check_queue_id
+
+ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
+REQUEST_BYTES_MAX = 4 * 2**20
+_FRAMING_BYTES_MAX = 4096
+_ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # what ends the stream, beside what is no enqueue at all
+
+
+class EnqueueStream:
+    """Serves one stream. While a run waits for room nothing more is read: the caller is held back by flow control."""
+
+    def __init__(self, store: QueueStore, context: Any, stream: OpenStream) -> None:
+        self._store = store
+        self._context = context
+        self._stream = stream
+        self._queue_id = b""
+        self._epoch = 0
+        self._producer_id = 0
+        self._acks: list[channel_service_pb2.PutAck] = []
+        self._closed = False
+        self._news = asyncio.Event()
+        self._room = asyncio.Event()
+
+    async def run(self) -> None:
+        """Until the caller has closed its side and every run is acked.
+
+        Raises InvalidArgument, Overloaded, or that the host shuts down; what was judged before is acked first.
+        """
+        writer = self._stream.spawn(self._write_acks())
+        failure: StampedeError | None = None
+        try:
+            try:
+                while (raw := await self._context.read()) is not EOF:
+                    await self._take(raw)
+            except StampedeError as error:
+                failure = error
+            self._closed = True
+            self._news.set()
+            await writer
+        finally:
+            writer.cancel()
+        if failure is not None:
+            raise failure
+
+    async def _take(self, raw: bytes) -> None:
+        # The same bytes as an EnqueueRequest, field by field, with the runs left encoded.
+        request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "EnqueueRequest")
+        if request.channel_id:
+            check_queue_id(request.channel_id)
+            self._queue_id, self._epoch = request.channel_id, request.epoch
+            self._producer_id = request.producer_id
+        if not self._queue_id:
+            raise InvalidArgument("the stream names no queue; set queue_id and epoch in its first request")
+        if len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX:
+            raise InvalidArgument(
+                f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
+            )
+        for message in request.puts:
+            await self._add(await self._enqueue(message))
+        self._news.set()
+        await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
+
+    async def _enqueue(self, message: raw_run_pb2.RawPutRun) -> channel_service_pb2.PutAck:
+        """The ack of one run. Blocks while the run waits for room."""
+        check_number(self._producer_id, message.first_number)
+        hosted: HostedQueue | None = None
+        try:
+            hosted = await self._store.use(self._queue_id, self._epoch)
+            run = enqueue_of(message, self._producer_id)
+        except StampedeError as error:
+            if hosted is not None:
+                hosted.refuse_unread(error)
+            elif error.reason in _ENDING:
+                raise
+            return refused(message.first_number, 0, error, self._store.now())
+        self._news.set()  # if it has to wait, the acks before it do not
+        await hosted.enqueue(run)
+        return ack_of(run, self._store.now(), hosted.queue.incarnation)
+
+    async def _add(self, ack: channel_service_pb2.PutAck) -> None:
+        while len(self._acks) >= ACKS_QUEUED_MAX:
+            self._news.set()
+            self._room.clear()
+            await self._room.wait()
+        self._acks.append(ack)
+
+    async def _write_acks(self) -> None:
+        """All that gathered while the last write was in flight go out in one message."""
+        while not (self._closed and not self._acks):
+            if not self._acks:
+                self._news.clear()
+                await self._news.wait()
+                continue
+            acks, self._acks = self._acks, []
+            self._room.set()
+            await self._context.write(pb.EnqueueResponse(acks=acks).SerializeToString())

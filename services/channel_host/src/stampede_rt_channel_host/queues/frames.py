@@ -1,0 +1,42 @@
+"""TakeResponse framed by hand: stored runs are copied once, into the message, and never parsed if they go whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt.v1 import queue_pb2
+from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt.wire.runs import encode_varint, slice_run
+from stampede_rt_channel_host.core.queue import Batch, LeasedSlice
+
+_LENGTH_DELIMITED = 2
+_RUNS = bytes((1 << 3 | _LENGTH_DELIMITED,))  # TakeResponse.runs
+_RUN = bytes((1 << 3 | _LENGTH_DELIMITED,))  # LeasedRun.run
+
+
+def take_response(
+    batch: Batch | None,
+    results: Sequence[queue_pb2.SettlementResult],
+    now: int,
+    *,
+    incarnation: int = 0,
+    drained: bool = False,
+) -> bytes:
+    """An encoded TakeResponse. The order of fields on the wire does not matter to protobuf."""
+    parts = [pb.TakeResponse(results=results, incarnation=incarnation, drained=drained).SerializeToString()]
+    if batch is not None:
+        for one in batch.slices:
+            _add_run(parts, one, max(0, batch.expires - now))
+    return b"".join(parts)
+
+
+def _add_run(parts: list[bytes], one: LeasedSlice, lease_nanos: int) -> None:
+    body = one.run.body if one.hi - one.lo == len(one.run.lengths) else slice_run(one.run.body, one.lo, one.hi)
+    about = queue_pb2.LeasedRun(
+        delivery_ids=one.delivery_ids,
+        deliveries=one.deliveries if max(one.deliveries) > 1 else (),
+        lease_nanos=lease_nanos,
+    ).SerializeToString()
+    length = encode_varint(len(body))
+    whole = encode_varint(len(_RUN) + len(length) + len(body) + len(about))
+    parts += (_RUNS, whole, _RUN, length, body, about)

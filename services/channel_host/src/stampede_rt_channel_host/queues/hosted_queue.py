@@ -1,0 +1,180 @@
+"""One queue at its host: the core, the directory's record, the streams of its takers, and runs that wait for room."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
+from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.core.queue import (
+    Batch,
+    Enqueue,
+    Queue,
+    Settlement,
+    SettlementResult,
+    Taker,
+)
+from stampede_rt_channel_host.queues.refusals import shown
+from stampede_rt_channel_host.queues.specs import limits_of
+
+TAKERS_MAX = 4096
+_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
+
+
+class TakerStream(Protocol):
+    """A stream that takes, as the queue knows it."""
+
+    def deliver(self, batch: Batch) -> None:
+        """It was dealt this, and sends it."""
+
+    def end(self, error: StampedeError) -> None:
+        """The queue is not served any more."""
+
+
+class HostedQueue:
+    """`record` is the directory's, as last told; its epoch fences, its incarnation is the core's.
+
+    `on_departures` hears that items wait for being moved to the dead-letter queue.
+    """
+
+    def __init__(
+        self,
+        record: queue_pb2.QueueRecord,
+        memory: MemoryBudget,
+        now: Callable[[], int],
+        on_departures: Callable[[HostedQueue], None],
+    ) -> None:
+        """Raises InvalidArgument if the record's limits cannot hold."""
+        self.record = record
+        self.epoch: int = record.epoch
+        self.queue = Queue(limits_of(record), incarnation=record.incarnation, name=shown(record))
+        self._memory = memory
+        self._now = now
+        self._on_departures = on_departures
+        self._streams: dict[Taker, TakerStream] = {}
+        self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_due: int | None = None
+
+    def update(self, record: queue_pb2.QueueRecord) -> None:
+        """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable set-up."""
+        if record.spec_version != self.record.spec_version:
+            self.queue.configure(limits_of(record), self._now())
+        self.record, self.epoch = record, record.epoch
+        self._follow_up()
+
+    async def enqueue(self, run: Enqueue) -> None:
+        """Put a run; returns when it is through, and blocks while it waits for room. Cut short, it is withdrawn.
+
+        Raises InvalidArgument, Overloaded.
+        """
+        self._memory.claim(sum(run.lengths), len(run.lengths))
+        self.queue.enqueue(run, self._now())
+        done = None if run.is_through else asyncio.get_running_loop().create_future()
+        if done is not None:
+            self._waiting[run] = done
+        self._follow_up()
+        if done is None:
+            return
+        try:
+            await done
+        finally:
+            if self._waiting.pop(run, None) is not None:
+                self.queue.withdraw(run, self._now())
+                self._follow_up()
+
+    def refuse_unread(self, error: StampedeError) -> None:
+        """Count a run that could not be read."""
+        if isinstance(error, ItemTooLarge):
+            self.queue.reject_too_large()
+        else:
+            self.queue.reject_malformed()
+
+    def attach(self, taker: Taker, stream: TakerStream) -> None:
+        """A stream begins to take; `leave` must follow. Raises Overloaded."""
+        if len(self._streams) >= TAKERS_MAX:
+            raise Overloaded(f"queue {shown(self.record)} has {TAKERS_MAX} takers, which is the most")
+        self._streams[taker] = stream
+
+    def grant(self, taker: Taker, credit: int) -> None:
+        """The taker may be sent so many more."""
+        self.queue.grant(taker, credit, self._now())
+        self._follow_up()
+
+    def sent(self, taker: Taker) -> None:
+        """What it was dealt last has been sent."""
+        self.queue.sent(taker, self._now())
+        self._follow_up()
+
+    def leave(self, taker: Taker) -> None:
+        """Its stream has ended: nothing is left of it but its leases."""
+        del self._streams[taker]
+        self.queue.leave(taker, self._now())
+        self._follow_up()
+
+    def settle(self, taker_id: int, settlements: Sequence[Settlement]) -> list[SettlementResult]:
+        """What became of each settlement, in order."""
+        results = self.queue.settle(taker_id, settlements, self._now())
+        self._follow_up()
+        return results
+
+    def departed(self, seq: int) -> None:
+        """The dead-letter queue has the item."""
+        self.queue.departed(seq, self._now())
+        self._follow_up()
+
+    def tick(self) -> None:
+        """Look after what is due by the host's clock."""
+        self.queue.tick(self._now())
+        self._follow_up()
+
+    def end(self, error: StampedeError) -> None:
+        """The queue is not served any more: takers' streams end with `error`, runs that wait are refused with it."""
+        for stream in list(self._streams.values()):
+            stream.end(error)
+        waiting, self._waiting = self._waiting, {}
+        for run, done in waiting.items():
+            self.queue.withdraw(run, self._now())
+            run.error = error
+            _finish(done)
+        self._follow_up()
+
+    def forget(self, error: StampedeError) -> None:
+        """As `end`, for good."""
+        self.end(error)
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _follow_up(self) -> None:
+        """After every call of the core: hand on what came of it, and see when something is due."""
+        for taker, batch in self.queue.take_dealt():
+            self._streams[taker].deliver(batch)
+        for run in self.queue.take_finished():
+            done = self._waiting.pop(run, None)
+            if done is not None:
+                _finish(done)
+        if self.queue.is_moving_out:
+            self._on_departures(self)
+        self._arm(self.queue.next_deadline())
+
+    def _arm(self, due: int | None) -> None:
+        """A timer that fires too early only looks again, so that it is set anew only for what is due sooner."""
+        if due is None or (self._timer_due is not None and self._timer_due <= due):
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer_due = due
+        delay_s = max((due - self._now()) / 1e9, _TIMER_SECONDS_MIN)
+        self._timer = asyncio.get_running_loop().call_later(delay_s, self._fire)
+
+    def _fire(self) -> None:
+        self._timer = self._timer_due = None
+        self.tick()
+
+
+def _finish(done: asyncio.Future[None]) -> None:
+    if not done.done():
+        done.set_result(None)

@@ -1,0 +1,67 @@
+"""Runs as they come from a producer, turned into what the core judges, and its outcome into an ack."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.status import to_error_message
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt_channel_host.core.queue import Enqueue
+
+
+def enqueue_of(message: raw_run_pb2.RawPutRun, producer_id: int) -> Enqueue:
+    """The run, not judged yet. Raises MalformedRun, or ItemTooLarge for what no queue can hold."""
+    encoded = message.run
+    columns = parse_run(encoded)
+    items = len(columns.lengths)
+
+    def seal(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
+        kept = encoded if len(places) == items else select_items(encoded, places)
+        return seal_run(kept, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
+
+    return Enqueue(
+        columns.lengths,
+        seal,
+        is_stamped=columns.times is None,
+        producer_id=producer_id,
+        first_number=message.first_number,
+        wait_nanos=message.wait_nanos if message.HasField("wait_nanos") else None,
+    )
+
+
+def check_number(producer_id: int, first_number: int) -> None:
+    """Raises InvalidArgument for a producer that wants its retries recognised and does not count."""
+    if producer_id and not first_number:
+        raise InvalidArgument("first_number is 0; a producer with an id numbers its items from 1, or leaves its id out")
+
+
+def ack_of(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
+    """What became of a run that is through."""
+    if run.error is not None:
+        return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
+    assert run.outcome is not None, "a run that is through has an outcome"
+    return pb.PutAck(
+        first_number=run.first_number,
+        items=len(run.lengths),
+        first_seq=run.outcome.first_seq,
+        stamped_unix_nano=run.outcome.stamped_time,
+        rejections=[
+            pb.PutRejection(index=one.index, error=to_error_message(one.error)) for one in run.outcome.rejections
+        ],
+        host_time_unix_nano=now,
+        incarnation=incarnation,
+    )
+
+
+def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:
+    """The ack of a run that was refused as a whole."""
+    return pb.PutAck(
+        first_number=first_number,
+        items=items,
+        error=to_error_message(error),
+        host_time_unix_nano=now,
+        incarnation=incarnation,
+    )

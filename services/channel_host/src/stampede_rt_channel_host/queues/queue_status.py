@@ -1,0 +1,22 @@
+"""A queue's counters in their protobuf form."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+
+
+def queue_status(hosted: HostedQueue, now: int) -> queue_pb2.QueueStatus:
+    """Everything at the one moment `now`."""
+    hosted.tick()
+    counters = hosted.queue.counters(now)
+    return queue_pb2.QueueStatus(
+        record=hosted.record,
+        counters=queue_pb2.QueueCounters(**{field.name: getattr(counters, field.name) for field in fields(counters)}),
+        waiting_takers=hosted.queue.waiting_takers,
+        waiting_enqueues=hosted.queue.waiting_enqueues,
+        oldest_accepted_unix_nano=hosted.queue.oldest_accepted_at,
+        host_time_unix_nano=now,
+    )

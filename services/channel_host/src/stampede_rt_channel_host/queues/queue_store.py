@@ -1,0 +1,195 @@
+"""The queues of this host: learned from the directory when they are first used, fenced with the lease, dropped when
+they went away."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Iterable
+
+from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
+from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.queues import refusals
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.refusals import shown
+
+logger = logging.getLogger(__name__)
+
+QUEUES_MAX = 100_000
+QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
+
+
+class QueueStore:
+    """A stream begins with `use`, which may ask the directory; every later request on it goes through `find`.
+
+    `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `on_departures` hears of
+    queues with items for their dead-letter queue.
+    """
+
+    def __init__(
+        self,
+        identity: HostIdentity,
+        directory: QueueDirectory,
+        memory: MemoryBudget,
+        *,
+        now: Callable[[], int],
+        lease_held: Callable[[], bool],
+        on_departures: Callable[[HostedQueue], None],
+    ) -> None:
+        self.now = now
+        self._identity = identity
+        self._directory = directory
+        self._memory = memory
+        self._lease_held = lease_held
+        self._on_departures = on_departures
+        self._queues: dict[bytes, HostedQueue] = {}
+        self._asking: dict[bytes, asyncio.Lock] = {}
+        self._closing: StampedeError | None = None
+        self._registrations = 0
+
+    def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
+        """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""
+        self._check_lease()
+        hosted = self._queues.get(queue_id)
+        if hosted is None:
+            raise refusals.not_here(self._identity.name, queue_id)
+        if hosted.epoch != epoch:
+            raise refusals.wrong_epoch(hosted.record, epoch)
+        return hosted
+
+    async def use(self, queue_id: bytes, epoch: int | None) -> HostedQueue:
+        """The queue under that epoch (None: any); the directory is asked if it or its epoch is new here.
+
+        Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), QueueNotFound, Overloaded, Unavailable.
+        """
+        self._check_lease()
+        if not self._knows(queue_id, epoch):
+            lock = self._asking.setdefault(queue_id, asyncio.Lock())
+            try:
+                async with lock:  # of many callers at once one asks
+                    if not self._knows(queue_id, epoch):
+                        await self._ask(queue_id)
+            finally:
+                if not lock.locked():
+                    self._asking.pop(queue_id, None)
+        held = self._queues.get(queue_id)
+        return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
+
+    def registered(self, records: Iterable[queue_pb2.QueueRecord], *, all_told: bool) -> None:
+        """The directory's view of this host's queues at a registration, before anything is served under it.
+
+        Queues that are not in it went elsewhere; if it is not complete, they are in doubt until asked for.
+        """
+        self._registrations += 1
+        told = {record.queue_id: record for record in records}
+        for queue_id, hosted in list(self._queues.items()):
+            record = told.get(queue_id)
+            if record is not None:
+                self._adopt(record)
+            elif all_told:
+                logger.warning("queue went elsewhere", extra={"queue": shown(hosted.record)})
+                self._forget(queue_id, refusals.not_here(self._identity.name, queue_id))
+            else:
+                hosted.epoch = 0  # no request can name it: the next use asks the directory
+
+    def changed(self, record: queue_pb2.QueueRecord, *, removed: bool) -> None:
+        """The directory tells of a change. Of queues that nobody used here nothing is kept."""
+        hosted = self._queues.get(record.queue_id)
+        if hosted is None:
+            return
+        if removed:
+            self._forget(record.queue_id, refusals.deleted(record))
+        elif record.host_id == self._identity.host_id:
+            self._adopt(record)
+        elif record.epoch > hosted.record.epoch:
+            self._forget(record.queue_id, refusals.moved(record))
+
+    async def check(self, queue_id: bytes) -> None:
+        """Ask the directory about a queue that is held here, whose changes may have been missed. Raises Unavailable."""
+        try:
+            await self._ask(queue_id)
+        except (QueueNotFound, StaleBinding) as error:
+            logger.info("queue is not here any more", extra={"queue": queue_id.hex(), "why": str(error)})
+
+    def fence(self) -> None:
+        """The lease ran out: takers and producers must look for their queues elsewhere."""
+        self.end_all(refusals.fenced(self._identity.name))
+
+    def close(self) -> None:
+        """From now on the lease counts as given up, because the host goes."""
+        self._closing = refusals.SHUTTING_DOWN
+
+    def end_all(self, error: StampedeError) -> None:
+        """All takers and waiting producers hear `error`."""
+        for hosted in self.all():
+            hosted.end(error)
+
+    def all(self) -> list[HostedQueue]:
+        """All queues that were used here."""
+        return list(self._queues.values())
+
+    def holds(self, hosted: HostedQueue) -> bool:
+        """The queue is still this host's, as far as it knows."""
+        return self._queues.get(hosted.record.queue_id) is hosted
+
+    def footprint_bytes(self) -> int:
+        """What all queues take of the host's memory."""
+        return sum(hosted.queue.footprint_bytes for hosted in self._queues.values())
+
+    def _check_lease(self) -> None:
+        if self._closing is not None:
+            raise self._closing
+        if not self._lease_held():
+            raise refusals.fenced(self._identity.name)
+
+    def _knows(self, queue_id: bytes, epoch: int | None) -> bool:
+        """No need to ask: an older epoch than the one held is wrong, whatever the directory says."""
+        hosted = self._queues.get(queue_id)
+        return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch
+
+    async def _ask(self, queue_id: bytes) -> None:
+        held = self._queues.get(queue_id)
+        try:
+            record = await self._resolve(queue_id)
+        except QueueNotFound:
+            if held is not None:
+                self._forget(queue_id, refusals.deleted(held.record))
+            raise
+        if record.host_id != self._identity.host_id:
+            error = refusals.moved(record)
+            self._forget(queue_id, error)
+            raise error
+        self._adopt(record)
+
+    async def _resolve(self, queue_id: bytes) -> queue_pb2.QueueRecord:
+        """The queue, asked for since the last registration: an older answer may be out of date, since the lease had
+        ended in between. Raises what the directory answers, or StaleBinding if the host cannot keep a lease."""
+        for _ in range(QUESTIONS_MAX):
+            registrations = self._registrations
+            record = (await self._directory.resolve(queue_id)).queue
+            if registrations == self._registrations:
+                return record
+        raise refusals.fenced(self._identity.name)
+
+    def _adopt(self, record: queue_pb2.QueueRecord) -> None:
+        """Serve the queue as the directory describes it. An older description than the one held changes nothing."""
+        held = self._queues.get(record.queue_id)
+        if held is not None and held.record.incarnation == record.incarnation:
+            if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
+                held.update(record)
+            return
+        if held is not None:
+            if record.epoch < held.record.epoch:
+                return
+            self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
+        if len(self._queues) >= QUEUES_MAX:
+            raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, which is the most; use another")
+        self._queues[record.queue_id] = HostedQueue(record, self._memory, self.now, self._on_departures)
+
+    def _forget(self, queue_id: bytes, error: StampedeError) -> None:
+        hosted = self._queues.pop(queue_id, None)
+        if hosted is not None:
+            hosted.forget(error)

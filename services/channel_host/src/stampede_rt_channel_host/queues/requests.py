@@ -1,0 +1,84 @@
+"""What arrives at QueueService, checked and turned into the core's values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.status import to_error_message
+from stampede_rt.v1 import queue_pb2
+from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.cluster.identity import ID_BYTES
+from stampede_rt_channel_host.core.queue import (
+    LEASE_NANOS_MAX,
+    Acknowledge,
+    Extend,
+    GiveBack,
+    Settlement,
+    SettlementResult,
+    Taker,
+)
+
+CREDIT_MAX = 1024
+SETTLEMENTS_MAX = 1024
+
+
+def check_queue_id(queue_id: bytes) -> None:
+    """Raises InvalidArgument."""
+    if len(queue_id) != ID_BYTES:
+        raise InvalidArgument(f"queue_id has {len(queue_id)} bytes; give the {ID_BYTES} that the directory told")
+
+
+def check_taker_id(taker_id: int) -> None:
+    """Raises InvalidArgument."""
+    if not taker_id:
+        raise InvalidArgument("taker_id is 0; draw a random number that is not, and keep it")
+
+
+def taker_of(opened: pb.TakeOpen) -> Taker:
+    """Who takes. Raises InvalidArgument."""
+    check_queue_id(opened.queue_id)
+    check_taker_id(opened.taker_id)
+    lease_nanos = opened.lease_nanos if opened.HasField("lease_nanos") else None
+    if lease_nanos is not None:
+        _check_lease(lease_nanos)
+    return Taker(opened.taker_id, lease_nanos)
+
+
+def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]:
+    """What a taker says of its deliveries. Raises InvalidArgument."""
+    settlements = [_settlement_of(message) for message in messages]
+    if len(settlements) > SETTLEMENTS_MAX:
+        raise InvalidArgument(
+            f"the request holds {len(settlements)} settlements; {SETTLEMENTS_MAX} are the most: send several requests"
+        )
+    return settlements
+
+
+def result_message(result: SettlementResult) -> queue_pb2.SettlementResult:
+    """What became of one."""
+    return queue_pb2.SettlementResult(
+        delivery_id=result.delivery_id,
+        error=to_error_message(result.error) if result.error else None,
+        lease_nanos=result.lease_nanos,
+    )
+
+
+def _settlement_of(message: queue_pb2.Settlement) -> Settlement:
+    verdict = message.WhichOneof("verdict")
+    if not message.delivery_id or verdict is None:
+        raise InvalidArgument("a settlement lacks delivery_id or verdict; name a delivery and say what became of it")
+    if verdict == "acknowledge":
+        return Settlement(message.delivery_id, Acknowledge())
+    if verdict == "give_back":
+        delay_nanos = message.give_back.delay_nanos
+        if delay_nanos < 0:
+            raise InvalidArgument(f"delay_nanos is {delay_nanos}; it is 0 or more")
+        return Settlement(message.delivery_id, GiveBack(delay_nanos))
+    _check_lease(message.extend_lease.lease_nanos)
+    return Settlement(message.delivery_id, Extend(message.extend_lease.lease_nanos))
+
+
+def _check_lease(lease_nanos: int) -> None:
+    if not 0 < lease_nanos <= LEASE_NANOS_MAX:
+        raise InvalidArgument(f"lease_nanos is {lease_nanos}; it is more than 0 and at most {LEASE_NANOS_MAX} (1 h)")

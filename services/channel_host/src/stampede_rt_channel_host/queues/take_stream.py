@@ -1,0 +1,156 @@
+"""One stream of a taker: credit and settlements come in, leased items and results go out."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.v1 import queue_pb2
+from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.core.queue import Batch, Taker
+from stampede_rt_channel_host.queues.frames import take_response
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.queue_store import QueueStore
+from stampede_rt_channel_host.queues.refusals import shown
+from stampede_rt_channel_host.queues.requests import (
+    CREDIT_MAX,
+    SETTLEMENTS_MAX,
+    result_message,
+    settlements_of,
+    taker_of,
+)
+
+SIGN_OF_LIFE_SECONDS = 4.0  # the contract says after 5 s
+WRITE_SECONDS_MAX = 30.0
+
+
+class TakeStream:
+    """Serves one stream. A `TakerStream` of its queue: everything happens on the event loop.
+
+    When the caller has closed its side, the stream goes on until its credit is used up: to take once, give credit,
+    close, and read to the end.
+    """
+
+    def __init__(self, store: QueueStore, context: Any, stream: OpenStream) -> None:
+        self._store = store
+        self._context = context
+        self._stream = stream
+        self._batch: Batch | None = None
+        self._results: list[queue_pb2.SettlementResult] = []
+        self._owes_drained = self._drains = self._closed = False
+        self._news = asyncio.Event()
+        self._room = asyncio.Event()
+
+    def deliver(self, batch: Batch) -> None:
+        """The queue deals one at a time."""
+        self._batch = batch
+        self._news.set()
+
+    def end(self, error: StampedeError) -> None:
+        """The queue is not served any more."""
+        self._stream.end(error)
+
+    async def run(self) -> None:
+        """Until the stream ends. Raises StaleBinding, QueueNotFound, InvalidArgument, Overloaded."""
+        raw = await self._context.read()
+        if raw is EOF:
+            raise InvalidArgument("the stream is closed before anything was taken; begin with `open`")
+        request: pb.TakeRequest = parse(pb.TakeRequest, raw, "TakeRequest")
+        taker = taker_of(request.open)
+        hosted = await self._store.use(request.open.queue_id, request.open.epoch)
+        hosted.attach(taker, self)
+        try:
+            await self._serve(hosted, taker, request)
+        finally:
+            hosted.leave(taker)
+
+    async def _serve(self, hosted: HostedQueue, taker: Taker, request: pb.TakeRequest) -> None:
+        writer = self._stream.spawn(self._write_all(hosted, taker))
+        try:
+            await self._take(hosted, taker, request)
+            while (raw := await self._context.read()) is not EOF:
+                request = parse(pb.TakeRequest, raw, "TakeRequest")
+                if request.HasField("open"):
+                    raise InvalidArgument("the stream is open already; leave `open` out after the first request")
+                await self._take(hosted, taker, request)
+            self._closed = True
+            self._news.set()
+            await writer
+        finally:
+            writer.cancel()
+
+    async def _take(self, hosted: HostedQueue, taker: Taker, request: pb.TakeRequest) -> None:
+        settlements = settlements_of(request.settlements)
+        if settlements:
+            results = hosted.settle(taker.taker_id, settlements)
+            self._results += map(result_message, results)
+        if request.drain:
+            self._drains = self._owes_drained = True
+            hosted.queue.drain(taker)
+        self._grant(hosted, taker, request.credit)
+        self._news.set()
+        while len(self._results) >= SETTLEMENTS_MAX:  # who does not read its results is held back
+            self._room.clear()
+            await self._room.wait()
+
+    def _grant(self, hosted: HostedQueue, taker: Taker, credit: int) -> None:
+        if not credit or self._drains:
+            return
+        if taker.credit + credit > CREDIT_MAX:
+            raise InvalidArgument(
+                f"the taker has {taker.credit} credit and gives {credit} more; at most {CREDIT_MAX} may be open"
+            )
+        hosted.grant(taker, credit)
+
+    async def _write_all(self, hosted: HostedQueue, taker: Taker) -> None:
+        """What gathered while the last write was in flight goes out together; after a silence, a sign of life."""
+        await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
+        while not self._is_over(taker):
+            if await self._wait_for_news():
+                await self._write_news(hosted, taker)
+            elif not self._closed:
+                await self._write(hosted, b"")
+
+    def _is_over(self, taker: Taker) -> bool:
+        waiting = self._batch is not None or self._results or self._owes_drained
+        return self._closed and not taker.credit and not waiting
+
+    async def _write_news(self, hosted: HostedQueue, taker: Taker) -> None:
+        batch, self._batch = self._batch, None
+        results, self._results = self._results, []
+        drained, self._owes_drained = self._owes_drained, False
+        self._room.set()
+        if batch is not None:
+            hosted.queue.sending(taker)
+        if results and batch is not None and len(results) > SETTLEMENTS_MAX // 8:
+            await self._write(hosted, take_response(None, results, 0))  # together they might exceed 1 MiB
+            results = []
+        if batch is not None or results or drained:
+            await self._write(hosted, take_response(batch, results, self._store.now(), drained=drained))
+        if batch is not None:
+            hosted.sent(taker)
+
+    async def _wait_for_news(self) -> bool:
+        """False: nothing came for SIGN_OF_LIFE_SECONDS."""
+        try:
+            async with asyncio.timeout(SIGN_OF_LIFE_SECONDS):
+                await self._news.wait()
+        except TimeoutError:
+            return False
+        self._news.clear()
+        return True
+
+    async def _write(self, hosted: HostedQueue, message: bytes) -> None:
+        try:
+            async with asyncio.timeout(WRITE_SECONDS_MAX):
+                await self._context.write(message)
+        except TimeoutError:
+            raise Overloaded(
+                f"the taker of queue {shown(hosted.record)} read nothing for {WRITE_SECONDS_MAX:g} s, and its stream "
+                "is ended; give less credit, or read faster, and open it again: what was sent can still be settled"
+            ) from None
