@@ -10,7 +10,7 @@ from pathlib import Path
 from types import FrameType
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher.film import require_libraries
+from stampede_rt_demos.staging.film import require_libraries
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130

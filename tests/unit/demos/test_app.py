@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt_demos import app
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher import film
+from stampede_rt_demos.staging import film
 
 
 def test_without_a_name_the_demos_are_listed(capsys):

@@ -7,11 +7,11 @@ import pytest
 from PIL import Image
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher import film
-from stampede_rt_demos.tv_watcher.clip import decode_audio, decode_video, one_loop, video_loop_nanos
+from stampede_rt_demos.staging import film
+from stampede_rt_demos.staging.clip import decode_audio, decode_video, one_loop, video_loop_nanos
+from stampede_rt_demos.staging.film import locate_film, require_libraries
+from stampede_rt_demos.staging.thumbnails import encode_jpeg, jpeg_thumbnail, luma_thumbnail
 from stampede_rt_demos.tv_watcher.features import MotionMeter
-from stampede_rt_demos.tv_watcher.film import locate_film, require_libraries
-from stampede_rt_demos.tv_watcher.thumbnails import encode_jpeg, jpeg_thumbnail, luma_thumbnail
 
 MS = 1_000_000
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.staging import messages
+from stampede_rt_demos.tv_watcher import steps
 from stampede_rt_demos.tv_watcher.statistics import Step
 
 STEP = Step(
@@ -17,9 +18,9 @@ STEP = Step(
 
 
 def test_a_step_survives_the_line():
-    line = messages.encode("step", **messages.step_fields(STEP))
+    line = messages.encode("step", **steps.step_fields(STEP))
     assert "\n" not in line
-    assert messages.step_of(messages.decode(line)) == STEP
+    assert steps.step_of(messages.decode(line)) == STEP
 
 
 def test_the_start_survives_the_line():
@@ -45,4 +46,4 @@ def test_an_event_that_nobody_knows_is_not_sent():
 
 def test_a_step_without_its_counts_is_refused():
     with pytest.raises(messages.BadMessage, match="counts"):
-        messages.step_of({"event": "step", "time": 1, "end": 2, "text": ""})
+        steps.step_of({"event": "step", "time": 1, "end": 2, "text": ""})

@@ -2,7 +2,7 @@
 
 import io
 
-from stampede_rt_demos.tv_watcher.progress import Progress
+from stampede_rt_demos.staging.progress import Progress
 
 
 class Terminal(io.StringIO):

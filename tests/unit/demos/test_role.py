@@ -8,13 +8,13 @@ import textwrap
 
 import pytest
 
-from stampede_rt_demos.tv_watcher.role import EXIT_ORPHANED, RoleSettings
+from stampede_rt_demos.staging.role import EXIT_ORPHANED, RoleSettings
 
 PRELUDE = """
     import signal, sys
     import stampede_rt as st
     from stampede_rt_demos.failures import DemoFailed
-    from stampede_rt_demos.tv_watcher.role import run_role
+    from stampede_rt_demos.staging.role import run_role
 """
 END_SECONDS = 20
 

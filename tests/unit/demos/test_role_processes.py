@@ -8,7 +8,7 @@ import textwrap
 import pytest
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher.role_processes import RoleProcesses, role_command
+from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 
 GOOD = """
     import json, sys
@@ -108,7 +108,7 @@ def test_a_role_that_cannot_be_started_is_named():
 
 
 def test_a_role_that_ignores_the_kind_signal_is_ended_by_force(monkeypatch):
-    monkeypatch.setattr("stampede_rt_demos.tv_watcher.role_processes.END_SECONDS", 0.2)
+    monkeypatch.setattr("stampede_rt_demos.staging.role_processes.END_SECONDS", 0.2)
     with RoleProcesses() as roles:
         roles.start("deaf one", program(DEAF))
         wait_ready(roles, 1)
@@ -140,6 +140,6 @@ def test_the_roles_environment_is_added_to_this_ones():
 
 
 def test_a_roles_command_uses_this_interpreter():
-    command = role_command("viewer", "localhost:1", 4)
+    command = role_command("tv_watcher", "viewer", "localhost:1", 4)
     assert command[:3] == [sys.executable, "-m", "stampede_rt_demos.tv_watcher.viewer"]
     assert command[3:] == ["--address", "localhost:1", "--seconds", "4"]

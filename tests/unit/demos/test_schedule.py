@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from stampede_rt_demos.tv_watcher.schedule import LoopedClock, planned_blocks, planned_frames
+from stampede_rt_demos.staging.schedule import LoopedClock, planned_blocks, planned_frames
 
 MS = 1_000_000
 START = 1_700_000_000_123_456_789

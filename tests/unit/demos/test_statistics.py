@@ -2,7 +2,8 @@
 
 import pytest
 
-from stampede_rt_demos.tv_watcher.statistics import Receipts, SequenceAccount, Step, percentile, stream_figures
+from stampede_rt_demos.staging.statistics import Receipts, SequenceAccount, percentile
+from stampede_rt_demos.tv_watcher.statistics import Step, stream_figures
 
 
 def step(*, time: int = 0, video: int = 25, at: dict[str, int] | None = None) -> Step:

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image, ImageColor
 
 from stampede_rt.model import Item
+from stampede_rt_demos.staging.thumbnails import encode_jpeg
 from stampede_rt_demos.tv_watcher.picture_data import PictureSpan, picture_record, picture_spans
-from stampede_rt_demos.tv_watcher.thumbnails import encode_jpeg
 from stampede_rt_demos.tv_watcher.timeline_picture import BLUE, GREEN, ORANGE, VERMILION, draw
 
 SECOND, FRAME, BLOCK = 1_000_000_000, 40_000_000, 125_000_000

@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Mapping
 
 import stampede_rt as st
+from stampede_rt_demos.staging.producing import PUT_TIME_ATTRIBUTE, wait_until
+from stampede_rt_demos.staging.receiving import receive
+from stampede_rt_demos.staging.role import Stage
 from stampede_rt_demos.tv_watcher.opening import open_channel
-from stampede_rt_demos.tv_watcher.producing import wait_until
-from stampede_rt_demos.tv_watcher.programme import PUT_TIME_ATTRIBUTE, Stream
-from stampede_rt_demos.tv_watcher.receiving import receive
-from stampede_rt_demos.tv_watcher.role import Stage
+from stampede_rt_demos.tv_watcher.programme import Stream
 
 Feature = Callable[[bytes], Mapping[str, object]]
 

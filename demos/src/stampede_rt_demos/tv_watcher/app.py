@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.staging.film import ATTRIBUTION
+from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.tv_watcher.conductor import Outcome, conduct
-from stampede_rt_demos.tv_watcher.programme import ATTRIBUTION
-from stampede_rt_demos.tv_watcher.progress import Progress
 from stampede_rt_demos.tv_watcher.report import render, subtitle
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 
 import stampede_rt as st
-from stampede_rt_demos.tv_watcher.clip import decode_audio, one_loop, video_loop_nanos
-from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.staging.clip import decode_audio, one_loop, video_loop_nanos
+from stampede_rt_demos.staging.film import locate_film
+from stampede_rt_demos.staging.producing import produce
+from stampede_rt_demos.staging.role import Stage, run_role
+from stampede_rt_demos.staging.schedule import planned_blocks
 from stampede_rt_demos.tv_watcher.opening import open_channel
-from stampede_rt_demos.tv_watcher.producing import produce
 from stampede_rt_demos.tv_watcher.programme import AUDIO, AUDIO_BLOCK_NANOS, AUDIO_RATE_HZ
-from stampede_rt_demos.tv_watcher.role import Stage, run_role
-from stampede_rt_demos.tv_watcher.schedule import planned_blocks
 
 
 def play(stage: Stage) -> dict[str, object]:

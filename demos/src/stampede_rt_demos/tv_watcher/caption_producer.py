@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 
 import stampede_rt as st
+from stampede_rt_demos.staging.clip import video_loop_nanos
+from stampede_rt_demos.staging.film import locate_film
+from stampede_rt_demos.staging.producing import produce
+from stampede_rt_demos.staging.role import Stage, run_role
 from stampede_rt_demos.tv_watcher.captions import planned_captions
-from stampede_rt_demos.tv_watcher.clip import video_loop_nanos
-from stampede_rt_demos.tv_watcher.film import locate_film
 from stampede_rt_demos.tv_watcher.opening import open_channel
-from stampede_rt_demos.tv_watcher.producing import produce
 from stampede_rt_demos.tv_watcher.programme import CAPTION_NANOS, CAPTIONS
-from stampede_rt_demos.tv_watcher.role import Stage, run_role
 
 
 def play(stage: Stage) -> dict[str, object]:

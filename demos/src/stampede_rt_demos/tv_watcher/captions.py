@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from stampede_rt_demos.tv_watcher.schedule import PlannedItem
+from stampede_rt_demos.staging.schedule import PlannedItem
 
 
 @dataclass(frozen=True, slots=True)

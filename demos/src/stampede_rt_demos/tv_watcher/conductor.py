@@ -12,22 +12,23 @@ from dataclasses import dataclass, field
 
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher import messages
-from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.staging import messages
+from stampede_rt_demos.staging.film import locate_film
+from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
+from stampede_rt_demos.tv_watcher import steps
 from stampede_rt_demos.tv_watcher.picture_data import PictureSpan, picture_spans
 from stampede_rt_demos.tv_watcher.programme import (
     AUDIO,
     CAPTION_NANOS,
     CAPTIONS,
-    NANOS_PER_SECOND,
     SOURCE_OF_FEATURE,
     STREAM_MAX_AGE,
     STREAMS,
     VIDEO,
 )
-from stampede_rt_demos.tv_watcher.progress import Progress
 from stampede_rt_demos.tv_watcher.report import RunReport
-from stampede_rt_demos.tv_watcher.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.tv_watcher.statistics import Step, stream_figures
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed
@@ -69,7 +70,7 @@ class _Collected:
             case "progress":
                 self.items[role] = message["items"]
             case "step":
-                self.steps.append(messages.step_of(message))
+                self.steps.append(steps.step_of(message))
             case "picture":
                 self.picture = message
             case "result":
@@ -104,7 +105,7 @@ def _run_programme(
         channels = _create_channels(rt)
         with RoleProcesses({"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}) as roles:
             for name, module in MODULES.items():
-                roles.start(name, role_command(module, cluster.address, seconds))
+                roles.start(name, role_command("tv_watcher", module, cluster.address, seconds))
             progress.say(f"Starting {len(MODULES)} processes: {', '.join(MODULES)} ...")
             _wait_ready(roles)
             collected = _play(roles, seconds, progress)

@@ -6,10 +6,10 @@ import sys
 
 import numpy as np
 
+from stampede_rt_demos.staging.role import Stage, run_role
 from stampede_rt_demos.tv_watcher.analysing import analyse
 from stampede_rt_demos.tv_watcher.features import loudness
 from stampede_rt_demos.tv_watcher.programme import AUDIO, LOUDNESS
-from stampede_rt_demos.tv_watcher.role import Stage, run_role
 
 
 def feature(pcm: bytes) -> dict[str, object]:

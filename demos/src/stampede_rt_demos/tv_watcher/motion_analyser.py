@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 
+from stampede_rt_demos.staging.role import Stage, run_role
+from stampede_rt_demos.staging.thumbnails import luma_thumbnail
 from stampede_rt_demos.tv_watcher.analysing import analyse
 from stampede_rt_demos.tv_watcher.features import MotionMeter
 from stampede_rt_demos.tv_watcher.programme import MOTION, VIDEO
-from stampede_rt_demos.tv_watcher.role import Stage, run_role
-from stampede_rt_demos.tv_watcher.thumbnails import luma_thumbnail
 
 LUMA_WIDTH = 160
 LUMA_HEIGHT = 90

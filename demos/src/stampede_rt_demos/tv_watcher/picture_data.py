@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import stampede_rt as st
+from stampede_rt_demos.staging.thumbnails import jpeg_thumbnail
 from stampede_rt_demos.tv_watcher.features import envelope
 from stampede_rt_demos.tv_watcher.programme import AUDIO, CAPTIONS, LOUDNESS, MOTION, VIDEO
-from stampede_rt_demos.tv_watcher.thumbnails import jpeg_thumbnail
 
 PICTURE_SPANS_MAX = 6
 THUMBNAIL_WIDTH = 272

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-NANOS_PER_SECOND = 1_000_000_000
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
+
 CAPTION_NANOS = NANOS_PER_SECOND
 AUDIO_BLOCK_NANOS = 125_000_000
 AUDIO_RATE_HZ = 48_000
@@ -12,8 +13,6 @@ FRAME_WIDTH = 640
 FRAME_HEIGHT = 360
 JPEG_QUALITY = 85
 STREAM_MAX_AGE = "15s"
-PUT_TIME_ATTRIBUTE = "put_unix_nano"
-ATTRIBUTION = "Big Buck Bunny, (c) 2008 Blender Foundation, www.bigbuckbunny.org, CC BY 3.0"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

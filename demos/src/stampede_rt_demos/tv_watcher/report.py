@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from stampede_rt_demos.tv_watcher.statistics import Step, StreamFigures, percentile
+from stampede_rt_demos.staging.statistics import percentile
+from stampede_rt_demos.tv_watcher.statistics import Step, StreamFigures
 
 LINE_CHARS = 100
 _TIMINGS = ("latency p50", "p99 ms", "skew p50", "p99 ms")

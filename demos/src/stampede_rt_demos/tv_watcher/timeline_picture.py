@@ -22,8 +22,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from PIL import Image, ImageColor
 
+from stampede_rt_demos.staging.film import ATTRIBUTION
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.tv_watcher.picture_data import PictureSpan
-from stampede_rt_demos.tv_watcher.programme import ATTRIBUTION, NANOS_PER_SECOND
 
 BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PALE_BLUE, PALE_ORANGE = "#b8d5e8", "#f8e2b3"

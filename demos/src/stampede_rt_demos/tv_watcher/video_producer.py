@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 
 import stampede_rt as st
-from stampede_rt_demos.tv_watcher.clip import decode_video
-from stampede_rt_demos.tv_watcher.film import locate_film
+from stampede_rt_demos.staging.clip import decode_video
+from stampede_rt_demos.staging.film import locate_film
+from stampede_rt_demos.staging.producing import produce
+from stampede_rt_demos.staging.role import Stage, run_role
+from stampede_rt_demos.staging.schedule import planned_frames
 from stampede_rt_demos.tv_watcher.opening import open_channel
-from stampede_rt_demos.tv_watcher.producing import produce
 from stampede_rt_demos.tv_watcher.programme import FRAME_HEIGHT, FRAME_WIDTH, JPEG_QUALITY, VIDEO
-from stampede_rt_demos.tv_watcher.role import Stage, run_role
-from stampede_rt_demos.tv_watcher.schedule import planned_frames
 
 
 def play(stage: Stage) -> dict[str, object]:

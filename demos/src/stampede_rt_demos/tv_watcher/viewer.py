@@ -15,18 +15,13 @@ from typing import NamedTuple
 
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.staging.receiving import GRACE_SECONDS, receive
+from stampede_rt_demos.staging.role import Stage, run_role
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
+from stampede_rt_demos.tv_watcher import steps
 from stampede_rt_demos.tv_watcher.opening import open_channel
 from stampede_rt_demos.tv_watcher.picture_data import PICTURE_SPANS_MAX, picture_record
-from stampede_rt_demos.tv_watcher.programme import (
-    CAPTION_NANOS,
-    CAPTIONS,
-    NANOS_PER_SECOND,
-    SOURCE_OF_FEATURE,
-    STREAMS,
-)
-from stampede_rt_demos.tv_watcher.receiving import GRACE_SECONDS, receive
-from stampede_rt_demos.tv_watcher.role import Stage, run_role
+from stampede_rt_demos.tv_watcher.programme import CAPTION_NANOS, CAPTIONS, SOURCE_OF_FEATURE, STREAMS
 from stampede_rt_demos.tv_watcher.statistics import Step
 
 SPAN_GRACE_SECONDS = 2.0
@@ -73,7 +68,7 @@ def _watch(stage: Stage, lanes: Mapping[str, Lane], until: int) -> deque[Span]:
         caption = _next_caption(lanes[CAPTIONS.name].channel, caption, until)
         step, span = _read_span(caption, lanes)
         spans.append(span)
-        stage.tell("step", **messages.step_fields(step))
+        stage.tell("step", **steps.step_fields(step))
     return spans
 
 

@@ -6,11 +6,11 @@ import time
 from collections.abc import Iterable
 
 import stampede_rt as st
-from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND, PUT_TIME_ATTRIBUTE
-from stampede_rt_demos.tv_watcher.role import Stage
-from stampede_rt_demos.tv_watcher.schedule import PlannedItem
-from stampede_rt_demos.tv_watcher.statistics import percentile
+from stampede_rt_demos.staging.role import Stage
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, PlannedItem
+from stampede_rt_demos.staging.statistics import percentile
 
+PUT_TIME_ATTRIBUTE = "put_unix_nano"
 PUT_TIMEOUT_SECONDS = 5.0
 
 

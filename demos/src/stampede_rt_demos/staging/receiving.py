@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher.programme import NANOS_PER_SECOND, PUT_TIME_ATTRIBUTE
-from stampede_rt_demos.tv_watcher.statistics import Receipts
+from stampede_rt_demos.staging.producing import PUT_TIME_ATTRIBUTE
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
+from stampede_rt_demos.staging.statistics import Receipts
 
 GRACE_SECONDS = 5.0
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import IO
 
 from stampede_rt_demos.failures import DemoFailed
-from stampede_rt_demos.tv_watcher import messages
+from stampede_rt_demos.staging import messages
 
 EVENTS_MAX = 1000
 LAST_LINES_MAX = 20
@@ -168,9 +168,9 @@ class RoleProcesses:
             role.last_lines.append(line)
 
 
-def role_command(module: str, address: str, seconds: int) -> list[str]:
-    """The command that runs a role of the TV watcher with this interpreter."""
-    name = f"stampede_rt_demos.tv_watcher.{module}"
+def role_command(demo: str, module: str, address: str, seconds: int) -> list[str]:
+    """The command that runs a role of a demo, both named as their modules, with this interpreter."""
+    name = f"stampede_rt_demos.{demo}.{module}"
     return [sys.executable, "-m", name, "--address", address, "--seconds", str(seconds)]
 
 

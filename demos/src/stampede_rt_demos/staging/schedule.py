@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+NANOS_PER_SECOND = 1_000_000_000
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedItem:

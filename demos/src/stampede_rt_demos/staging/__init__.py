@@ -1,0 +1,1 @@
+"""What every demo stands on: role processes and their reports, the film, real-time putting, accounting."""

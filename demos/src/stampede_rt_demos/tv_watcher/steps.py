@@ -1,0 +1,27 @@
+"""A step of the viewer as the fields of an event, and back. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt_demos.staging.messages import BadMessage, Message
+from stampede_rt_demos.tv_watcher.statistics import Step
+
+
+def step_fields(step: Step) -> dict[str, object]:
+    """A step as the fields of a `step` event."""
+    return {
+        "time": step.time,
+        "end": step.end,
+        "text": step.text,
+        "counts": dict(step.counts),
+        "complete": step.complete,
+        "features_keep_times": step.features_keep_times,
+        "received_unix_nano": dict(step.received_unix_nano),
+    }
+
+
+def step_of(message: Message) -> Step:
+    """The step of a `step` event. Raises BadMessage if fields are missing."""
+    try:
+        return Step(**{name: message[name] for name in Step.__dataclass_fields__})
+    except KeyError as error:
+        raise BadMessage(f"a step without {error}") from None
