@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import random
 from collections import deque
+from dataclasses import fields, replace
 from typing import Any
 
 import stampede_rt as st
+from stampede_rt.model import ConsumerStats, Policy
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.policy import parse_policy
 from stampede_rt.timeline import (
@@ -28,20 +31,60 @@ LIMIT_BYTES = 1 << 20
 
 
 class MemoryConnection:
-    """Opens channels that live in this object."""
+    """Opens channels that live in this object, and in those that have joined it."""
+
+    def __init__(self, joins: MemoryConnection | None = None) -> None:
+        self._channels: dict[str, MemoryChannel] = joins._channels if joins else {}
+        self._consumer_id = random.getrandbits(63) | 1
 
     async def channel(self, name: str, **policy: Any) -> MemoryChannel:
-        return MemoryChannel(name, **policy)
+        if name not in self._channels:
+            self._channels[name] = MemoryChannel(name, **policy)
+        return self._channels[name].seen_by(self._consumer_id)
+
+    async def aclose(self) -> None:
+        for channel in self._channels.values():
+            channel.seen_by(self._consumer_id).leave()
 
 
 class MemoryChannel:
     def __init__(self, name: str, **policy: Any) -> None:
         stated = parse_policy(**policy)
         self.name = name
+        self._consumer_id = 0
         self.core = Channel(stated, incarnation=random.getrandbits(63) | 1, name=name)
         self._content_type = stated.content_type or ""
         self._changed: set[asyncio.Event] = set()
-        self._waiting = 0
+        self._waiting = {"gets": 0, "puts": 0}
+
+    def seen_by(self, consumer_id: int) -> MemoryChannel:
+        """The same channel, in the hands of another participant."""
+        handle = copy.copy(self)
+        handle._consumer_id = consumer_id
+        return handle
+
+    async def consume(self, items: Any) -> int:
+        named = [items] if isinstance(items, st.Item) else list(items)
+        if not all(isinstance(item, st.Item) for item in named):
+            raise st.InvalidArgument("items are consumed, nothing else")
+        if any(item.incarnation != self.core.incarnation for item in named):
+            raise st.IncarnationLost("another incarnation")
+        consumed = self.core.consume(self._consumer_id, [item.seq for item in named], st.now())
+        self._wake()
+        return consumed.items
+
+    def leave(self) -> None:
+        if any(place.consumer_id == self._consumer_id for place in self.core.consumers(st.now())):
+            self.core.consume(self._consumer_id, [], st.now(), lease_nanos=0)
+            self._wake()
+
+    async def configure(self, **changes: Any) -> Policy:
+        stated = parse_policy(**changes)
+        news = {field.name: getattr(stated, field.name) for field in fields(stated)}
+        policy = replace(self.core.policy, **{name: value for name, value in news.items() if value is not None})
+        self.core.configure(policy, st.now())
+        self._wake()
+        return policy
 
     def _wake(self) -> None:
         for event in self._changed:
@@ -79,7 +122,9 @@ class MemoryChannel:
             instants = [instant for instant in (deadline, outcome.retry_at) if instant is not None]
             event = asyncio.Event()
             self._changed.add(event)
+            self._waiting["puts"] += 1
             await self._until(event, min(instants, default=None))
+            self._waiting["puts"] -= 1
             self._changed.discard(event)
             outcome = self.core.put(offer, st.now(), seal)
         return outcome
@@ -123,7 +168,7 @@ class MemoryChannel:
         pending = self.core.begin(query, st.now())
         event = asyncio.Event()
         self._changed.add(event)
-        self._waiting += 1
+        self._waiting["gets"] += 1
         try:
             async with asyncio.timeout(timeout):
                 while isinstance(polled := self.core.poll(pending, st.now()), WakeAt):
@@ -133,7 +178,7 @@ class MemoryChannel:
             answer = self.core.give_up(pending, st.now())
         finally:
             self._changed.discard(event)
-            self._waiting -= 1
+            self._waiting["gets"] -= 1
         return self._answer(answer, query, payloads)
 
     async def _until(self, event: asyncio.Event, instant: int | None) -> None:
@@ -195,10 +240,16 @@ class MemoryChannel:
             frontier=self.core.frontier,
             advance=self.core.advanced_to,
             subscriptions=0,
-            waiting_gets=self._waiting,
-            waiting_puts=0,
+            waiting_gets=self._waiting["gets"],
+            waiting_puts=self._waiting["puts"],
             incarnation=self.core.incarnation,
             host_time=st.now(),
+            policy=self.core.policy,
+            consumers=[
+                ConsumerStats(consumer_id=one.consumer_id, lease_nanos=one.lease_nanos, waiting=one.waiting)
+                for one in self.core.consumers(st.now())
+            ],
+            clock_offset_nanos=0,
         )
 
 
