@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+from collections.abc import Mapping
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied
 from stampede_rt.tls import TlsReader
@@ -102,6 +103,11 @@ def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
                 shown = secured.getpeercert() or {}
     except (OSError, UnicodeError):
         return None
+    return seconds_of(shown)
+
+
+def seconds_of(shown: Mapping[str, object]) -> float | None:
+    """When a certificate ends that the standard library shows, in seconds since the epoch; None if it does not say."""
     end = shown.get("notAfter")
     return ssl.cert_time_to_seconds(end) if isinstance(end, str) else None
 

@@ -1,0 +1,176 @@
+"""What is wrong with a cluster, judged from what its parts said, and what to do about it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median_low
+
+from stampede_rt.timeline import format_duration
+
+CLOCK_OFFSET_NANOS_MAX = 50_000_000
+FRONTEND, SUPERNODE, HOST, CALLER = "front-end", "supernode", "host", "this caller"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """What one part said when it was asked, or why it said nothing (`failure`).
+
+    `clock_offset_nanos` is of its clock against the caller's, give or take half of the round trip. `alive`: what the
+    directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end.
+    """
+
+    kind: str
+    address: str
+    name: str = ""
+    failure: str = ""
+    ready: bool = True
+    alive: bool = True
+    lease_held: bool = True
+    knows_supernodes: bool = True
+    round_trip_nanos: int | None = None
+    clock_offset_nanos: int | None = None
+    version: str = ""
+    certificate_left_s: float | None = None
+
+    @property
+    def part(self) -> str:
+        """How people call it."""
+        return f"{self.kind} {self.name}".strip()
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at; `advice` is empty if it is well."""
+
+    part: str
+    address: str
+    state: str
+    advice: str = ""
+    seen: Observation | None = None
+
+
+def diagnose(seen: Sequence[Observation], *, own_version: str, certificate_s_min: float) -> list[Finding]:
+    """Everything that was looked at: first the parts, one by one, then what concerns them together."""
+    parts = [_of_part(one, certificate_s_min) for one in seen]
+    return [*parts, *_frontends(seen), *_quorum(seen), *_hosts(seen), *_clocks(seen), *_versions(seen, own_version)]
+
+
+def _of_part(one: Observation, certificate_s_min: float) -> Finding:
+    state, advice = _state(one)
+    left_s = one.certificate_left_s
+    if not advice and left_s is not None and left_s < certificate_s_min:
+        advice = f"its certificate ends in {left_s / 86400:.1f} days; issue it anew (stampede certs issue)"
+        if left_s < 0:
+            advice = "its certificate has expired; issue it anew (stampede certs issue)"
+    return Finding(one.part, one.address, state, advice, one)
+
+
+def _state(one: Observation) -> tuple[str, str]:
+    if not one.alive:
+        return "lost", "its lease has ended; start it again, or open its channels anew"
+    if not one.knows_supernodes:
+        return "no supernode", one.failure
+    if one.failure:
+        return "unreachable", one.failure
+    if not one.ready:
+        return "no leader", "it runs, but knows no leader; see the quorum"
+    if not one.lease_held:
+        return "fenced", "it cannot renew its lease; look at its way to the supernodes"
+    return "ok", ""
+
+
+def _of(kind: str, seen: Sequence[Observation]) -> list[Observation]:
+    return [one for one in seen if one.kind == kind]
+
+
+def _frontends(seen: Sequence[Observation]) -> Iterator[Finding]:
+    frontends, supernodes = _of(FRONTEND, seen), _of(SUPERNODE, seen)
+    answering = sum(not one.failure for one in frontends)
+    if not frontends:
+        return
+    state, advice = f"{answering} of {len(frontends)} serve", ""
+    if not any(one.knows_supernodes and not one.failure for one in frontends):
+        known = ",".join(one.address for one in supernodes) or "HOST:PORT,..."
+        look = "" if supernodes else "; to look at the supernodes, name one: stampede doctor --member HOST:PORT"
+        advice = (
+            "clients that are bound go on, but nobody can connect anew; start a front-end: "
+            f"stampede frontend --supernodes {known}{look}"
+        )
+        if any(not one.knows_supernodes for one in frontends):
+            advice = (
+                "they run, but reach no supernode: nobody can connect anew; start the supernodes, with their folders"
+            )
+    yield Finding("front-ends", "-", state, advice)
+
+
+def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
+    members = _of(SUPERNODE, seen)
+    if not members:
+        return
+    running, ready = [one for one in members if not one.failure], sum(one.ready and not one.failure for one in members)
+    needed = len(members) // 2 + 1
+    if ready >= needed:
+        yield Finding("quorum", "-", f"{ready} of {len(members)} serve")
+    elif len(running) >= needed:
+        yield Finding(
+            "quorum",
+            "-",
+            f"{len(running)} of {len(members)} run, {ready} serve",
+            "a majority runs but follows no leader; look again in 5 s, and then at the network between them",
+        )
+    else:
+        down = _joined([one.name or one.address for one in members if one.failure])
+        yield Finding(
+            "quorum",
+            "-",
+            f"{len(running)} of {len(members)} run",
+            f"the directory has no majority and refuses all changes ({needed} must run); start {down} with their "
+            f"folders, or, if those are gone for good, see the runbook: {_chapter(len(members), len(running))}. "
+            "What is bound to its hosts goes on meanwhile",
+        )
+
+
+def _chapter(members: int, running: int) -> str:
+    return "lose all" if running == 0 else "lose two" if members == 3 else "restore"
+
+
+def _hosts(seen: Sequence[Observation]) -> Iterator[Finding]:
+    if any(one.kind == SUPERNODE and one.ready and not one.failure for one in seen) and not _of(HOST, seen):
+        yield Finding(HOST, "-", "none", "no channel host has registered; start one with `stampede host`")
+
+
+def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
+    """Whose clock is off, against the others' and the caller's. Those of most are taken to be right."""
+    offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
+    if not offsets:
+        return
+    middle, doubt = median_low(offsets.values()), max(one.round_trip_nanos or 0 for one in offsets)
+    allowed = CLOCK_OFFSET_NANOS_MAX + doubt
+    off = {one: offset - middle for one, offset in offsets.items() if abs(offset - middle) > allowed}
+    advice = [f"that of {one.part} is {_ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]
+    if abs(middle) > allowed:
+        advice.append(f"this machine's is {_ahead(-middle)} the cluster's; synchronise this one")
+    apart = max(*offsets.values(), 0) - min(*offsets.values(), 0)
+    state = f"{format_duration(apart)} apart, {format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
+    yield Finding("clocks", "-", state, f"{'; '.join(advice)} (chrony, ntpd)" if advice else "")
+
+
+def _ahead(nanos: int) -> str:
+    return f"{format_duration(abs(nanos))} {'ahead of' if nanos > 0 else 'behind'}"
+
+
+def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[Finding]:
+    who: dict[str, list[str]] = {own_version: [CALLER]}
+    for one in seen:
+        if one.version:
+            who.setdefault(one.version, []).append(one.part)
+    advice = ""
+    if len(who) > 1:
+        mixed = "; ".join(f"{version}: {_joined(parts)}" for version, parts in sorted(who.items()))
+        advice = f"not all run the same ({mixed}); upgrade the older ones, one after the other (runbook: upgrade)"
+    yield Finding("versions", "-", ", ".join(sorted(who)), advice)
+
+
+def _joined(names: Sequence[str]) -> str:
+    return ", ".join(names[:-1]) + " and " + names[-1] if len(names) > 1 else "".join(names)

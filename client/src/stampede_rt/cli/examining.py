@@ -1,0 +1,176 @@
+"""Asks every part of a cluster how it is, many at once: front-ends, then the supernodes they name, then the hosts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from stampede_rt._sync.ports import Ports
+from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, SUPERNODE, Observation
+from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
+from stampede_rt.status import DETAILS_KEY
+from stampede_rt.tls_diagnosis import certificate_end_unix_s, check_own_certificate, explain_refusal, seconds_of
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.version import PROTOCOL_VERSION, VERSION
+
+TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for 2 s before it answers
+ASKED_AT_ONCE_MAX = 16
+PATIENT_NANOS_MAX = 10**9
+
+
+class _Part(NamedTuple):
+    """Whom to ask, and what."""
+
+    kind: str
+    name: str
+    address: str
+    service: str
+    method: str
+    request: Any
+
+
+class _Answer(NamedTuple):
+    response: Any
+    seen: Observation
+
+
+class Examination:
+    """One look at a cluster; `ports` stay the caller's."""
+
+    def __init__(self, ports: Ports) -> None:
+        self._ports = ports
+        self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
+
+    def look(self, frontends: Sequence[str], members: Sequence[str]) -> list[Observation]:
+        """Ask the front-ends and the members that are named, and whoever they know; some 6 * TIMEOUT_S at most."""
+        with self._pool:
+            bound = self._ask(map(_frontend, frontends))
+            named = dict.fromkeys(members, "")
+            for answer in bound:
+                if answer.response is not None:
+                    named |= {record.endpoint.target: record.supernode_id for record in answer.response.supernodes}
+            supernodes = self._supernodes(named)
+            hosts = self._hosts(supernodes)
+        return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts))]
+
+    def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
+        """Those that are named and those that they name: who has lost its majority still knows the others."""
+        first = self._ask(_supernode(name, address) for address, name in named.items())
+        listed = {record.endpoint.target: record.supernode_id for record in self._listed(first)}
+        more = self._ask(_supernode(name, address) for address, name in listed.items() if address not in named)
+        return sorted((_named(one, listed) for one in (*first, *more)), key=lambda one: one.seen.name)
+
+    def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
+        request = directory_pb.ListSupernodesRequest()
+        return self._first(answers, "ListSupernodes", request, "supernodes")
+
+    def _hosts(self, supernodes: Iterable[_Answer]) -> list[_Answer]:
+        request = directory_pb.ListHostsRequest(include_dead=True, stale_ok=True)
+        hosts = self._first(supernodes, "ListHosts", request, "hosts")
+        alive = [host for host in hosts if host.alive]
+        lost = [
+            Observation(kind=HOST, name=one.name, address=_gatekeeper(one), alive=False)
+            for one in hosts
+            if not one.alive
+        ]
+        return [*self._ask(map(_host, alive)), *(_Answer(None, one) for one in lost)]
+
+    def _first(self, supernodes: Iterable[_Answer], method: str, request: Any, field: str) -> Sequence[Any]:
+        """What the first of them that answers says; nothing if none does."""
+        for one in supernodes:
+            if one.response is not None:
+                port = self._ports.to(one.seen.address)
+                try:
+                    found: Sequence[Any] = getattr(
+                        port.call(getattr(port.directory, method), request, TIMEOUT_S), field
+                    )
+                except StampedeError:
+                    continue  # what is wrong with it, its own finding says
+                return found
+        return ()
+
+    def _ask(self, parts: Iterable[_Part]) -> list[_Answer]:
+        return list(self._pool.map(self._probe, parts))
+
+    def _probe(self, part: _Part) -> _Answer:
+        """One call; its response (None if it failed), and what it says of the part."""
+        seen = Observation(kind=part.kind, name=part.name, address=part.address)
+        tls = self._ports.credentials.tls
+        try:
+            response, sent, round_trip = self._timed(part)
+        except StampedeError as error:
+            refused = explain_refusal(part.address, tls) if isinstance(error, Unavailable) else None
+            knows = part.kind != FRONTEND or not _said_by_itself(error)
+            return _Answer(None, replace(seen, failure=(refused or error).message, knows_supernodes=knows))
+        end_s = certificate_end_unix_s(part.address, tls) if tls else None
+        return _Answer(
+            response,
+            replace(
+                seen,
+                ready=getattr(response, "ready", True),
+                lease_held=getattr(response, "lease_held", True),
+                round_trip_nanos=round_trip,
+                clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
+                version=response.version,
+                certificate_left_s=None if end_s is None else end_s - time.time(),
+            ),
+        )
+
+    def _timed(self, part: _Part) -> tuple[Any, int, int]:
+        """The response, when it was asked for (wall clock), and how long it took. Raises StampedeError."""
+        port = self._ports.to(part.address)
+        method = getattr(getattr(port, part.service), part.method)
+        for is_last in (False, True):
+            sent, started = time.time_ns(), time.monotonic_ns()
+            response = port.call(method, part.request, TIMEOUT_S)
+            round_trip = time.monotonic_ns() - started
+            # The first one makes the connection, too; one that waits will wait again.
+            if is_last or round_trip > PATIENT_NANOS_MAX:
+                break
+        return response, sent, round_trip
+
+    def _own(self) -> list[Observation]:
+        """The caller's own certificate, if it has one."""
+        tls = self._ports.credentials.tls
+        if tls is None:
+            return []
+        seen = Observation(kind=CALLER, address=str(tls.files.certificate))
+        try:
+            end_s = seconds_of(check_own_certificate(tls))
+        except PermissionDenied as error:
+            return [replace(seen, failure=error.message)]
+        return [replace(seen, certificate_left_s=None if end_s is None else end_s - time.time())]
+
+
+def _said_by_itself(error: StampedeError) -> bool:
+    """Whether the part answered with that error: otherwise the call did not reach it, or was cut."""
+    cause: Any = error.__cause__
+    return any(key == DETAILS_KEY for key, _ in cause.trailing_metadata() or ()) and isinstance(error, Unavailable)
+
+
+def _frontend(address: str) -> _Part:
+    request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
+    return _Part(FRONTEND, "", address, "frontend", "Bind", request)
+
+
+def _supernode(name: str, address: str) -> _Part:
+    return _Part(SUPERNODE, name, address, "directory", "Ping", directory_pb.DirectoryServicePingRequest())
+
+
+def _host(host: Any) -> _Part:
+    request = gatekeeper_pb.GatekeeperServicePingRequest()
+    return _Part(HOST, host.name, _gatekeeper(host), "gatekeeper", "Ping", request)
+
+
+def _gatekeeper(host: Any) -> str:
+    return host.gatekeepers[0].target if host.gatekeepers else "-"
+
+
+def _named(answer: _Answer, listed: dict[str, str]) -> _Answer:
+    said = answer.response.supernode_id if answer.response is not None else listed.get(answer.seen.address, "")
+    return answer._replace(seen=replace(answer.seen, name=said or answer.seen.name))

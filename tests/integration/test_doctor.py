@@ -1,0 +1,134 @@
+"""`stampede doctor` on real clusters in trouble: what it finds, what it says to do, and its exit status."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt.cli.main import main as stampede
+from stampede_rt.tls import TlsReader
+from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import ServiceProcess
+from stampede_rt_runtime.auth import make_secret_file
+from stampede_rt_runtime.identity import Role
+from tests.support.cluster import cluster_fixture
+
+DAY = timedelta(days=1)
+PATIENCE_SECONDS = 20.0
+NOBODY = f"localhost:{free_ports(1, 'localhost')[0]}"
+
+cluster = cluster_fixture(scope="function", hosts=1, supernodes=3, durable=False)
+
+
+class Doctor:
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *words: str) -> tuple[int, str]:
+        """Its exit status and what it printed; pytest shows that if a test fails."""
+        code = stampede(["doctor", *words])
+        said = self._capsys.readouterr().out
+        print(said)
+        return code, said
+
+
+@pytest.fixture
+def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
+    return Doctor(capsys)
+
+
+def test_a_lost_quorum_is_told_with_whom_to_start_and_then_without_any_front_end(
+    cluster: LocalCluster, doctor: Doctor
+) -> None:
+    code, said = doctor("--url", cluster.address)
+    assert (code, "3 of 3 serve" in said, "Everything is well." in said) == (0, True, True)
+    for supernode in cluster.supernodes[1:]:
+        supernode.kill()
+    code, said = doctor("--url", cluster.address)
+    assert (code, "1 of 3 run" in said) == (1, True)
+    assert "start s2 and s3 with their folders, or, if those are gone for good, see the runbook: lose two" in said
+    assert "What is bound to its hosts goes on meanwhile" in said
+
+    cluster.frontends[0].stop()
+    code, said = doctor("--url", cluster.address)
+    assert (code, "0 of 1 serve" in said) == (1, True)
+    assert "clients that are bound go on, but nobody can connect anew; start a front-end" in said
+    assert "stampede doctor --member HOST:PORT" in said
+    code, said = doctor("--url", cluster.address, "--member", cluster.supernodes[0].address)
+    assert (code, "start s2 and s3" in said, "host h1" in said) == (1, True, True)
+    for supernode in cluster.supernodes:
+        assert supernode.address in said.partition("start a front-end: stampede frontend --supernodes ")[2]
+
+
+def test_a_front_end_whose_seeds_do_not_answer_is_not_taken_for_one_that_is_down(
+    doctor: Doctor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(make_secret_file(tmp_path / "secret").path))
+    words = ["--listen", "localhost:0", "--supernodes", NOBODY, "--secret-file", str(tmp_path / "secret")]
+    lost = ServiceProcess("front-end lost", "stampede_rt_frontend", words)
+    lost.start()
+    try:
+        lost.wait_ready(PATIENCE_SECONDS)
+        code, said = doctor("--url", lost.address)
+    finally:
+        lost.stop()
+    assert (code, "no supernode" in said) == (1, True)
+    assert f"no supernode answers this front-end ({NOBODY}" in said
+    assert "they run, but reach no supernode" in said
+
+
+def test_where_nothing_listens_at_all_it_says_what_to_start(doctor: Doctor) -> None:
+    code, said = doctor("--url", NOBODY)
+    assert (code, f"front-end {NOBODY}" in said, "start a front-end: stampede frontend" in said) == (1, True, True)
+
+
+@pytest.fixture
+def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
+    monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
+    with LocalCluster(tls=True, hosts=0, supernodes=1, durable=False) as made:
+        yield made
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    deadline, pause = time.monotonic() + PATIENCE_SECONDS, threading.Event()
+    while not holds():
+        assert time.monotonic() < deadline
+        pause.wait(0.05)
+
+
+def use(files: st.TlsFiles, patch: pytest.MonkeyPatch) -> None:
+    for variable, path in zip(("CA", "CERTIFICATE", "KEY"), files.paths(), strict=True):
+        patch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+
+
+def test_certificates_that_end_soon_or_have_ended_are_told_with_whose_they_are(
+    secured: LocalCluster, doctor: Doctor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    certificates = secured.certificates
+    assert certificates is not None
+    soon = certificates.issue(Role.CLIENT, "soon", lifetime=3 * DAY)
+    use(soon, monkeypatch)
+    code, said = doctor("--url", secured.address)
+    assert (code, f"this caller {soon.certificate}: its certificate ends in 3.0 days; issue it anew" in said) == (
+        1,
+        True,
+    )
+
+    certificates.issue(Role.FRONTEND, "1", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY)
+    well = certificates.issue(Role.CLIENT, "well")
+    use(well, monkeypatch)
+    wait_until(lambda: explain_refusal(secured.address, TlsReader(well)) is not None)
+    code, said = doctor("--url", secured.address)
+    assert (code, f"the certificate of {secured.address} has expired; issue it anew" in said) == (1, True)
+
+    use(certificates.issue(Role.CLIENT, "late", begins=datetime.now(UTC) - 2 * DAY, lifetime=DAY), monkeypatch)
+    code, said = doctor("--url", secured.address)
+    assert (code, "has expired; issue it anew (stampede certs issue)" in said) == (1, True)

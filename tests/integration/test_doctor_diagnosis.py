@@ -1,0 +1,100 @@
+"""What `stampede doctor` makes of what parts say: of clocks, versions and ends that a test cannot really bend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from stampede_rt.cli.diagnosis import FRONTEND, HOST, SUPERNODE, Finding, Observation, diagnose
+
+DAY_S = 86400.0
+MS = 1_000_000
+
+
+def seen(kind: str, name: str, **facts: Any) -> Observation:
+    facts = {"round_trip_nanos": MS, "clock_offset_nanos": 0, "version": "1.0", **facts}
+    return Observation(kind=kind, name=name, address=f"{name}:1", **facts)
+
+
+WELL = [
+    seen(FRONTEND, "f1"),
+    seen(SUPERNODE, "s1"),
+    seen(SUPERNODE, "s2"),
+    seen(SUPERNODE, "s3"),
+    seen(HOST, "h1"),
+]
+
+
+def found(observations: list[Observation], part: str) -> Finding:
+    findings = diagnose(observations, own_version="1.0", certificate_s_min=14 * DAY_S)
+    [one] = [finding for finding in findings if finding.part == part]
+    return one
+
+
+def changed(name: str, **facts: Any) -> list[Observation]:
+    return [replace(one, **facts) if one.name == name else one for one in WELL]
+
+
+def test_a_cluster_that_is_well_has_no_advice() -> None:
+    findings = diagnose(WELL, own_version="1.0", certificate_s_min=14 * DAY_S)
+    assert [finding for finding in findings if finding.advice] == []
+
+
+@pytest.mark.parametrize(("nanos", "how"), [(1500 * MS, "1.5 s ahead of"), (-60 * MS, "60 ms behind")])
+def test_a_clock_that_is_off_is_told_with_whose_it_is_how_far_and_what_is_allowed(nanos: int, how: str) -> None:
+    clocks = found(changed("h1", clock_offset_nanos=nanos), "clocks")
+    assert clocks.advice == f"that of host h1 is {how} the others'; synchronise it (chrony, ntpd)"
+    assert "apart, 50 ms are allowed" in clocks.state
+
+
+def test_if_all_are_off_alike_it_is_this_machine_that_is_off() -> None:
+    clocks = found([replace(one, clock_offset_nanos=-2000 * MS) for one in WELL], "clocks")
+    assert clocks.advice == "this machine's is 2 s ahead of the cluster's; synchronise this one (chrony, ntpd)"
+
+
+def test_a_long_round_trip_leaves_room_for_doubt() -> None:
+    assert not found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=50 * MS), "clocks").advice
+    assert found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=30 * MS), "clocks").advice
+
+
+def test_two_versions_are_told_with_who_runs_which() -> None:
+    versions = found(changed("s2", version="0.9"), "versions")
+    assert versions.state == "0.9, 1.0"
+    assert "0.9: supernode s2; 1.0: this caller, front-end f1, supernode s1" in versions.advice
+    assert "runbook: upgrade" in versions.advice
+
+
+@pytest.mark.parametrize(
+    ("left_s", "advice"),
+    [(13.5 * DAY_S, "its certificate ends in 13.5 days; issue it"), (-5.0, "its certificate has expired; issue it")],
+)
+def test_a_certificate_that_ends_soon_or_has_ended_is_told(left_s: float, advice: str) -> None:
+    assert found(changed("h1", certificate_left_s=left_s), "host h1").advice.startswith(advice)
+
+
+@pytest.mark.parametrize(
+    ("facts", "state"),
+    [({"alive": False}, "lost"), ({"lease_held": False}, "fenced"), ({"failure": "gone"}, "unreachable")],
+)
+def test_a_host_without_its_lease_or_out_of_reach_is_told(facts: dict[str, Any], state: str) -> None:
+    host = found(changed("h1", **facts), "host h1")
+    assert (host.state, bool(host.advice)) == (state, True)
+
+
+def test_a_majority_that_runs_without_a_leader_is_no_lack_of_supernodes() -> None:
+    observations = [replace(one, ready=False) if one.kind == SUPERNODE else one for one in WELL]
+    quorum = found(observations, "quorum")
+    assert quorum.state == "3 of 3 run, 0 serve"
+    assert "follows no leader" in quorum.advice
+
+
+def test_the_loss_of_all_supernodes_has_its_own_chapter() -> None:
+    observations = [replace(one, failure="gone") if one.kind == SUPERNODE else one for one in WELL]
+    assert "start s1, s2 and s3 with their folders, or" in found(observations, "quorum").advice
+    assert "see the runbook: lose all" in found(observations, "quorum").advice
+
+
+def test_a_cluster_without_hosts_is_told_to_start_one() -> None:
+    assert "stampede host" in found(WELL[:-1], "host").advice
