@@ -80,3 +80,28 @@ def test_producer_zero_asks_for_nothing_to_be_recognised() -> None:
     window.record(0, 1, 1, "first", now=0)
     assert window.find(0, 1, 1, now=0) is None
     assert len(window) == 0
+
+
+def test_what_is_remembered_goes_to_another_owner_as_values() -> None:
+    window: RetryWindow[str] = RetryWindow()
+    window.record(2, 1, 1, "of another", now=KEPT_NANOS)
+    window.record(PRODUCER, 1, 3, "forgotten", now=10)
+    window.record(PRODUCER, 4, 2, "first", now=KEPT_NANOS)
+    window.record(PRODUCER, 6, 1, "second", now=KEPT_NANOS + 5)
+    heir: RetryWindow[str] = RetryWindow()
+    heir.restore(window.known(KEPT_NANOS + 10), now=7 * KEPT_NANOS)
+    assert heir.known(7 * KEPT_NANOS) == window.known(KEPT_NANOS + 10)
+    assert heir.find(PRODUCER, 4, 2, now=7 * KEPT_NANOS) == "first"
+    assert heir.find(PRODUCER, 1, 3, now=7 * KEPT_NANOS) is None
+    assert heir.find(PRODUCER, 4, 2, now=8 * KEPT_NANOS - 10) is None, "it is as old as it was"
+    assert heir.find(PRODUCER, 6, 1, now=8 * KEPT_NANOS - 10) == "second"
+    with pytest.raises(InvalidArgument):
+        heir.find(PRODUCER, 5, 1, now=7 * KEPT_NANOS)
+
+
+def test_the_last_1024_numbers_are_known_even_if_each_is_a_run() -> None:
+    window: RetryWindow[int] = RetryWindow()
+    for number in range(1, 3001):
+        window.record(PRODUCER, number, 1, number, now=0)
+    assert [window.find(PRODUCER, number, 1, now=0) for number in range(1977, 3001)] == list(range(1977, 3001))
+    assert sum(run.items for producer in window.known(0) for run in producer.runs) == RUNS_MAX

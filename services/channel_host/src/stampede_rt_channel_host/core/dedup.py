@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
+from collections.abc import Iterable, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 from stampede_rt.errors import InvalidArgument
@@ -33,12 +34,29 @@ class _Producer(Generic[Outcome]):
         self.end = 0
 
 
+class KnownRun(NamedTuple, Generic[Outcome]):
+    """A run that is remembered, as a value: how long ago it was answered, and how."""
+
+    first_number: int
+    items: int
+    answered_ago_nanos: int
+    outcome: Outcome
+
+
+class KnownProducer(NamedTuple, Generic[Outcome]):
+    """What is remembered of one producer, as a value: its runs in the order in which they were answered."""
+
+    producer_id: int
+    runs: Sequence[KnownRun[Outcome]]
+
+
 class RetryWindow(Generic[Outcome]):
     """Outcomes of each producer's latest runs, so that a retried run is answered as before and not doubled.
 
-    Keeps a producer's last 1024 runs, which hold its last 1024 numbers or more, for 10 minutes, and at most
-    `producers_max` producers, of which the longest silent is forgotten first. Producer id 0 asks for nothing to be
-    recognised. `now` is the host's clock in nanoseconds and never runs backwards.
+    The time model asks for the last 1024 numbers of each producer for 10 minutes; kept are its last 1024 runs, which
+    are these numbers and, where runs hold several items, more. At most `producers_max` producers are known, of which
+    the longest silent is forgotten first. Producer id 0 asks for nothing to be recognised. `now` is the host's clock
+    in nanoseconds and never runs backwards.
     """
 
     def __init__(self, *, producers_max: int = PRODUCERS_MAX) -> None:
@@ -84,6 +102,19 @@ class RetryWindow(Generic[Outcome]):
             producer.puts.popleft()
         self._forget_producers(now)
 
+    def known(self, now: int) -> list[KnownProducer[Outcome]]:
+        """Everything that is remembered, as values: it moves with the channel. The longest silent producer first."""
+        return [
+            KnownProducer(producer_id, [_known_run(put, now) for put in producer.puts if put.time > now - KEPT_NANOS])
+            for producer_id, producer in self._producers.items()
+        ]
+
+    def restore(self, producers: Iterable[KnownProducer[Outcome]], now: int) -> None:
+        """Remember what `known` told elsewhere, as if it had been recorded here as long ago. For an empty window."""
+        for one in producers:
+            for run in one.runs:
+                self.record(one.producer_id, run.first_number, run.items, run.outcome, now - run.answered_ago_nanos)
+
     def _forget_producers(self, now: int) -> None:
         while self._producers:
             producer = next(iter(self._producers.values()))
@@ -94,3 +125,7 @@ class RetryWindow(Generic[Outcome]):
             ):
                 return
             self._producers.popitem(last=False)
+
+
+def _known_run(put: _Put[Outcome], now: int) -> KnownRun[Outcome]:
+    return KnownRun(put.first, put.end - put.first, now - put.time, put.outcome)
