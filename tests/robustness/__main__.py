@@ -29,7 +29,7 @@ from tests.robustness.campaign import (
 )
 from tests.robustness.directory.simulate import run_seeds
 from tests.robustness.network import unavailable_because
-from tests.robustness.report import Run, broken_promises, write_report
+from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.
 SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, WEATHER_SHARE = 0.3, 0.25, 0.3, 0.15
@@ -38,7 +38,8 @@ SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, WEATHER_SHARE = 0.3, 0.25, 0.3, 0.15
 def arguments() -> argparse.Namespace:
     """What the caller wants."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness", description=__doc__)
-    parser.add_argument("--report", type=Path, default=Path("out/robustness.md"), help="where the page goes")
+    where = "where the page goes; docs/robustness.md keeps what stands above its last run"
+    parser.add_argument("--report", type=Path, default=Path("out/robustness.md"), help=where)
     parser.add_argument("--minutes", type=float, default=16.0, help="about so long for the real processes")
     parser.add_argument("--seeds", type=int, default=250, help="of the simulated directory")
     parser.add_argument("--seed", type=int, default=1, help="of the order and the choices of the real faults")
@@ -98,13 +99,19 @@ def main() -> int:
     took = time.monotonic() - began
     run = Run(command, _revision(), took, (load, os.getloadavg()[0]), findings, simulated)
     page = write_report(run)
-    wanted.report.parent.mkdir(parents=True, exist_ok=True)
-    wanted.report.write_text(page)
+    write_page(wanted.report, page)
     print(page)
     broken = broken_promises(run)
     for one in broken:
         print(f"broken: {one}", file=sys.stderr)
     return 1 if broken else 0
+
+
+def write_page(place: Path, page: str) -> None:
+    """Write the page, in the place of the run before it in that file; what stands above that one stays."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    above, title, _ = place.read_text().partition(TITLE) if place.exists() else ("", "", "")
+    place.write_text((above if title else "") + page)
 
 
 def _revision() -> str:

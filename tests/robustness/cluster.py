@@ -71,6 +71,7 @@ class Cluster:
         ]
         self.supernodes[-1].mount_small_disk()
         self._made = SUPERNODES
+        self._former: list[Supernode] = []
         self.frontend: Frontend | None = None
         self.hosts: list[Host] = []
         if hosts:
@@ -106,6 +107,7 @@ class Cluster:
     async def forget(self, one: Supernode) -> None:
         """It is no member any more: its place is free for the next newcomer."""
         self.supernodes = [other for other in self.supernodes if other is not one]
+        self._former.append(one)  # there are callers that have not heard of it yet
         await one.close()
         self._spare.append(one.place)
 
@@ -168,6 +170,7 @@ class Cluster:
 
     async def close(self) -> None:
         """End everything."""
+        await asyncio.gather(*(one.hang_up() for one in [*self.supernodes, *self._former]))
         await asyncio.gather(*(one.close() for one in self.processes()))
 
 

@@ -61,7 +61,8 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     spare = scene.folder / "spare"
     shutil.copytree(victim.data_dir, spare)
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
-    chosen = scene.dice.choice(files)
+    # Half of the time the largest, which holds the log; else any, the small ones being the strange ones.
+    chosen = scene.dice.choice([max(files, key=lambda file: file.stat().st_size), scene.dice.choice(files)])
     what = harm(chosen)
     if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():
         raise DidNotBite(f"{chosen.name} is as it was")
@@ -69,7 +70,7 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     note = f"{what}: " + ("harmless, it serves" if started else f"refused: {victim.last_words()[:160]!r}")
     await asyncio.sleep(2.0)  # what it would say wrong, the callers hear now
     if not started or not victim.running:
-        await victim.close()
+        await victim.end()
         for file in victim.data_dir.iterdir():
             file.unlink() if file.is_file() else shutil.rmtree(file)
         shutil.copytree(spare, victim.data_dir, dirs_exist_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import resource
 import signal
 import subprocess
@@ -95,10 +96,9 @@ class PlacedProcess:
         return self._process is not None and self._process.returncode is None
 
     def signal(self, number: signal.Signals) -> None:
-        """Send it a signal, if it still runs."""
+        """Send it a signal, if it still runs. Process.send_signal may reap the child, whose exit code is lost then."""
         if self.running:
-            assert self._process is not None
-            self._process.send_signal(number)
+            os.kill(self.pid, number)
 
     async def ended(self) -> int:
         """Wait for its end; returns the exit code."""
@@ -160,9 +160,13 @@ class PlacedProcess:
         status = Path(f"/proc/{self.pid}/status").read_text()
         return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) * 1024
 
-    async def close(self) -> None:
-        """Nothing of it runs any more."""
+    async def end(self) -> None:
+        """Nothing of it runs any more, however it ended."""
         self.thaw()
         self.signal(signal.SIGKILL)
         if self._process is not None:
             await self.ended()
+
+    async def close(self) -> None:
+        """Nothing of it is left."""
+        await self.end()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import time
 from collections.abc import Awaitable, Callable, Sequence
 
@@ -89,6 +90,11 @@ class Probe:
         self.served.append((invoked, time.monotonic()))
         async with self._news:
             self._news.notify_all()
+
+    def longest_gap_s(self, began: float, ended: float) -> float:
+        """The longest time between two acknowledged writes, or between one and either end of the time in question."""
+        answered = sorted(moment for _, moment in self.served if began <= moment <= ended)
+        return max(later - earlier for earlier, later in itertools.pairwise([began, *answered, ended]))
 
     async def serves_after(self, moment: float, *, seconds: float) -> float:
         """How long after `moment` a write begun after it was first acknowledged. Raises TimeoutError."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from tests.robustness.campaign import Findings
 from tests.robustness.scene import Outcome
 
+TITLE = "# A run of "
 VIOLATION_CHARS_MAX = 3000  # the whole history of a name may be long
 
 
@@ -54,7 +55,7 @@ def write_report(run: Run) -> str:
 def _head(run: Run) -> str:
     made = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
     machine = f"{os.cpu_count()} cores ({platform.machine()}, Linux {platform.release()})"
-    return f"""# A run of {run.seconds / 60:.0f} minutes
+    return f"""{TITLE}{run.seconds / 60:.0f} minutes
 
 Made by `{run.command}` at {run.revision}, {made}, on {machine}, with Python {platform.python_version()}; load average
 {run.load[0]:.1f} at the start and {run.load[1]:.1f} at the end.
@@ -128,10 +129,12 @@ def _faults(outcomes: Iterable[Outcome]) -> str:
     """Recovery counts from the harm to the acknowledgement of a write that was begun after it."""
     rows = [_fault_row(kind, members) for kind, members in sorted(_by_kind(outcomes).items())]
     title = (
-        "## Faults by kind\n\nServed again: from the harm to the acknowledgement of a write begun after it; for hosts, "
-        "of a put under a new owner or incarnation.\n\n"
+        "## Faults by kind\n\nServed again: from the harm to the acknowledgement of a write of the directory begun "
+        "after it; for hosts, of a put under a new owner or incarnation. Longest without a write: the longest that the "
+        "directory acknowledged none from the harm until all was healed.\n\n"
     )
-    return title + _table(("fault", "times", "served again, median", "worst", "limit", "verdict"), rows)
+    header = ("fault", "times", "served again, median", "worst", "longest without a write", "limit", "verdict")
+    return title + _table(header, rows)
 
 
 def _by_kind(outcomes: Iterable[Outcome]) -> dict[str, list[Outcome]]:
@@ -149,6 +152,7 @@ def _fault_row(kind: str, members: Sequence[Outcome]) -> tuple[object, ...]:
         len(members),
         f"{statistics.median(measured):.2f} s" if measured else "-",
         f"{max(measured):.2f} s" if measured else "-",
+        f"{max(one.gap_s for one in members):.2f} s",
         f"{limit:.0f} s" if limit is not None else "-",
         _row_verdict(members, limit),
     )

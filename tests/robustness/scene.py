@@ -23,7 +23,8 @@ class Outcome:
     """What became of one fault. Times in seconds.
 
     `recovery_s`: from the harm to the acknowledgement of a write begun after it. `start_s`: how much of that it took
-    to start processes. `bite`: what showed that the harm was done.
+    to start processes. `gap_s`: the longest without an acknowledged write until the fault had ended. `bite`: what
+    showed that the harm was done.
     """
 
     kind: str
@@ -32,6 +33,7 @@ class Outcome:
     recovery_s: float | None = None
     limit_s: float | None = None
     start_s: float = 0.0
+    gap_s: float = 0.0
     majority: bool = True  # of the supernodes was alive and connected all the time
     bite: str = ""
     note: str = ""
@@ -71,7 +73,9 @@ class Scene:
 
     def ended(self, kind: str, began: float, recovery_s: float | None = None, **facts: Any) -> None:
         """Take the fault down, which ends now; `facts` are the other fields of Outcome."""
-        outcome = Outcome(kind=kind, began=began, ended=time.monotonic(), recovery_s=recovery_s, **facts)
+        ended = time.monotonic()
+        gap_s = self.probe.longest_gap_s(began, ended)
+        outcome = Outcome(kind=kind, began=began, ended=ended, recovery_s=recovery_s, gap_s=gap_s, **facts)
         self.outcomes.append(outcome)
         measured = "" if recovery_s is None else f" served again after {recovery_s:.2f} s"
         print(f"{outcome.ended:10.1f}  {kind}{measured} [{outcome.bite}] {outcome.note}", flush=True)

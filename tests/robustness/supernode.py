@@ -135,11 +135,14 @@ class Supernode(PlacedProcess):
         self._relay.stdin.write((" ".join(map(str, figures)) + "\n").encode())
         return [int(word) for word in (await self._relay.stdout.readline()).split()]
 
-    async def close(self) -> None:
-        """Nothing of it runs any more, and its disk is gone."""
+    async def hang_up(self) -> None:
+        """Close the callers' connections; whoever still calls is cancelled."""
         for channel in self._channels.values():
             await channel.close()
-        await super().close()
+
+    async def close(self) -> None:
+        """Nothing of it runs any more, and its disk is gone."""
+        await self.end()
         if self._relay is not None and self._relay.returncode is None:
             self._relay.kill()
             await self._relay.wait()

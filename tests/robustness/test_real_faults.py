@@ -119,7 +119,7 @@ def test_a_recovery_over_its_limit_breaks_the_promise_and_shows_in_the_report() 
     [broken] = limits_broken(outcomes)
     assert broken.startswith("kill -9 of the leader: 5.50 s, promised 5 s")
     page = write_report(run(findings(*outcomes)))
-    assert "| kill -9 of the leader | 2 | 3.50 s | 5.50 s | 5 s | **1 of 2 over it** |" in page
+    assert "| kill -9 of the leader | 2 | 3.50 s | 5.50 s | 0.00 s | 5 s | **1 of 2 over it** |" in page
     assert "Broken promises" in page
 
 
