@@ -14,16 +14,12 @@ _ON_FULL = {
     queue_pb2.QUEUE_ON_FULL_DROP_OLDEST: DROP_OLDEST,
 }
 _NUMBERS = ("max_items", "max_bytes", "max_item_bytes", "copies", "lease_nanos", "max_deliveries")
-MAILBOX_ITEMS_MAX = 1024
-"""What a mailbox holds if its peer stated no limit."""
 
 
 def limits_of(record: queue_pb2.QueueRecord) -> QueueLimits:
     """The limits of a queue; what was never stated has its default. Raises InvalidArgument."""
     spec = record.spec
     stated: dict[str, Any] = {name: getattr(spec, name) for name in _NUMBERS if spec.HasField(name)}
-    if record.HasField("mailbox_peer_id"):
-        stated.setdefault("max_items", MAILBOX_ITEMS_MAX)
     return QueueLimits(
         on_full=_ON_FULL.get(spec.on_full, BLOCK), dead_letters=spec.HasField("dead_letter_queue_id"), **stated
     )

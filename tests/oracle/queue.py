@@ -1,0 +1,391 @@
+"""Queues, written down a second time: small, slow, and right on sight. Every item is looked at for every question."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+REMEMBERED = 600 * 10**9
+OVERHEAD_BYTES = 64
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A queue's limits."""
+
+    max_items: int | None = None
+    max_bytes: int = 2**28
+    max_item_bytes: int = 2**24
+    on_full: str = "block"
+    copies: int = 1
+    lease: int = 30
+    max_deliveries: int | None = None
+    dead_letters: bool = False
+
+
+@dataclass
+class Lease:
+    id: int
+    taker_id: int
+    ends: int
+    copy: int
+
+
+@dataclass
+class Item:
+    """`delivered` counts for each copy that was given out, `returned` are those of them that lie in the queue again."""
+
+    seq: int
+    length: int
+    accepted_at: int
+    delivered: list[int] = field(default_factory=list)
+    returned: set[int] = field(default_factory=set)
+    leases: list[Lease] = field(default_factory=list)
+    done: list[int] = field(default_factory=list)
+    held_back_until: int | None = None
+    leaving: bool = False
+
+
+@dataclass(eq=False)
+class Run:
+    """A run to enqueue; `left` are the places that are not settled. `outcome`: first seq, stamp, refused places."""
+
+    lengths: list[int]
+    producer_id: int = 0
+    first_number: int = 0
+    wait: int | None = None
+    left: list[int] = field(default_factory=list)
+    first_seq: int | None = None
+    stamp: int | None = None
+    refused: list[tuple[int, str]] = field(default_factory=list)
+    outcome: tuple[int | None, int | None, tuple[tuple[int, str], ...]] | None = None
+    gives_up_at: int | None = None
+    error: str | None = None
+
+
+@dataclass(eq=False)
+class Taker:
+    taker_id: int
+    lease: int | None
+    credit: int = 0
+    busy: bool = False
+    unsent: list[int] = field(default_factory=list)
+
+
+Dealt = tuple[Taker, list[tuple[int, int, int]], int]
+
+
+class OracleQueue:
+    """`dealt` and `finished` grow; whoever compares takes from them."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self.now = 0
+        self.items: list[Item] = []
+        self.next_seq = self.next_delivery = 1
+        self.line: list[Run] = []
+        self.takers: list[Taker] = []
+        self.answered: list[tuple[int, int, int, int, tuple]] = []  # type: ignore[type-arg]
+        self.acked: dict[int, tuple[int, int]] = {}
+        self.counts = dict.fromkeys(
+            ("accepted", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
+             "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes"), 0
+        )  # fmt: skip
+        self.dealt: list[Dealt] = []
+        self.finished: list[Run] = []
+        self.departures: list[int] = []
+
+    # --- what callers do
+
+    def enqueue(self, run: Run, now: int) -> None:
+        self.tick(now)
+        run.left = list(range(len(run.lengths)))
+        known = self._known(run)
+        if known == "overlap":
+            raise ValueError("overlap")
+        if known is None and (self.line or not self._offer(run)):
+            if run.wait is not None and run.wait <= 0:
+                self._refuse_rest(run)
+            else:
+                run.gives_up_at = None if run.wait is None else self.now + run.wait
+                self.line.append(run)
+        self._deal()
+
+    def withdraw(self, run: Run, now: int) -> None:
+        self.tick(now)
+        if run in self.line:
+            self.line.remove(run)
+            if len(run.left) < len(run.lengths):
+                self._refuse_rest(run)
+        self._follow_up()
+
+    def grant(self, taker: Taker, credit: int, now: int) -> None:
+        self.tick(now)
+        taker.credit += credit
+        if taker.credit and not taker.busy and taker not in self.takers and not self._serve(taker, 1):
+            self.takers.append(taker)
+
+    def sent(self, taker: Taker, now: int) -> None:
+        taker.busy, taker.unsent = False, []
+        self.grant(taker, 0, now)
+
+    def drain(self, taker: Taker) -> None:
+        taker.credit = 0
+        if taker in self.takers:
+            self.takers.remove(taker)
+
+    def leave(self, taker: Taker, now: int) -> None:
+        self.tick(now)
+        self.drain(taker)
+        for delivery_id in taker.unsent:
+            for item in self.items:
+                for lease in [one for one in item.leases if one.id == delivery_id]:
+                    item.leases.remove(lease)
+                    item.delivered[lease.copy] -= 1
+                    item.returned.add(lease.copy)
+                    self.counts["delivered"] -= 1
+        taker.unsent = []
+        self._follow_up()
+
+    def settle(self, taker_id: int, verdicts: list[tuple[str, int, int]], now: int) -> list[str | None]:
+        """Verdicts are (kind, delivery, nanoseconds); gives each one's refusal."""
+        self.tick(now)
+        answers = [self._settle(taker_id, *verdict) for verdict in verdicts]
+        self._follow_up()
+        return answers
+
+    def _settle(self, taker_id: int, kind: str, delivery_id: int, nanos: int) -> str | None:
+        if kind == "ack":
+            return self._acknowledge(taker_id, delivery_id)
+        if kind == "nack":
+            return self._give_back(taker_id, delivery_id, nanos)
+        return self._extend(taker_id, delivery_id, nanos)
+
+    def _acknowledge(self, taker_id: int, delivery_id: int) -> str | None:
+        found = self._leased(taker_id, delivery_id)
+        if found is None:
+            by, when = self.acked.get(delivery_id, (0, 0))
+            return None if by == taker_id and when > self.now - REMEMBERED else "LEASE_EXPIRED"
+        item, lease = found
+        item.leases.remove(lease)
+        item.done.append(taker_id)
+        self.acked[delivery_id] = (taker_id, self.now)
+        self._use_up(item)
+        return None
+
+    def _give_back(self, taker_id: int, delivery_id: int, delay: int) -> str | None:
+        found = self._leased(taker_id, delivery_id)
+        if found is None:
+            return "LEASE_EXPIRED"
+        self.counts["given_back"] += 1
+        self._in_vain(*found, delay)
+        return None
+
+    def _extend(self, taker_id: int, delivery_id: int, lease: int) -> str | None:
+        found = self._leased(taker_id, delivery_id)
+        if found is None:
+            return "LEASE_EXPIRED"
+        found[1].ends = self.now + lease
+        return None
+
+    def departed(self, seq: int, now: int) -> None:
+        self.tick(now)
+        if seq in self.departures:
+            self.departures.remove(seq)
+            self.items = [item for item in self.items if item.seq != seq]
+            self.counts["dead_lettered"] += 1
+            self._follow_up()
+
+    def configure(self, setup: Setup, now: int) -> None:
+        self.tick(now)
+        self.setup = setup
+        for item in list(self.items):
+            if item.leaving and not setup.dead_letters:
+                self.departures.remove(item.seq)
+                self._expel(item)
+            else:
+                self._use_up(item)
+        self._follow_up()
+
+    def tick(self, now: int) -> None:
+        self.now = now
+        ended = [(lease.ends, lease.id) for item in self.items for lease in item.leases if lease.ends <= now]
+        for _, delivery_id in sorted(ended):
+            for item in list(self.items):
+                for lease in [one for one in item.leases if one.id == delivery_id]:
+                    self.counts["leases_expired"] += 1
+                    self._in_vain(item, lease, 0)
+        released = [item for item in self.items if item.held_back_until is not None and item.held_back_until <= now]
+        for item in released:
+            item.held_back_until = None
+        over = [run for run in self.line if run.gives_up_at is not None and run.gives_up_at <= now]
+        for run in sorted(over, key=lambda one: (one.gives_up_at or 0, self.line.index(one))):
+            self.line.remove(run)
+            self._refuse_rest(run)
+            self.finished.append(run)
+        if ended or released or over:
+            self._follow_up()
+
+    # --- what follows
+
+    def next_deadline(self) -> int | None:
+        due = [lease.ends for item in self.items for lease in item.leases]
+        due += [item.held_back_until for item in self.items if item.held_back_until is not None]
+        due += [run.gives_up_at for run in self.line if run.gives_up_at is not None]
+        return min(due, default=None)
+
+    def counters(self) -> dict[str, int]:
+        return {
+            **self.counts,
+            "held": len(self.items),
+            "leased": sum(bool(item.leases) for item in self.items),
+            "held_bytes": sum(item.length for item in self.items),
+        }
+
+    def _follow_up(self) -> None:
+        while self.line:
+            run = self.line[0]
+            known = self._known(run) if len(run.left) == len(run.lengths) else None
+            if known == "overlap":
+                run.error = "INVALID_ARGUMENT"
+            elif known is None and not self._offer(run):
+                break
+            self.finished.append(self.line.pop(0))
+        self._deal()
+
+    def _known(self, run: Run) -> str | None:
+        """ "known" and the run has its answer, "overlap", or None."""
+        first, end = run.first_number, run.first_number + len(run.lengths)
+        for producer_id, begin, stop, when, outcome in reversed(self.answered):
+            if not run.producer_id or producer_id != run.producer_id or when <= self.now - REMEMBERED:
+                continue
+            if (begin, stop) == (first, end):
+                run.outcome = outcome  # type: ignore[assignment]
+                return "known"
+            if begin < end and first < stop:
+                return "overlap"
+        return None
+
+    def _offer(self, run: Run) -> bool:
+        setup = self.setup
+        while run.left:
+            place = run.left[0]
+            length = run.lengths[place]
+            if length > setup.max_item_bytes or length + OVERHEAD_BYTES > setup.max_bytes:
+                self._refuse(run, "ITEM_TOO_LARGE")
+                continue
+            while setup.on_full == "drop_oldest" and not self._has_room(length):
+                free = [item for item in self.items if not item.leases and not item.leaving]
+                if not free:
+                    break
+                self.items.remove(free[0])
+                self.counts["dropped"] += 1
+            if self._has_room(length):
+                self._accept(run, length)
+            elif setup.on_full == "block":
+                return False
+            else:
+                self._refuse(run, "CHANNEL_FULL")
+        self._answer(run)
+        return True
+
+    def _has_room(self, length: int) -> bool:
+        charged = sum(item.length + OVERHEAD_BYTES for item in self.items) + length + OVERHEAD_BYTES
+        if self.setup.max_items is not None and len(self.items) >= self.setup.max_items:
+            return False
+        return charged <= self.setup.max_bytes
+
+    def _accept(self, run: Run, length: int) -> None:
+        if run.first_seq is None:
+            run.first_seq, run.stamp = self.next_seq, self.now
+        self.items.append(Item(self.next_seq, length, self.now))
+        self.next_seq += 1
+        self.counts["accepted"] += 1
+        self.counts["accepted_bytes"] += length
+        run.left.pop(0)
+
+    def _refuse(self, run: Run, why: str) -> None:
+        self.counts["rejected_full" if why == "CHANNEL_FULL" else "rejected_too_large"] += 1
+        run.refused.append((run.left.pop(0), why))
+
+    def _refuse_rest(self, run: Run) -> None:
+        while run.left:
+            self._refuse(run, "CHANNEL_FULL")
+        self._answer(run)
+
+    def _answer(self, run: Run) -> None:
+        run.outcome = (run.first_seq, run.stamp, tuple(run.refused))
+        end = run.first_number + len(run.lengths)
+        self.answered.append((run.producer_id, run.first_number, end, self.now, run.outcome))
+
+    def _leased(self, taker_id: int, delivery_id: int) -> tuple[Item, Lease] | None:
+        for item in self.items:
+            for lease in item.leases:
+                if lease.id == delivery_id and lease.taker_id == taker_id:
+                    return item, lease
+        return None
+
+    def _in_vain(self, item: Item, lease: Lease, delay: int) -> None:
+        item.leases.remove(lease)
+        item.returned.add(lease.copy)
+        most = self.setup.max_deliveries
+        if most is not None and item.delivered[lease.copy] >= most:
+            item.leases.clear()
+            if self.setup.dead_letters:
+                item.leaving, item.held_back_until = True, None
+                self.departures.append(item.seq)
+            else:
+                self._expel(item)
+        elif delay:
+            item.held_back_until = max(self.now + delay, item.held_back_until or 0)
+
+    def _expel(self, item: Item) -> None:
+        self.items.remove(item)
+        self.counts["expelled"] += 1
+
+    def _use_up(self, item: Item) -> None:
+        if len(item.done) >= self.setup.copies:
+            self.items.remove(item)
+            self.counts["consumed"] += 1
+            if item.leaving:
+                self.departures.remove(item.seq)
+
+    def _free(self, item: Item) -> bool:
+        copies = self.setup.copies - len(item.leases) - len(item.done)
+        return copies > 0 and item.held_back_until is None and not item.leaving
+
+    def _deal(self) -> None:
+        line = list(self.takers)
+        for place, taker in enumerate(line):
+            if self._serve(taker, len(line) - place):
+                self.takers.remove(taker)
+
+    def _serve(self, taker: Taker, takers: int) -> bool:
+        """An equal share of what there is, of the oldest that it neither has nor is done with."""
+        free = [item for item in self.items if self._free(item)]
+        share = min(-(-len(free) * self.setup.copies // takers), taker.credit)
+        mine = [
+            item
+            for item in free
+            if taker.taker_id not in item.done and all(lease.taker_id != taker.taker_id for lease in item.leases)
+        ]
+        ends = self.now + (taker.lease or self.setup.lease)
+        given = [self._lease(item, taker.taker_id, ends) for item in mine[:share]]
+        if not given:
+            return False
+        taker.credit -= len(given)
+        taker.busy, taker.unsent = True, [delivery_id for _, delivery_id, _ in given]
+        self.dealt.append((taker, given, ends))
+        return True
+
+    def _lease(self, item: Item, taker_id: int, ends: int) -> tuple[int, int, int]:
+        if item.returned:
+            copy = min(item.returned)
+            item.returned.discard(copy)
+        else:
+            copy = len(item.delivered)
+            item.delivered.append(0)
+        item.delivered[copy] += 1
+        item.leases.append(Lease(self.next_delivery, taker_id, ends, copy))
+        self.next_delivery += 1
+        self.counts["delivered"] += 1
+        return item.seq, self.next_delivery - 1, item.delivered[copy]

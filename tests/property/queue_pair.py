@@ -1,0 +1,208 @@
+"""A queue's core and the oracle side by side: every step is made on both, and all that can be seen must agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.core.queue import (
+    Acknowledge,
+    Batch,
+    Enqueue,
+    Extend,
+    GiveBack,
+    Queue,
+    QueueLimits,
+    Settlement,
+    Taker,
+)
+from tests.oracle import queue as oracle
+
+Verdict = tuple[str, int, int]
+
+
+def limits_of(setup: oracle.Setup) -> QueueLimits:
+    return QueueLimits(
+        max_items=setup.max_items,
+        max_bytes=setup.max_bytes,
+        max_item_bytes=setup.max_item_bytes,
+        on_full=setup.on_full,
+        copies=setup.copies,
+        lease_nanos=setup.lease,
+        max_deliveries=setup.max_deliveries,
+        dead_letters=setup.dead_letters,
+    )
+
+
+def body_of(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
+    return b"%d %d %d" % (first_seq, len(places), stamped_time or 0)
+
+
+def core_settlement(verdict: Verdict) -> Settlement:
+    kind, delivery_id, nanos = verdict
+    if kind == "ack":
+        return Settlement(delivery_id, Acknowledge())
+    return Settlement(delivery_id, GiveBack(nanos) if kind == "nack" else Extend(nanos))
+
+
+@dataclass
+class QueuePair:
+    """One queue, twice; takers and waiting runs as pairs."""
+
+    setup: oracle.Setup
+    clock: int
+    core: Queue = field(init=False)
+    oracle: oracle.OracleQueue = field(init=False)
+    takers: list[tuple[Taker, oracle.Taker]] = field(default_factory=list)
+    waiting: list[tuple[Enqueue, oracle.Run]] = field(default_factory=list)
+    deliveries: list[tuple[int, int]] = field(default_factory=list)  # taker id, delivery id
+    runs: list[oracle.Run] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.core = Queue(limits_of(self.setup), incarnation=7)
+        self.oracle = oracle.OracleQueue(self.setup)
+
+    def enqueue(self, lengths: list[int], producer_id: int, first_number: int, wait: int | None) -> None:
+        mine = Enqueue(lengths, body_of, producer_id=producer_id, first_number=first_number, wait_nanos=wait)
+        other = oracle.Run(lengths, producer_id, first_number, wait)
+        refused = [_raises(lambda: self.core.enqueue(mine, self.clock)), _raises(lambda: self._oracle_enqueue(other))]
+        assert refused[0] == refused[1]
+        self.check()
+        if not refused[0]:
+            self.runs.append(other)
+            self._agree(mine, other)
+            if not mine.is_through:
+                self.waiting.append((mine, other))
+
+    def _oracle_enqueue(self, run: oracle.Run) -> None:
+        try:
+            self.oracle.enqueue(run, self.clock)
+        except ValueError as error:
+            raise InvalidArgument(str(error)) from None
+
+    def withdraw(self, place: int) -> None:
+        if place < len(self.waiting):
+            mine, other = self.waiting.pop(place)
+            self.core.withdraw(mine, self.clock)
+            self.oracle.withdraw(other, self.clock)
+            self.check()
+
+    def attach(self, taker_id: int, lease: int | None) -> None:
+        self.takers.append((Taker(taker_id, lease), oracle.Taker(taker_id, lease)))
+
+    def grant(self, place: int, credit: int) -> None:
+        if place < len(self.takers):
+            mine, other = self.takers[place]
+            self.core.grant(mine, credit, self.clock)
+            self.oracle.grant(other, credit, self.clock)
+            self.check()
+
+    def sent(self, place: int, *, begun: bool) -> None:
+        """`begun`: only begun to send, and not done."""
+        if place < len(self.takers) and self.takers[place][0].is_busy:
+            mine, other = self.takers[place]
+            if begun:
+                self.core.sending(mine)
+                other.unsent = []
+            else:
+                self.core.sent(mine, self.clock)
+                self.oracle.sent(other, self.clock)
+            self.check()
+
+    def leave(self, place: int, *, drain: bool) -> None:
+        if place < len(self.takers):
+            mine, other = self.takers[place] if drain else self.takers.pop(place)
+            if drain:
+                self.core.drain(mine)
+                self.oracle.drain(other)
+            else:
+                self.core.leave(mine, self.clock)
+                self.oracle.leave(other, self.clock)
+            self.check()
+
+    def settle(self, taker_id: int, verdicts: list[Verdict]) -> None:
+        results = self.core.settle(taker_id, map(core_settlement, verdicts), self.clock)
+        expected = self.oracle.settle(taker_id, verdicts, self.clock)
+        assert [one.error.reason if one.error else None for one in results] == expected
+        self.check()
+
+    def departed(self, place: int, *, failed: bool) -> None:
+        if place < len(self.oracle.departures):
+            seq = self.oracle.departures[place]
+            if failed:
+                self.core.postpone_departure(seq)
+                self.oracle.departures.append(self.oracle.departures.pop(place))
+            else:
+                self.core.departed(seq, self.clock)
+                self.oracle.departed(seq, self.clock)
+            self.check()
+
+    def configure(self, setup: oracle.Setup) -> None:
+        self.core.configure(limits_of(setup), self.clock)
+        self.oracle.configure(setup, self.clock)
+        self.check()
+
+    def tick(self, nanos: int) -> None:
+        self.clock += nanos
+        self.core.tick(self.clock)
+        self.oracle.tick(self.clock)
+        self.check()
+
+    def check(self) -> None:
+        """Who got what, which runs are through, and every number."""
+        dealt, self.oracle.dealt = self.oracle.dealt, []
+        other_of = {id(mine): other for mine, other in self.takers}
+        found = [(other_of[id(taker)], _flat(batch), batch.expires) for taker, batch in self.core.take_dealt()]
+        assert found == dealt
+        self.deliveries += [(taker.taker_id, one[1]) for taker, given, _ in dealt for one in given]
+        self._check_finished()
+        counters = asdict(self.core.counters(self.clock))
+        assert counters == self.oracle.counters()
+        gone = sum(counters[name] for name in ("consumed", "dropped", "dead_lettered", "expelled"))
+        assert counters["accepted"] == counters["held"] + gone
+        self._check_views()
+
+    def _check_finished(self) -> None:
+        finished, self.oracle.finished = self.oracle.finished, []
+        mine = self.core.take_finished()
+        assert len(mine) == len(finished)
+        for one, other in zip(mine, finished, strict=True):
+            assert (one, other) in self.waiting
+            self._agree(one, other)
+        self.waiting = [pair for pair in self.waiting if pair[0] not in mine]
+
+    def _check_views(self) -> None:
+        core, items = self.core, self.oracle.items
+        assert core.waiting_takers == len(self.oracle.takers)
+        assert core.waiting_enqueues == len(self.oracle.line)
+        assert core.next_deadline() == self.oracle.next_deadline()
+        assert [one.seq for one in core.departing(10**6)] == self.oracle.departures
+        assert core.oldest_accepted_at == (items[0].accepted_at if items else None)
+        charged = sum(run.lengths[place] for run in self.oracle.line for place in range(len(run.lengths)))
+        assert core.footprint_bytes >= charged + 64 * len(items)
+
+    def _agree(self, mine: Enqueue, other: oracle.Run) -> None:
+        assert mine.is_through == (other.outcome is not None or other.error is not None)
+        if other.error is not None:
+            assert mine.error is not None
+            assert mine.error.reason == other.error
+        elif mine.outcome is not None:
+            refused = tuple((one.index, one.error.reason) for one in mine.outcome.rejections)
+            assert (mine.outcome.first_seq, mine.outcome.stamped_time, refused) == other.outcome
+
+
+def _raises(step: object) -> bool:
+    try:
+        step()  # type: ignore[operator]
+    except InvalidArgument:
+        return True
+    return False
+
+
+def _flat(batch: Batch) -> list[tuple[int, int, int]]:
+    return [
+        (one.run.first_seq + one.lo + place, one.delivery_ids[place], one.deliveries[place])
+        for one in batch.slices
+        for place in range(one.hi - one.lo)
+    ]

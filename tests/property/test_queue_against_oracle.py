@@ -1,0 +1,124 @@
+"""Whatever happens to a queue, the core and the oracle tell the same story.
+
+`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_queue_against_oracle.py` searches at length.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+
+from tests.oracle.queue import Setup
+from tests.property.dice import Dice
+from tests.property.queue_pair import QueuePair, Verdict
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
+FIRST_CLOCK = 100
+TEN_MINUTES = 600 * 10**9
+
+SETUPS = (
+    Setup(max_items=3),
+    Setup(),
+    Setup(max_items=4, copies=2),
+    Setup(max_items=3, on_full="drop_oldest"),
+    Setup(max_bytes=300, on_full="reject", max_deliveries=2),
+    Setup(max_items=4, max_deliveries=2, dead_letters=True),
+    Setup(copies=3, max_items=5, on_full="drop_oldest", max_deliveries=3),
+    Setup(copies=2, max_deliveries=2, dead_letters=True, max_item_bytes=50),
+    Setup(max_bytes=400, lease=7),
+)
+
+
+def enqueue(dice: Dice, pair: QueuePair) -> None:
+    lengths = [dice.pick((8, 0, 40, 100, 400)) for _ in range(dice.pick((1, 2, 1, 3, 6)))]
+    wait = dice.pick((None, 0, 5, 20, None))
+    if dice.one_in(3) and pair.runs:  # a retry, or nearly one
+        before = dice.pick(pair.runs)
+        number = before.first_number + dice.pick((0, 0, 0, 1))
+        pair.enqueue(list(before.lengths), before.producer_id, number, wait)
+    else:
+        pair.enqueue(lengths, dice.pick((0, 5, 6)), 1 + 10 * len(pair.runs), wait)
+
+
+def attach(dice: Dice, pair: QueuePair) -> None:
+    if len(pair.takers) < 4:
+        pair.attach(1 + dice.below(3), dice.pick((None, 5, 50)))
+        pair.grant(len(pair.takers) - 1, dice.pick((1, 2, 10)))
+
+
+def grant(dice: Dice, pair: QueuePair) -> None:
+    pair.grant(dice.below(4), dice.pick((1, 3, 10)))
+
+
+def sent(dice: Dice, pair: QueuePair) -> None:
+    pair.sent(dice.below(4), begun=dice.one_in(4))
+
+
+def leave(dice: Dice, pair: QueuePair) -> None:
+    pair.leave(dice.below(4), drain=dice.one_in(3))
+
+
+def settle(dice: Dice, pair: QueuePair) -> None:
+    if pair.deliveries:
+        taker_id, _ = latest(dice, pair)
+        pair.settle(
+            4 if dice.one_in(12) else taker_id, [a_verdict(dice, pair, taker_id) for _ in range(dice.pick((1, 2, 4)))]
+        )
+
+
+def latest(dice: Dice, pair: QueuePair) -> tuple[int, int]:
+    """A delivery, the newest ones rather than older ones."""
+    return pair.deliveries[-1 - dice.below(min(len(pair.deliveries), dice.pick((2, 5, 50))))]
+
+
+def a_verdict(dice: Dice, pair: QueuePair, taker_id: int) -> Verdict:
+    own = [delivery_id for owner, delivery_id in pair.deliveries if owner == taker_id]
+    delivery_id = own[-1 - dice.below(min(len(own), 4))] if not dice.one_in(8) else latest(dice, pair)[1]
+    kind = dice.pick(("ack", "nack", "ack", "extend"))
+    return kind, delivery_id, dice.pick((0, 3, 20)) if kind == "nack" else dice.pick((10, 1, 100))
+
+
+def tick(dice: Dice, pair: QueuePair) -> None:
+    pair.tick(dice.pick((1, 3, 0, 8, 30, 1000, TEN_MINUTES)))
+
+
+def withdraw(dice: Dice, pair: QueuePair) -> None:
+    pair.withdraw(dice.below(3))
+
+
+def departed(dice: Dice, pair: QueuePair) -> None:
+    pair.departed(dice.below(2), failed=dice.one_in(3))
+
+
+def configure(dice: Dice, pair: QueuePair) -> None:
+    pair.configure(dice.pick(SETUPS))
+
+
+def rest(dice: Dice, pair: QueuePair) -> None:
+    """Nothing happens: what a step shrinks to."""
+
+
+STEPS = (
+    rest, enqueue, attach, sent, settle, enqueue, tick, grant, settle, sent, leave, withdraw, departed, configure,
+    enqueue, settle, attach, sent,
+)  # fmt: skip
+
+
+def play(numbers: list[int]) -> None:
+    """One story: a set-up, then a step for each number."""
+    pair = QueuePair(Dice(numbers[0]).pick(SETUPS), FIRST_CLOCK)
+    for number in numbers[1:]:
+        dice = Dice(number)
+        step = dice.pick(STEPS)
+        note(step.__name__)
+        step(dice, pair)
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=10, max_size=40))
+def test_a_queue_does_what_the_oracle_does_in_every_story(numbers: list[int]) -> None:
+    play(numbers)
