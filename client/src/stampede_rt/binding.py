@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 CACHE_ENTRIES_MAX = 100_000
@@ -80,6 +80,15 @@ class BindingCache:
         self._bindings.clear()
 
 
-def order_by_round_trip(targets: Iterable[str], round_trip_s: dict[str, float]) -> list[str]:
-    """Supernodes nearest first; those that did not answer last, in the order given (paper, section 4.3)."""
-    return sorted(targets, key=lambda target: round_trip_s.get(target, float("inf")))
+def order_by_round_trip(
+    targets: Iterable[str], round_trip_s: dict[str, float], elsewhere: Collection[str] = ()
+) -> list[str]:
+    """Supernodes nearest first: those of the caller's zone before those `elsewhere`, then by round trip.
+
+    Those that did not answer come last; equal ones keep their order (paper, section 4.3).
+    """
+
+    def order(target: str) -> tuple[bool, bool, float]:
+        return (target not in round_trip_s, target in elsewhere, round_trip_s.get(target, 0.0))
+
+    return sorted(targets, key=order)

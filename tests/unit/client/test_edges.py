@@ -101,6 +101,7 @@ def test_delays_double_up_to_a_bound_and_end_at_the_deadline() -> None:
 
 def test_the_nearest_supernode_comes_first_and_the_silent_ones_last() -> None:
     assert order_by_round_trip(["a", "b", "c", "d"], {"c": 0.1, "a": 0.2}) == ["c", "a", "b", "d"]
+    assert order_by_round_trip(["a", "b", "c"], {"c": 0.1, "a": 0.2}, {"c", "b"}) == ["a", "c", "b"]
 
 
 def test_what_is_stale_is_forgotten_for_every_thread() -> None:

@@ -73,6 +73,9 @@ async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> lis
             task.cancel()
 
 
+at_once = together
+
+
 def callers() -> set[int]:
     """The ids that `thread_id` gives to those who can still call."""
     return {0}

@@ -6,6 +6,7 @@ import inspect
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
@@ -46,6 +47,14 @@ class Signal:
 def together(operations: Sequence[Callable[[], Result]]) -> list[Result]:
     """The results of all operations, one after the other; raises what the first one to fail met."""
     return [operation() for operation in operations]
+
+
+def at_once(operations: Sequence[Callable[[], Result]]) -> list[Result]:
+    """The results of all operations, which run at the same time, on threads of their own: they are few and short."""
+    if len(operations) < 2:
+        return [operation() for operation in operations]
+    with ThreadPoolExecutor(len(operations), thread_name_prefix="stampede at once") as pool:
+        return [future.result() for future in [pool.submit(operation) for operation in operations]]
 
 
 def in_thread(operation: Callable[[], Result]) -> Result:

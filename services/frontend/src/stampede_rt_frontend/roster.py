@@ -78,6 +78,7 @@ class Roster:
 
     def listed(self, members: MemberList) -> None:
         """Take in a member list, unless a later one is known: seeds stay, other targets come and go with the list."""
+        self._note_zones(members)
         position = (members.term, members.applied_index)
         if position < self._position or not members.members:
             return
@@ -86,6 +87,12 @@ class Roster:
         self._listed = frozenset(told)
         wanted = [*self.seeds, *(target for target in told if target not in self.seeds)][:SUPERNODES_MAX]
         self._nodes = {target: self._merged(target, told.get(target)) for target in wanted}
+
+    def _note_zones(self, members: MemberList) -> None:
+        """A supernode tells its own zone alone, and knows it best, even if its list is an old one."""
+        for one in members.members:
+            if one.zone and one.target in self._nodes:
+                self._nodes[one.target] = replace(self._nodes[one.target], zone=one.zone)
 
     def known(self) -> list[Supernode]:
         """The supernodes to tell callers of, each id once: a listed address wins over a seed that leads to the same."""
@@ -121,8 +128,9 @@ class Roster:
         self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
 
     def _merged(self, target: str, told: Supernode | None) -> Supernode:
-        """What probes said of `target` stays; who it is and whether it leads comes from the list."""
+        """What probes said of `target` stays, and its zone if the list has none; the rest comes from the list."""
         node = self._nodes.get(target) or Supernode(supernode_id="", target=target)
         if told is None:
             return replace(node, is_leader=False)
-        return replace(node, supernode_id=told.supernode_id, zone=told.zone, is_leader=told.is_leader)
+        zone = told.zone or node.zone
+        return replace(node, supernode_id=told.supernode_id, zone=zone, is_leader=told.is_leader)

@@ -1,0 +1,147 @@
+"""Which supernode a client takes: of its zone, then the nearest, found by asking all of them at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from stampede_rt._async import ports as async_ports
+from stampede_rt._async import supernodes as async_supernodes
+from stampede_rt._sync import ports as sync_ports
+from stampede_rt._sync import supernodes as sync_supernodes
+from stampede_rt.credentials import Credentials
+from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc, frontend_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt_runtime.server import serving
+
+LATER_SECONDS = 0.3
+
+
+@dataclass
+class Asked:
+    """How many have been asked, by whom all can see; and who waits until all have been."""
+
+    wanted: int
+    pings: int = 0
+    all_there: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def note(self) -> None:
+        self.pings += 1
+        if self.pings >= self.wanted:
+            self.all_there.set()
+        await self.all_there.wait()
+
+
+class Place(directory_service_pb2_grpc.DirectoryServiceServicer):
+    """A supernode so many seconds away, whose answers to pings begin once all others have been pinged, too."""
+
+    def __init__(self, name: str, asked: Asked, later_seconds: float) -> None:
+        self._name, self._asked, self._later_seconds = name, asked, later_seconds
+        self.calls = 0
+
+    async def Ping(self, request: Any, context: Any) -> directory_pb.DirectoryServicePingResponse:  # noqa: N802
+        await self._asked.note()
+        await asyncio.wait([asyncio.create_task(asyncio.Event().wait())], timeout=self._later_seconds)
+        return directory_pb.DirectoryServicePingResponse(supernode_id=self._name, ready=True)
+
+    async def ListHosts(self, request: Any, context: Any) -> directory_pb.ListHostsResponse:  # noqa: N802
+        self.calls += 1
+        return directory_pb.ListHostsResponse()
+
+
+class Frontend(frontend_service_pb2_grpc.FrontendServiceServicer):
+    """Names the places, each with its zone."""
+
+    def __init__(self, places: Sequence[tuple[str, str]]) -> None:
+        self._places = places
+
+    async def Bind(self, request: Any, context: Any) -> frontend_pb.BindResponse:  # noqa: N802
+        records = [
+            directory_pb2.SupernodeRecord(endpoint=directory_pb2.Endpoint(target=target, zone=zone))
+            for target, zone in self._places
+        ]
+        return frontend_pb.BindResponse(supernodes=records, protocol_version=1)
+
+
+@asynccontextmanager
+async def places(**later_seconds: float) -> AsyncIterator[tuple[str, dict[str, Place]]]:
+    """A front-end's address, and the supernodes by name; the first letter of a name is its zone."""
+    asked, made, targets = Asked(len(later_seconds)), {}, []
+    async with AsyncExitStack() as stack:
+        for name, seconds in later_seconds.items():
+            made[name] = place = Place(name, asked, seconds)
+            add = directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server
+            server = await stack.enter_async_context(serving(lambda server, add=add, place=place: add(place, server)))
+            targets.append((server.address, name[0]))
+        frontend = Frontend(targets)
+        register = frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server
+        server = await stack.enter_async_context(serving(lambda server: register(frontend, server)))
+        yield server.address, made
+
+
+async def ask_awaited(frontend: str, zone: str) -> None:
+    ports = async_ports.Ports(Credentials())
+    try:
+        supernodes = async_supernodes.Supernodes((frontend,), ports, peer_name="", zone=zone)
+        await supernodes.bind(20.0)
+        await supernodes.call("ListHosts", directory_pb.ListHostsRequest(), 20.0)
+    finally:
+        await ports.aclose()
+
+
+def ask_blocking(frontend: str, zone: str) -> None:
+    ports = sync_ports.Ports(Credentials())
+    try:
+        supernodes = sync_supernodes.Supernodes((frontend,), ports, peer_name="", zone=zone)
+        supernodes.bind(20.0)
+        supernodes.call("ListHosts", directory_pb.ListHostsRequest(), 20.0)
+    finally:
+        ports.close()
+
+
+async def ask_in_thread(frontend: str, zone: str) -> None:
+    await asyncio.to_thread(ask_blocking, frontend, zone)
+
+
+Ask = Callable[[str, str], Awaitable[None]]
+
+
+@pytest.fixture(params=[ask_awaited, ask_in_thread], ids=["async", "sync"])
+def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ask:
+    """Binds, and asks for the hosts. A ping may take long here: on a busy machine, too, the order counts."""
+    for module in (async_supernodes, sync_supernodes):
+        monkeypatch.setattr(module, "PING_TIMEOUT_S", 10.0)
+    chosen: Ask = request.param
+    return chosen
+
+
+def called(made: dict[str, Place]) -> list[str]:
+    return [name for name, place in made.items() if place.calls]
+
+
+async def test_all_are_asked_at_once_and_the_nearest_is_taken(ask: Ask) -> None:
+    async with places(a1=LATER_SECONDS, b1=0.0, c1=2 * LATER_SECONDS) as (frontend, made):
+        await ask(frontend, "")
+    assert called(made) == ["b1"]
+
+
+async def test_one_of_the_same_zone_is_taken_before_a_nearer_one(ask: Ask) -> None:
+    async with places(a1=2 * LATER_SECONDS, a2=LATER_SECONDS, b1=0.0) as (frontend, made):
+        await ask(frontend, "a")
+    assert called(made) == ["a2"]
+
+
+async def test_one_that_does_not_answer_in_time_is_passed_over_even_in_the_same_zone(
+    ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (async_supernodes, sync_supernodes):
+        monkeypatch.setattr(module, "PING_TIMEOUT_S", 2.0)
+    async with places(a1=60.0, b1=0.0) as (frontend, made):
+        await ask(frontend, "a")
+    assert called(made) == ["b1"]
