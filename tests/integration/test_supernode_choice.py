@@ -145,3 +145,35 @@ async def test_one_that_does_not_answer_in_time_is_passed_over_even_in_the_same_
     async with places(a1=60.0, b1=0.0) as (frontend, made):
         await ask(frontend, "a")
     assert called(made) == ["b1"]
+
+
+class EnoughError(Exception):
+    """The test has seen enough delays."""
+
+
+async def delays_of_one_that_finds_nobody(patch: pytest.MonkeyPatch) -> list[float]:
+    delays: list[float] = []
+
+    async def note(delay_s: float) -> None:
+        delays.append(delay_s)
+        if len(delays) == 4:
+            raise EnoughError
+
+    patch.setattr(async_supernodes, "sleep", note)
+    ports = async_ports.Ports(Credentials())
+    try:
+        supernodes = async_supernodes.Supernodes(("localhost:1",), ports, peer_name="", zone="")
+        with pytest.raises(EnoughError):
+            await supernodes.call("ListHosts", directory_pb.ListHostsRequest(), 60.0)
+    finally:
+        await ports.aclose()
+    return delays
+
+
+async def test_clients_that_have_lost_everybody_at_once_look_for_them_again_at_different_moments(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, other = [await delays_of_one_that_finds_nobody(monkeypatch) for _ in range(2)]
+    assert one != other
+    for bound_s, delay_s in zip((0.02, 0.04, 0.08, 0.16), one, strict=True):
+        assert bound_s / 2 <= delay_s <= bound_s

@@ -1,0 +1,87 @@
+"""Front-ends are where one starts and nothing else: with all of them gone, whoever is bound goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt._sync.ports import Ports
+from stampede_rt.credentials import Credentials, read_secret
+from stampede_rt.v1.frontend_service_pb2 import BindRequest, BindResponse
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+pytestmark = pytest.mark.timeout(120)
+
+cluster = cluster_fixture(scope="function", hosts=2, supernodes=3, frontends=2)
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+def bound(cluster: LocalCluster, address: str) -> BindResponse:
+    ports = Ports(Credentials(secret=read_secret(cluster.secret_file)))
+    try:
+        port = ports.to(address)
+        response: BindResponse = port.call(port.frontend.Bind, BindRequest(protocol_version=1), 20.0)
+    finally:
+        ports.close()
+    return response
+
+
+def test_what_is_bound_goes_on_without_front_ends_also_to_new_channels_hosts_and_supernodes(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    first, second = (bound(cluster, address) for address in cluster.address.split(","))
+    assert (first.cluster_id, ids(first)) == (second.cluster_id, ids(second))
+    assert ids(first) == ["s1", "s2", "s3"]
+
+    channel = rt.channel("bound/before", max_age="1h", host="h1")
+    channel.put(b"before")
+    with channel.subscribe() as items:
+        reader = iter(items)
+        for frontend in cluster.frontends:
+            frontend.stop()
+        channel.put(b"after")
+        assert next(reader).payload == b"after"
+    assert [item.payload for item in channel.get(st.OLDEST, st.NEWEST)] == [b"before", b"after"]
+
+    # A name that nobody has asked for yet: the supernodes are known, so no front-end is needed.
+    other = rt.channel("bound/after", max_age="1h", host="h2")
+    other.put(b"new")
+    assert [item.payload for item in other.get(st.OLDEST, st.NEWEST)] == [b"new"]
+
+    # The owner is cached; the channel is deleted and made anew elsewhere, so the cache is stale and is asked for again.
+    other.delete()
+    again = rt.channel("bound/after", max_age="1h", host="h1")
+    again.put(b"elsewhere")
+    assert [item.payload for item in again.get(st.OLDEST, st.NEWEST)] == [b"elsewhere"]
+
+    # The supernode that is asked first, whichever it is, goes, too: the next one by distance takes over.
+    for supernode in cluster.supernodes[:1]:
+        supernode.kill()
+    rt.channel("bound/later", max_age="1h").put(b"later")
+    cluster.supernodes[0].start()
+    cluster.supernodes[0].wait_ready(40)
+    cluster.supernodes[1].kill()
+    rt.channel("bound/last", max_age="1h").put(b"last")
+
+    # And one front-end that comes back is all that a new client needs.
+    cluster.frontends[1].start()
+    cluster.frontends[1].wait_ready(40)
+    with st.connect(cluster.address) as newcomer:
+        assert names(newcomer.channels("bound/*")) == ["bound/after", "bound/before", "bound/last", "bound/later"]
+
+
+def ids(response: BindResponse) -> list[str]:
+    return sorted(record.supernode_id for record in response.supernodes)
+
+
+def names(channels: Any) -> list[str]:
+    return sorted(channel.name for channel in channels)
