@@ -23,7 +23,7 @@ from stampede_rt.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.model import ChannelStats, Item, Policy
 from stampede_rt.policy import parse_policy
-from stampede_rt.reading import Wait
+from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import Port
@@ -32,6 +32,7 @@ from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
 PERIOD_NANOS_MIN = 1_000_000
+FIRST_WAIT_S = 1.0  # of a put where none had to wait when the handle was opened: it may have been configured since
 
 
 class Channel(Reader):
@@ -63,10 +64,8 @@ class Channel(Reader):
         Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
         item = Single.parse(self._state.coding, payload, time, duration, attributes, content_type)
-        wait = Wait.parse(timeout)
-        if self.info.policy.on_full != "block":
-            wait = Wait(0)
-        ack = await self._puts.put(self._numbers, item, wait)
+        renew_s = RENEW_S if self.info.policy.on_full == "block" else FIRST_WAIT_S
+        ack = await self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s)
         return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:

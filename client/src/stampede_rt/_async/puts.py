@@ -18,7 +18,7 @@ from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
-from stampede_rt.transports.concurrency_async import Mutex, callers, thread_id
+from stampede_rt.transports.concurrency_async import Mutex, callers, monotonic_s, thread_id
 from stampede_rt.transports.grpc_async import Port, PutExchange
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.put_frames import put_head, put_request
@@ -49,18 +49,23 @@ class PutStreams:
         self._streams: dict[int, tuple[Binding, PutExchange]] = {}
         self._mutex = Mutex()
 
-    async def put(self, numbers: Numbers, item: Single, wait: Wait) -> channel_pb.PutAck:
+    async def put(self, numbers: Numbers, item: Single, wait: Wait, renew_s: float = RENEW_S) -> channel_pb.PutAck:
         """Put one item under the producer's next number, which makes it safe to send it again; its ack.
 
-        `wait` is for one that may have to wait for room. A wait without limit is renewed from time to time, so that a
-        host that hangs is noticed.
+        `wait` is for one that may have to wait for room. A long one is renewed from time to time, the first time after
+        `renew_s`, so that a host that hangs is noticed.
         """
-        while wait.seconds is None:
+        began_s = monotonic_s()
+        while True:  # ends with the wait
+            asked_s = monotonic_s()
+            left = wait.after(asked_s - began_s)
+            part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
             try:
-                return await self._put(numbers, item, Wait(RENEW_S))
+                return await self._put(numbers, item, part)
             except ChannelFull:
-                continue
-        return await self._put(numbers, item, wait)
+                if part is left or monotonic_s() - asked_s < renew_s / 2:  # too soon: the host lets no put wait
+                    raise
+            renew_s = RENEW_S
 
     async def _put(self, numbers: Numbers, item: Single, wait: Wait) -> channel_pb.PutAck:
         limit_s = (wait.seconds or 0.0) + CALL_TIMEOUT_S
@@ -89,6 +94,12 @@ class PutStreams:
                 self._streams.pop(next(iter(self._streams)))[1].cancel()
             self._streams[key] = (binding, stream)
         return stream
+
+    def close(self) -> None:
+        """Give the streams up."""
+        with self._mutex:
+            while self._streams:
+                self._streams.popitem()[1][1].cancel()
 
 
 def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
