@@ -289,7 +289,7 @@ class MemorySubscription:
         channel._changed.add(self._event)
         self._ready: deque[st.Item] = deque()
         self._closed = False
-        self.dropped = 0
+        self.dropped = self.skipped = 0
 
     async def __aenter__(self) -> MemorySubscription:
         return self
@@ -318,6 +318,7 @@ class MemorySubscription:
         if self._newest:
             one = core.latest(self._cursor, now)
             taken = [] if one is None else [one]
+            self.skipped = self._cursor.skipped
         else:
             delivery = core.since(self._cursor, now, LIMIT_BYTES)
             self.dropped += delivery.gap.items if delivery.gap else 0

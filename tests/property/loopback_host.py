@@ -1,0 +1,140 @@
+"""A channel host on real gRPC in a process of its own, whose clock stands until a test moves it.
+
+The process serves a directory, too; it is steered by lines: `tick NANOS WALL_STEP` and `settle` on its standard input
+are answered with the host's time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import ServiceServer, serving
+from tests.support.clock import ManualClock
+from tests.unit.channel_host.fake_directory import FakeDirectory
+
+HOST_ID = b"the-loopback-hst"
+LEASE_TTL_NANOS = 10**16  # no story lasts so long
+STOP_SECONDS_MAX = 20.0
+
+
+class LoopbackHost:
+    """Clients connect to `frontend`; data travels to `target`; `tick` moves the time."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self.frontend, self.target = self._answer().split()
+
+    def tick(self, nanos: int, *, wall_step: int = 0) -> int:
+        """Let `nanos` pass, and set the wall clock on or back by `wall_step`; the host's time after it."""
+        return self._ask(f"tick {nanos} {wall_step}")
+
+    def settle_wall_clock(self) -> int:
+        """Put the wall clock where the host's time is, so that nothing is left to slew; that time."""
+        return self._ask("settle")
+
+    def _ask(self, line: str) -> int:
+        assert self._process.stdin is not None
+        self._process.stdin.write(line + "\n")
+        self._process.stdin.flush()
+        return int(self._answer())
+
+    def _answer(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, "the host's process has ended"
+        return line
+
+
+@contextmanager
+def loopback_host() -> Iterator[LoopbackHost]:
+    """A host that serves for as long as the block lasts."""
+    arguments = [sys.executable, "-m", __name__]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    with subprocess.Popen(
+        arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            yield LoopbackHost(process)
+        finally:
+            assert process.stdin is not None
+            process.stdin.close()
+            status = process.wait(STOP_SECONDS_MAX)
+        assert status == 0, "the host failed"
+
+
+class Directory(FakeDirectory):
+    """Opens channels, too: each at the one host there is."""
+
+    async def Ping(self, request: Any, context: Any) -> pb.DirectoryServicePingResponse:  # noqa: N802
+        return pb.DirectoryServicePingResponse(supernode_id=self.target, ready=True, cluster_id="c")
+
+    async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:  # noqa: N802
+        await self._begin("OpenChannel", context)
+        found = [record for record in self.channels.values() if record.name == request.name]
+        record = found[0] if found else self.add_channel(request.name, HOST_ID, request.spec)
+        return pb.OpenChannelResponse(channel=record, host=self.hosts[HOST_ID])
+
+
+class Steered:
+    """The host and its clock, on the host's event loop: nobody reads one clock before a tick and the other after it."""
+
+    def __init__(self, host: ChannelHost, clock: ManualClock) -> None:
+        self._host = host
+        self._clock = clock
+
+    def obey(self, line: str) -> int:
+        """Do what a line says; the host's time after it."""
+        command, *numbers = line.split()
+        if command == "settle":
+            self._clock.set_wall_clock(self._host.store.now())
+        else:
+            nanos, wall_step = map(int, numbers)
+            self._clock.set_wall_clock(self._clock.time_unix_nano() + wall_step)
+            self._clock.advance(nanos)
+        return self._host.store.now()
+
+
+async def serve() -> None:
+    """Until standard input ends."""
+    directory = Directory(lease_ttl_nanos=LEASE_TTL_NANOS)
+    async with serving(directory.register) as supernode:
+        directory.target = supernode.address
+        clock = ManualClock()
+        host = ChannelHost(
+            HostIdentity(host_id=HOST_ID, name="loopback", boot_incarnation=1),
+            frontends=[directory.target],
+            dial=lambda target: dial(target, secret=None),
+            clock=clock,
+            memory_bytes_max=2**30,
+            on_serving=lambda serving: None,
+            on_defect=lambda failure: os._exit(1),
+        )
+        server = ServiceServer(secret=None)
+        target = server.bind("localhost:0")
+        host.add_to(server.grpc)
+        await server.start()
+        await host.enter(target)
+        print(directory.target, target, flush=True)
+        await _obey_lines(Steered(host, clock))
+        await server.stop(host.leave)
+
+
+async def _obey_lines(steered: Steered) -> None:
+    lines = asyncio.StreamReader()
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(lines), sys.stdin)
+    while line := await lines.readline():
+        print(steered.obey(line.decode()), flush=True)
+
+
+if __name__ == "__main__":
+    asyncio.run(serve())

@@ -1,0 +1,42 @@
+"""Whatever happens to a channel, a client on the other side of gRPC and the oracle tell the same story.
+
+`STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/test_grpc_paths_against_oracle.py` searches at length.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.property.loopback_host import LoopbackHost, loopback_host
+from tests.property.path_steps import play
+from tests.property.surfaces import Surface, awaited_surface, blocking_surface
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "100"))
+SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
+
+
+@pytest.fixture(scope="module")
+def host() -> Iterator[LoopbackHost]:
+    with loopback_host() as running:
+        yield running
+
+
+@pytest.fixture(scope="module", params=SURFACES)
+def surface(request: pytest.FixtureRequest, host: LoopbackHost) -> Iterator[Surface]:
+    with SURFACES[request.param](host.frontend, host.target) as connected:
+        yield connected
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
+def test_a_client_over_grpc_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
+    @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(st.lists(st.integers(0, 2**96), min_size=20, max_size=40))
+    def every_story(numbers: list[int]) -> None:
+        play(surface, host, numbers)
+
+    every_story()
