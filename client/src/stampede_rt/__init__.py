@@ -16,11 +16,14 @@ from stampede_rt._sync.cuts import CutSubscription
 from stampede_rt._sync.group import Group, GroupChannel
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.matches import MatchSubscription
+from stampede_rt._sync.message import Message
+from stampede_rt._sync.presence import Mailbox
 from stampede_rt._sync.producer import Producer
+from stampede_rt._sync.queue import Queue
 from stampede_rt._sync.sampler import Sampler
 from stampede_rt._sync.session import Session as _Session
 from stampede_rt._sync.subscription import Subscription
-from stampede_rt._sync.watch import Watch
+from stampede_rt._sync.watch import PeerWatch, Watch
 from stampede_rt.codecs import Codec
 from stampede_rt.connecting import parse_target as _parse_target
 from stampede_rt.errors import (
@@ -54,6 +57,8 @@ from stampede_rt.errors import (
 )
 from stampede_rt.grouping import ByChannel, CrossSection, Cut, GroupInfo, GroupStatus, Matched, MemberStatus
 from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Item, Items, Policy, Reason, SupernodeInfo
+from stampede_rt.peering import PeerChange, PeerInfo
+from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
 from stampede_rt.tls import TlsFiles
 from stampede_rt.version import VERSION as __version__  # noqa: N811
@@ -97,17 +102,26 @@ __all__ = [
     "Items",
     "LeaseExpired",
     "Listener",
+    "Mailbox",
     "MatchSubscription",
     "Matched",
     "MemberStatus",
+    "Message",
     "Overloaded",
+    "PeerChange",
     "PeerExists",
+    "PeerInfo",
     "PeerNotFound",
+    "PeerWatch",
     "PermissionDenied",
     "Policy",
     "Producer",
+    "Queue",
     "QueueExists",
+    "QueueInfo",
     "QueueNotFound",
+    "QueuePolicy",
+    "QueueStats",
     "Reason",
     "ResolvedInterval",
     "Sampler",
@@ -131,20 +145,23 @@ def connect(
     url: str | None = None,
     *,
     name: str | None = None,
+    proof: str | None = None,
     secret: str | None = None,
     zone: str | None = None,
     tls: TlsFiles | None = None,
 ) -> Connection:
     """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
 
-    `name`: this participant's name; `secret`: the cluster's, found by itself on the same machine; `zone`: where the
-    caller is, to prefer what is near; `tls`: certificates, if the cluster asks for them. Blocks 5 s at most. Raises
-    Unavailable, PermissionDenied, VersionMismatch.
+    `name`: this participant's name among the live ones, under which it gets a mailbox; without it, it is nobody in
+    particular. `proof`: a secret text of 16 characters or more, kept over restarts: who brings it is the same
+    participant again, and takes over name and mailbox at once. `secret`: the cluster's, found by itself on the same
+    machine; `zone`: where the caller is, to prefer what is near; `tls`: certificates, if the cluster asks for them.
+    Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
     """
     target = _parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
     session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
     try:
-        return Connection(session, target.name).open()
+        return Connection(session, target.name, proof).open()
     except BaseException:
         session.close()
         raise

@@ -1,49 +1,58 @@
-"""A participant's connection to the cluster: channels by name, and discovery."""
+"""A participant's connection to the cluster: channels, groups and queues by name, its mailbox, and discovery."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
-from typing import Any
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
+from stampede_rt._async.discovery import Discovery
 from stampede_rt._async.group import Group, GroupChannel, member_handles
-from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
-from stampede_rt._async.watch import Watch
+from stampede_rt._async.presence import Mailbox, Presence
+from stampede_rt._async.queue import Queue, dead_letter_id
+from stampede_rt._async.queue_place import QueueState, open_queue
+from stampede_rt._async.sending import Sending
+from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, left_s, request_id
+from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.codecs import Codec, Coding
-from stampede_rt.errors import HostNotFound
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.grouping import (
     MAX_LEAD_DEFAULT,
     OLDEST_REFERENCE,
     CrossSection,
-    GroupInfo,
     parse_group_bound,
     parse_members,
     parse_reference,
 )
-from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.policy import parse_name, parse_policy
+from stampede_rt.queueing import parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
-from stampede_rt.v1 import directory_service_pb2 as directory_pb
-from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.wire.groups import group_info, group_spec
-from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
-
-PAGES_MAX = 10_000
 
 
-class Connection:
-    """What `connect` gives: the way to channels and to the directory. A context manager; close it or leave it."""
+class Connection(Discovery):
+    """What `connect` gives: the way to channels, queues and the directory. A context manager; close it or leave it."""
 
-    def __init__(self, session: Session, name: str) -> None:
-        self._session = session
+    def __init__(self, session: Session, name: str, proof: str | None = None) -> None:
+        super().__init__(session)
         self.name = name
+        self._presence = Presence(session, name, proof) if name else None
+        self._mailbox: Mailbox | None = None
+        self._sending = Sending(session)
 
     async def open(self) -> Connection:
-        """Find the cluster, within 5 s. Raises Unavailable, PermissionDenied, VersionMismatch."""
+        """Find the cluster and register under the name, within 5 s.
+
+        Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
+        """
+        deadline_s = monotonic_s() + CONNECT_TIMEOUT_S
         await self._session.open()
+        if self._presence is not None:
+            mailbox = await self._presence.begin(left_s(deadline_s))
+            self._mailbox = Mailbox(self._session, self._presence, mailbox)
         return self
 
     async def __aenter__(self) -> Connection:
@@ -55,7 +64,7 @@ class Connection:
         await self.aclose()
 
     async def aclose(self) -> None:
-        """End everything that is under way; handles of this connection do not work any more."""
+        """End everything that is under way and leave; handles of this connection do not work any more."""
         await self._session.aclose()
 
     @property
@@ -73,6 +82,7 @@ class Connection:
         consumers: int | None = None,
         on_full: str | None = None,
         max_future: DurationLike | None = None,
+        max_age_unconsumed: DurationLike | None = None,
         content_type: str | None = None,
         codec: str | Codec | None = None,
         host: str | None = None,
@@ -82,7 +92,9 @@ class Connection:
 
         Arguments left out are never compared; a stated one that contradicts what was stated before raises
         ChannelExists. Unstated: max_age "10s" if no limit at all is stated, max_bytes 256 MiB, on_full "drop_oldest",
-        max_future "1s". `host` names the host to create it at. `create=False` raises ChannelNotFound if it is absent.
+        max_future "1s". `consumers`: an item may go once so many have consumed it; `max_age_unconsumed`: what a live
+        consumer has yet to consume goes at that age instead of max_age (see `Channel.consume`). `host` names the host
+        to create it at. `create=False` raises ChannelNotFound if it is absent.
 
         `codec` belongs to the handle, not to the channel: what `put` takes and `item.value` gives. "bytes" (default),
         "json", "numpy" (shape and dtype kept), or an object with `content_type`, `encode` and `decode`.
@@ -94,6 +106,7 @@ class Connection:
             consumers=consumers,
             on_full=on_full,
             max_future=max_future,
+            max_age_unconsumed=max_age_unconsumed,
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
@@ -134,13 +147,6 @@ class Connection:
         response = await self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
         return Group(self._session, group_info(response.group), member_handles(self._session, response, channels or ()))
 
-    async def groups(self, name_glob: str = "*") -> list[GroupInfo]:
-        """The groups whose names match, see `channels`; in the order of names."""
-        found: list[GroupInfo] = []
-        async for page in self._pages("ListGroups", group_directory_pb.ListGroupsRequest(name_glob=name_glob)):
-            found += [group_info(record) for record in page.groups]
-        return found
-
     async def cross_section(
         self,
         reference: Channel | GroupChannel,
@@ -162,56 +168,69 @@ class Connection:
             reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout
         )
 
-    async def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
-        """The channels whose names match; "*" stands for any run of characters, "?" for one. In the order of names."""
-        found: list[ChannelInfo] = []
-        async for page in self._pages("ListChannels", directory_pb.ListChannelsRequest(name_glob=name_glob)):
-            hosts = {host.host_id: host for host in page.hosts}
-            found += [channel_info(record, hosts.get(record.host_id)) for record in page.channels]
-        return found
+    async def queue(
+        self,
+        name: str,
+        *,
+        max_items: int | None = None,
+        max_bytes: int | None = None,
+        copies: int | None = None,
+        on_full: str | None = None,
+        lease: DurationLike | None = None,
+        max_deliveries: int | None = None,
+        dead_letter: Queue | str | None = None,
+        content_type: str | None = None,
+        codec: str | Codec | None = None,
+        prefetch: int = 1,
+        host: str | None = None,
+        create: bool = True,
+    ) -> Queue:
+        """Get or create a queue (paper, section 3.5).
 
-    async def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
-        """The channel hosts, in the order of names."""
-        found: list[HostInfo] = []
-        async for page in self._pages("ListHosts", directory_pb.ListHostsRequest(include_dead=include_dead)):
-            found += [host_info(record) for record in page.hosts]
-        return found
+        Arguments left out are never compared; a stated one that contradicts what was stated before raises QueueExists.
+        Unstated: no limit of items, max_bytes 256 MiB, copies 1 (how many distinct takers each item goes to), on_full
+        "block" ("reject", "drop_oldest"), lease "30s". An item that was delivered `max_deliveries` times without an
+        acknowledgement leaves the queue, to the queue `dead_letter` (a handle or a name) if one is stated.
+        `create=False` raises QueueNotFound if it is absent. `host` and `codec` are as for channels.
 
-    async def hosted_channels(self, host: str, name_glob: str = "*") -> dict[str, ChannelStats]:
-        """The channels at one host by name, with their counters: one request for each 1000, and no payload.
-
-        Raises HostNotFound; Unavailable if the host cannot be reached.
+        `prefetch` belongs to the handle: by default nothing is taken from the queue before somebody waits for it, so
+        that no taker sits on what another could do. More than 1 takes so many ahead, which saves round trips where
+        items are many and small; a message's lease begins when it is sent, so keep taking.
         """
-        request = directory_pb.ResolveHostRequest(name=host)
-        found = host_info((await self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)
-        if not found.alive or not found.endpoints:
-            raise HostNotFound(f"the host {host!r} is lost: its lease has ended; start it again, or name another")
-        port = self._session.ports.to(found.endpoints[0])
-        stats: dict[str, ChannelStats] = {}
-        page_request = gatekeeper_pb.ListHostedChannelsRequest(name_glob=name_glob)
-        for _ in range(PAGES_MAX):
-            page = await port.call(port.gatekeeper.ListHostedChannels, page_request, CALL_TIMEOUT_S)
-            stats |= {status.record.name: channel_stats(status) for status in page.channels}
-            if not page.next_page_token:
-                break
-            page_request.page_token = page.next_page_token
-        return stats
-
-    async def _pages(self, method: str, request: Any) -> Any:
-        for _ in range(PAGES_MAX):
-            page = await self._session.supernodes.call(method, request, CALL_TIMEOUT_S)
-            yield page
-            if not page.next_page_token:
-                return
-            request.page_token = page.next_page_token
-
-    async def supernodes(self) -> list[SupernodeInfo]:
-        """The supernodes, as the nearest one sees them."""
-        response = await self._session.supernodes.call(
-            "ListSupernodes", directory_pb.ListSupernodesRequest(), CALL_TIMEOUT_S
+        stated = parse_queue_policy(
+            max_items=max_items,
+            max_bytes=max_bytes,
+            copies=copies,
+            on_full=on_full,
+            lease=lease,
+            max_deliveries=max_deliveries,
+            dead_letter_queue_id=await dead_letter_id(self._session, dead_letter),
+            content_type=content_type,
         )
-        return [supernode_info(record) for record in response.supernodes]
+        coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
+        info = await open_queue(self._session, name, stated, host, create)
+        return Queue(self._session, QueueState("queue", name, info, stated, create, coding), prefetch)
 
-    def watch(self, name_glob: str = "*") -> Watch:
-        """Changes of channels whose names match, and of hosts, from now on: an iterator and context manager."""
-        return Watch(self._session, name_glob)
+    @property
+    def mailbox(self) -> Mailbox:
+        """What other participants send to this one. Raises InvalidArgument without a name, see `connect`."""
+        if self._mailbox is None:
+            raise InvalidArgument('a mailbox belongs to a name; connect with one, as in connect(name="planner")')
+        return self._mailbox
+
+    async def send(
+        self,
+        peer: str,
+        payload: bytes,
+        timeout: float | None = None,
+        *,
+        attributes: Mapping[str, str] | None = None,
+        content_type: str | None = None,
+    ) -> int:
+        """Put a message into the mailbox of the participant with that name; its seq there is returned.
+
+        A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
+        limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge; Unavailable
+        if the mailbox's host cannot be reached.
+        """
+        return await self._sending.send(parse_name(peer, "peer"), payload, timeout, attributes, content_type)

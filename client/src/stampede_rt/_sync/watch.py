@@ -4,38 +4,38 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.model import Change
+from stampede_rt.peering import PeerChange
 from stampede_rt.retry import Backoff
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_sync import Stream
-from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
+from stampede_rt.wire.peers import peer_change
 from stampede_rt.wire.records import change
 
+Told = TypeVar("Told")
 
-class Watch:
-    """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
 
-    Goes to another supernode by itself, from where it was. Raises WatchRestart if the changes since then are not kept
-    any more: list again, then watch anew.
-    """
+class Following(Generic[Told]):
+    """Changes told by a supernode, one after the other; another one goes on from where the last one was."""
 
-    def __init__(self, session: Session, name_glob: str) -> None:
+    def __init__(self, session: Session, request: Any) -> None:
         self._session = session
-        self._request = directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True)
-        self._hosts: dict[bytes, directory_pb2.HostRecord] = {}
-        self._stream: Stream[directory_service_pb2.WatchResponse] | None = None
+        self._request = request
+        self._stream: Stream[Any] | None = None
         self._responses: Any = None
-        self._ready: deque[Change] = deque()
+        self._ready: deque[Told] = deque()
         self._closed = False
         begin_now(self._open)
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Self:
         self._open()
         return self
 
@@ -44,10 +44,10 @@ class Watch:
     ) -> None:
         self.close()
 
-    def __iter__(self) -> Watch:
+    def __iter__(self) -> Self:
         return self
 
-    def __next__(self) -> Change:
+    def __next__(self) -> Told:
         while not self._ready or self._closed:
             if self._closed:
                 raise StopIteration
@@ -76,16 +76,15 @@ class Watch:
                 sleep(delay_s)
 
     def _open_once(self) -> None:
-        hosts = self._session.supernodes.call(
-            "ListHosts", directory_service_pb2.ListHostsRequest(include_dead=True), CONNECT_TIMEOUT_S
-        )
-        self._hosts = {host.host_id: host for host in hosts.hosts}
-        stream = self._session.supernodes.stream("Watch", self._request)
+        stream = self._begin()
         responses = stream.__iter__()
         self._take(responses.__next__())  # says that the watch holds
         self._stream, self._responses = stream, responses
         if self._closed:  # while it was being opened
             stream.cancel()
+
+    def _begin(self) -> Stream[Any]:
+        raise NotImplementedError
 
     def _receive(self) -> None:
         try:
@@ -98,9 +97,47 @@ class Watch:
                 self._closed = True
                 raise
 
-    def _take(self, response: directory_service_pb2.WatchResponse) -> None:
+    def _take(self, response: Any) -> None:
+        self._ready.extend(self._changes(response))
+        self._request.after_index = max(self._request.after_index, response.applied_index)
+
+    def _changes(self, response: Any) -> Iterable[Told]:
+        raise NotImplementedError
+
+
+class Watch(Following[Change]):
+    """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
+
+    Goes to another supernode by itself, from where it was. Raises WatchRestart if the changes since then are not kept
+    any more: list again, then watch anew.
+    """
+
+    def __init__(self, session: Session, name_glob: str) -> None:
+        self._hosts: dict[bytes, directory_pb2.HostRecord] = {}
+        super().__init__(session, directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True))
+
+    def _begin(self) -> Stream[Any]:
+        hosts = self._session.supernodes.call(
+            "ListHosts", directory_service_pb2.ListHostsRequest(include_dead=True), CONNECT_TIMEOUT_S
+        )
+        self._hosts = {host.host_id: host for host in hosts.hosts}
+        return self._session.supernodes.stream("Watch", self._request)
+
+    def _changes(self, response: directory_service_pb2.WatchResponse) -> Iterable[Change]:
         for message in response.changes:
             if message.WhichOneof("subject") == "host":
                 self._hosts[message.host.host_id] = message.host
-            self._ready.append(change(message, self._hosts))
-        self._request.after_index = max(self._request.after_index, response.applied_index)
+            yield change(message, self._hosts)
+
+
+class PeerWatch(Following[PeerChange]):
+    """An iterator over changes of participants (see `Connection.watch_peers`); else as Watch."""
+
+    def __init__(self, session: Session, name_glob: str) -> None:
+        super().__init__(session, peer_service_pb2.WatchPeersRequest(name_glob=name_glob))
+
+    def _begin(self) -> Stream[Any]:
+        return self._session.supernodes.stream("WatchPeers", self._request)
+
+    def _changes(self, response: peer_service_pb2.WatchPeersResponse) -> Iterable[PeerChange]:
+        return [peer_change(message) for message in response.changes]

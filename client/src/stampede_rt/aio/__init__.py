@@ -12,11 +12,14 @@ from stampede_rt._async.cuts import CutSubscription
 from stampede_rt._async.group import Group, GroupChannel
 from stampede_rt._async.listener import Listener
 from stampede_rt._async.matches import MatchSubscription
+from stampede_rt._async.message import Message
+from stampede_rt._async.presence import Mailbox
 from stampede_rt._async.producer import Producer
+from stampede_rt._async.queue import Queue
 from stampede_rt._async.sampler import Sampler
 from stampede_rt._async.session import Session as _Session
 from stampede_rt._async.subscription import Subscription
-from stampede_rt._async.watch import Watch
+from stampede_rt._async.watch import PeerWatch, Watch
 from stampede_rt.connecting import Target as _Target
 from stampede_rt.connecting import parse_target as _parse_target
 from stampede_rt.tls import TlsFiles
@@ -28,8 +31,12 @@ __all__ = [
     "Group",
     "GroupChannel",
     "Listener",
+    "Mailbox",
     "MatchSubscription",
+    "Message",
+    "PeerWatch",
     "Producer",
+    "Queue",
     "Sampler",
     "Subscription",
     "Watch",
@@ -40,15 +47,16 @@ __all__ = [
 class _Connecting:
     """`await connect(...)` gives the connection; `async with connect(...) as rt` closes it at the end, too."""
 
-    def __init__(self, target: _Target) -> None:
+    def __init__(self, target: _Target, proof: str | None) -> None:
         self._target = target
+        self._proof = proof
         self._connection: Connection | None = None
 
     async def _connect(self) -> Connection:
         target = self._target
         session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
         try:
-            self._connection = await Connection(session, target.name).open()
+            self._connection = await Connection(session, target.name, self._proof).open()
         except BaseException:
             await session.aclose()
             raise
@@ -71,9 +79,10 @@ def connect(
     url: str | None = None,
     *,
     name: str | None = None,
+    proof: str | None = None,
     secret: str | None = None,
     zone: str | None = None,
     tls: TlsFiles | None = None,
 ) -> _Connecting:
     """As `stampede_rt.connect`; await it, or enter it with `async with`."""
-    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls))
+    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls), proof)

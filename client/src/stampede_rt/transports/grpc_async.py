@@ -16,9 +16,10 @@ from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD, SILENCE_S_MAX
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
 
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
@@ -41,6 +42,9 @@ class Port(Stubs):
         # Requests are framed by hand (wire/put_frames.py) and sent as they are.
         self._put: Callable[..., Any] = self._channel.stream_stream(
             PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
+        )
+        self._enqueue: Callable[..., Any] = self._channel.stream_stream(
+            ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
         )
         self._gets: GetExchange | None = None
 
@@ -78,6 +82,10 @@ class Port(Stubs):
     def puts(self) -> PutExchange:
         """A new stream for puts, which its caller closes."""
         return PutExchange(self._put(metadata=self.metadata), self.target)
+
+    def enqueues(self) -> PutExchange:
+        """A new stream for puts into a queue, which its caller closes."""
+        return PutExchange(self._enqueue(metadata=self.metadata), self.target)
 
     def duplex(
         self,
@@ -149,10 +157,15 @@ class Stream(Generic[Response]):
 class Conversation(Stream[Response]):
     """A stream in both directions: `say` sends, the iteration gives what comes."""
 
+    def __init__(self, call: Any, target: str) -> None:
+        super().__init__(call, target)
+        self._writing = asyncio.Lock()
+
     async def say(self, request: Any) -> None:
         """Send `request`; blocks while the connection's window is full. Raises Unavailable if the stream is broken."""
         try:
-            await self._call.write(request)
+            async with self._writing:
+                await self._call.write(request)
         except (grpc.RpcError, asyncio.InvalidStateError) as error:
             raise Unavailable(f"the stream to {self._target} is broken") from error
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
+ENQUEUE_METHOD = "/stampede_rt.v1.QueueService/Enqueue"
 SILENCE_S_MAX = 15.0  # servers give a sign of life on every stream of theirs each 5 s
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 

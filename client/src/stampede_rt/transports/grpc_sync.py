@@ -15,10 +15,11 @@ from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, PUT_METHOD, SILENCE_S_MAX
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
 
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
@@ -42,6 +43,9 @@ class Port(Stubs):
         # Requests are framed by hand (wire/put_frames.py) and sent as they are.
         self._put: Callable[..., Any] = self._channel.stream_stream(
             PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
+        )
+        self._enqueue: Callable[..., Any] = self._channel.stream_stream(
+            ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
         )
         self._watchdog = Watchdog()
         self._of_thread = threading.local()
@@ -84,6 +88,10 @@ class Port(Stubs):
     def puts(self) -> PutExchange:
         """A new stream for puts, which its caller closes."""
         return PutExchange(self, self._put, self._watchdog)
+
+    def enqueues(self) -> PutExchange:
+        """A new stream for puts into a queue, which its caller closes."""
+        return PutExchange(self, self._enqueue, self._watchdog)
 
     def duplex(
         self, on_response: Callable[[channel_pb.PutResponse], None], on_end: Callable[[StampedeError], None]

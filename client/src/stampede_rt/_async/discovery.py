@@ -1,0 +1,111 @@
+"""What is there: channels, groups, queues, participants, hosts and supernodes (paper, section 3.5)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
+from stampede_rt._async.watch import PeerWatch, Watch
+from stampede_rt.errors import HostNotFound
+from stampede_rt.grouping import GroupInfo
+from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
+from stampede_rt.peering import PeerInfo
+from stampede_rt.queueing import QueueInfo
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
+from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.wire.groups import group_info
+from stampede_rt.wire.peers import peer_info
+from stampede_rt.wire.queues import queue_info
+from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
+
+PAGES_MAX = 10_000
+
+
+class Discovery:
+    """Asks the directory. In a glob "*" stands for any run of characters, "?" for one."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    async def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
+        """The channels whose names match; "*" stands for any run of characters, "?" for one. In the order of names."""
+        found: list[ChannelInfo] = []
+        async for page in self._pages("ListChannels", directory_pb.ListChannelsRequest(name_glob=name_glob)):
+            hosts = {host.host_id: host for host in page.hosts}
+            found += [channel_info(record, hosts.get(record.host_id)) for record in page.channels]
+        return found
+
+    async def groups(self, name_glob: str = "*") -> list[GroupInfo]:
+        """The groups whose names match, see `channels`; in the order of names."""
+        found: list[GroupInfo] = []
+        async for page in self._pages("ListGroups", group_directory_pb.ListGroupsRequest(name_glob=name_glob)):
+            found += [group_info(record) for record in page.groups]
+        return found
+
+    async def queues(self, name_glob: str = "*") -> list[QueueInfo]:
+        """The queues whose names match, see `channels`; in the order of names. Mailboxes are found by `peers`."""
+        found: list[QueueInfo] = []
+        async for page in self._pages("ListQueues", queue_directory_pb.ListQueuesRequest(name_glob=name_glob)):
+            hosts = {host.host_id: host for host in page.hosts}
+            found += [queue_info(record, hosts.get(record.host_id)) for record in page.queues]
+        return found
+
+    async def peers(self, name_glob: str = "*", *, include_dead: bool = False) -> list[PeerInfo]:
+        """The participants whose names match, see `channels`; in the order of names."""
+        found: list[PeerInfo] = []
+        async for page in self._pages("ListPeers", peer_pb.ListPeersRequest(name_glob=name_glob)):
+            found += [peer_info(record) for record in page.peers if record.alive or include_dead]
+        return found
+
+    async def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
+        """The channel hosts, in the order of names."""
+        found: list[HostInfo] = []
+        async for page in self._pages("ListHosts", directory_pb.ListHostsRequest(include_dead=include_dead)):
+            found += [host_info(record) for record in page.hosts]
+        return found
+
+    async def hosted_channels(self, host: str, name_glob: str = "*") -> dict[str, ChannelStats]:
+        """The channels at one host by name, with their counters: one request for each 1000, and no payload.
+
+        Raises HostNotFound; Unavailable if the host cannot be reached.
+        """
+        request = directory_pb.ResolveHostRequest(name=host)
+        found = host_info((await self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)
+        if not found.alive or not found.endpoints:
+            raise HostNotFound(f"the host {host!r} is lost: its lease has ended; start it again, or name another")
+        port = self._session.ports.to(found.endpoints[0])
+        stats: dict[str, ChannelStats] = {}
+        page_request = gatekeeper_pb.ListHostedChannelsRequest(name_glob=name_glob)
+        for _ in range(PAGES_MAX):
+            page = await port.call(port.gatekeeper.ListHostedChannels, page_request, CALL_TIMEOUT_S)
+            stats |= {status.record.name: channel_stats(status) for status in page.channels}
+            if not page.next_page_token:
+                break
+            page_request.page_token = page.next_page_token
+        return stats
+
+    async def _pages(self, method: str, request: Any) -> Any:
+        for _ in range(PAGES_MAX):
+            page = await self._session.supernodes.call(method, request, CALL_TIMEOUT_S)
+            yield page
+            if not page.next_page_token:
+                return
+            request.page_token = page.next_page_token
+
+    async def supernodes(self) -> list[SupernodeInfo]:
+        """The supernodes, as the nearest one sees them."""
+        response = await self._session.supernodes.call(
+            "ListSupernodes", directory_pb.ListSupernodesRequest(), CALL_TIMEOUT_S
+        )
+        return [supernode_info(record) for record in response.supernodes]
+
+    def watch(self, name_glob: str = "*") -> Watch:
+        """Changes of channels whose names match, and of hosts, from now on: an iterator and context manager."""
+        return Watch(self._session, name_glob)
+
+    def watch_peers(self, name_glob: str = "*") -> PeerWatch:
+        """Changes of participants whose names match, from now on: an iterator and context manager."""
+        return PeerWatch(self._session, name_glob)

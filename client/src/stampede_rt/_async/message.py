@@ -1,0 +1,159 @@
+"""One item of a queue in the hands of its taker, who says what becomes of it (paper, section 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._async.attempts import Place, attempt
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
+from stampede_rt.binding import Binding
+from stampede_rt.codecs import Coding
+from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.policy import duration_of
+from stampede_rt.queueing import parse_lease
+from stampede_rt.status import from_error_message
+from stampede_rt.timeline import DurationLike
+from stampede_rt.transports.concurrency_async import monotonic_s
+from stampede_rt.v1 import queue_pb2
+from stampede_rt.v1 import queue_service_pb2 as queue_service_pb
+from stampede_rt.wire.queues import Delivery
+
+SETTLEMENTS_MAX = 1024
+
+
+class Settler:
+    """Tells a queue's host what became of deliveries to one taker."""
+
+    def __init__(self, session: Session, place: Place, taker_id: int) -> None:
+        self._session = session
+        self._place = place
+        self._taker_id = taker_id
+
+    async def settle(self, settlement: queue_pb2.Settlement) -> queue_pb2.SettlementResult:
+        """Settle one delivery; tried again until the host has heard. Raises LeaseExpired."""
+        tries = 0
+
+        async def settle_at(binding: Binding) -> queue_pb2.SettlementResult:
+            nonlocal tries
+            tries += 1
+            result = (await self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
+            if result.HasField("error"):
+                error = from_error_message(result.error)
+                if not (tries > 1 and isinstance(error, LeaseExpired) and settlement.HasField("give_back")):
+                    raise error  # an earlier try has given it back already
+            return result
+
+        return await attempt(self._place, settle_at, CALL_TIMEOUT_S)
+
+    async def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
+        """Give back what was never handed to anybody. What is not given back comes back when its lease ends."""
+        for at in range(0, len(messages), SETTLEMENTS_MAX):
+            settlements = [one.given_back() for one in messages[at : at + SETTLEMENTS_MAX]]
+
+            async def settle_at(
+                binding: Binding, settlements: Sequence[queue_pb2.Settlement] = settlements
+            ) -> Sequence[queue_pb2.SettlementResult]:
+                return await self._settle_at(binding, settlements, timeout_s)
+
+            await attempt(self._place, settle_at, timeout_s)
+
+    async def _settle_at(
+        self, binding: Binding, settlements: Sequence[queue_pb2.Settlement], timeout_s: float
+    ) -> Sequence[queue_pb2.SettlementResult]:
+        port = self._session.ports.to(binding.target)
+        request = queue_service_pb.SettleRequest(
+            queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id, settlements=settlements
+        )
+        response: queue_service_pb.SettleResponse = await port.call(port.queues.Settle, request, timeout_s)
+        return response.results
+
+
+class Message:
+    """An item that a queue or mailbox has leased to this taker. It comes again unless `ack` is called in time.
+
+    `deliveries` says which delivery of the item this is, from 1; `time` is when the queue accepted it, in nanoseconds
+    since the epoch, unless its producer said otherwise; `seq` its place in the queue. As a context manager it is
+    acknowledged when the block ends well, and given back if the block raises; settled inside, it is left alone.
+    """
+
+    def __init__(self, settler: Settler, delivery: Delivery, incarnation: int, coding: Coding | None) -> None:
+        self._settler = settler
+        self._delivery = delivery
+        self._coding = coding
+        self._lease_ends_s = monotonic_s() + delivery.lease_nanos / 1e9
+        self._settled = False
+        self.payload: bytes = delivery.payload
+        self.attributes: Mapping[str, str] = delivery.attributes
+        self.content_type = delivery.content_type
+        self.deliveries = delivery.deliveries
+        self.time = delivery.time
+        self.seq = delivery.seq
+        self.incarnation = incarnation
+
+    def __repr__(self) -> str:
+        return f"<Message #{self.seq}, delivery {self.deliveries}, {len(self.payload)} bytes>"
+
+    @cached_property
+    def value(self) -> Any:
+        """The payload as the handle's codec decodes it; without a codec the payload itself. Raises CodecError."""
+        if self._coding is None:
+            return self.payload
+        return self._coding.decode(self.payload, self.content_type, f"item #{self.seq}")
+
+    @property
+    def lease_left(self) -> float:
+        """For how many seconds the message is still this taker's alone; 0 once its lease has ended."""
+        return max(0.0, self._lease_ends_s - monotonic_s())
+
+    async def ack(self) -> None:
+        """It is done with: the queue forgets it (for this taker, if the queue has copies). Safe to repeat.
+
+        Raises LeaseExpired if the lease ended before: then somebody else may have it.
+        """
+        await self._settle(queue_pb2.Settlement(acknowledge=queue_pb2.Acknowledge()))
+
+    async def nack(self, delay: DurationLike | None = None) -> None:
+        """It goes back to its place, for any taker, but not before `delay` is over; it holds up no other.
+
+        Raises LeaseExpired if the lease ended before.
+        """
+        delay_nanos = duration_of("delay", delay, least=0) or 0
+        await self._settle(queue_pb2.Settlement(give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos)))
+
+    async def extend(self, lease: DurationLike = "30s") -> None:
+        """Have it for so long, from now on, at most an hour. Raises LeaseExpired if the lease ended before."""
+        extension = queue_pb2.ExtendLease(lease_nanos=parse_lease(lease) or 0)
+        began_s = monotonic_s()
+        result = await self._send(queue_pb2.Settlement(extend_lease=extension))
+        self._lease_ends_s = began_s + (result.lease_nanos or extension.lease_nanos) / 1e9
+
+    async def _settle(self, settlement: queue_pb2.Settlement) -> None:
+        await self._send(settlement)
+        self._settled = True
+
+    async def _send(self, settlement: queue_pb2.Settlement) -> queue_pb2.SettlementResult:
+        settlement.delivery_id = self._delivery.delivery_id
+        return await self._settler.settle(settlement)
+
+    def given_back(self) -> queue_pb2.Settlement:
+        """What gives it back, at once."""
+        return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, give_back=queue_pb2.GiveBack())
+
+    async def __aenter__(self) -> Message:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._settled:
+            return
+        if error is None:
+            await self.ack()
+            return
+        try:
+            await self.nack()
+        except StampedeError as failure:  # what the block raised matters more
+            error.add_note(f"the message was not given back, and comes again when its lease ends: {failure}")

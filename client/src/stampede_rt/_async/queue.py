@@ -1,0 +1,197 @@
+"""A queue's handle: first in, first out, each item to one taker, or to several (paper, section 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any
+
+from stampede_rt._async.attempts import Place, attempt
+from stampede_rt._async.message import Message
+from stampede_rt._async.puts import Numbers, PutStreams, Single
+from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt._async.taker import Taker
+from stampede_rt.binding import Binding
+from stampede_rt.policy import parse_name
+from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_prefetch, parse_queue_policy
+from stampede_rt.reading import Wait
+from stampede_rt.timeline import DurationLike
+from stampede_rt.transports.grpc_async import Port
+from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.wire.queues import queue_policy_to_spec, queue_stats
+
+
+class Taking:
+    """What messages are taken from: a queue, or one's own mailbox. An iterator that waits for the next one for ever."""
+
+    def __init__(self, session: Session, state: QueueState, place: Place, prefetch: int) -> None:
+        self._session = session
+        self._state = state
+        self._place = place
+        self._taker = Taker(session, place, state, parse_prefetch(prefetch))
+
+    @property
+    def name(self) -> str:
+        """The queue's name; of a mailbox, its peer's."""
+        return self._state.name
+
+    @property
+    def info(self) -> QueueInfo:
+        """Everything the directory said of it, as last known."""
+        return self._state.info
+
+    @property
+    def host(self) -> str:
+        """The name of the host that holds it, as last known."""
+        return self._state.info.host
+
+    @property
+    def incarnation(self) -> int:
+        """Which life of it this is, as last known; another one means that items may have been lost."""
+        return self._state.info.incarnation
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and other._state.info.queue_id == self._state.info.queue_id
+
+    def __hash__(self) -> int:
+        return hash(self._state.info.queue_id)
+
+    async def get(self, timeout: float | None = None) -> Message | None:
+        """The next message, leased to this taker until it is settled or its lease ends; None when `timeout` is over.
+
+        `timeout` in seconds: 0 takes what is there, None waits for ever. Who waits longest is served first, over all
+        takers. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s.
+        """
+        return await self._taker.get(Wait.parse(timeout))
+
+    def __aiter__(self) -> Taking:
+        return self
+
+    async def __anext__(self) -> Message:
+        if self._taker.closed:
+            raise StopAsyncIteration
+        message = await self.get()
+        if message is None:  # closed meanwhile
+            raise StopAsyncIteration
+        return message
+
+    async def stats(self) -> QueueStats:
+        """Counters and waiters, taken at one moment."""
+
+        async def status_at(binding: Binding) -> QueueStats:
+            port = self._session.ports.to(binding.target)
+            request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
+            response = await port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+            return queue_stats(response.status)
+
+        return await attempt(self._place, status_at, CALL_TIMEOUT_S)
+
+    async def aclose(self) -> None:
+        """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
+
+        Messages that were handed out stay leased, and may still be settled. Closing the connection closes this, too.
+        """
+        await self._taker.end()
+
+
+class Queue(Taking):
+    """A named queue. Handles of the same queue are equal; any number may put and take anywhere.
+
+    A context manager, which closes the handle. Items come in the order of their acceptance, each to one taker at a
+    time, at least once: a message that is not acknowledged before its lease ends comes again.
+    """
+
+    def __init__(self, session: Session, state: QueueState, prefetch: int) -> None:
+        place = QueuePlace(session, state)
+        super().__init__(session, state, place, prefetch)
+        self._puts = PutStreams(session, place, Port.enqueues)
+        self._numbers = Numbers()
+
+    def __repr__(self) -> str:
+        return f"<Queue {self.name!r} at host {self.host!r}>"
+
+    async def __aenter__(self) -> Queue:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.aclose()
+
+    async def put(
+        self,
+        payload: Any,
+        timeout: float | None = None,
+        *,
+        attributes: Mapping[str, str] | None = None,
+        content_type: str | None = None,
+    ) -> int:
+        """Put one item and wait until the host has accepted it; its seq is returned.
+
+        `payload` is bytes, or the value if the handle has a codec. `timeout` in seconds matters on a full queue with
+        on_full="block" (the default): how long to wait there; None: without limit. A put that was tried again is never
+        doubled. Raises ChannelFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if the host cannot be reached.
+        """
+        item = Single.parse(self._state.coding, payload, None, None, attributes, content_type)
+        wait = Wait.parse(timeout)
+        if self.info.policy.on_full not in (None, "block"):
+            wait = Wait(0)
+        return (await self._puts.put(self._numbers, item, wait)).first_seq
+
+    async def configure(
+        self,
+        *,
+        max_items: int | None = None,
+        max_bytes: int | None = None,
+        copies: int | None = None,
+        on_full: str | None = None,
+        lease: DurationLike | None = None,
+        max_deliveries: int | None = None,
+        dead_letter: Queue | str | None = None,
+    ) -> QueuePolicy:
+        """Change the set-up while the queue runs; what is left out stays. Returns the set-up after the change."""
+        policy = parse_queue_policy(
+            max_items=max_items,
+            max_bytes=max_bytes,
+            copies=copies,
+            on_full=on_full,
+            lease=lease,
+            max_deliveries=max_deliveries,
+            dead_letter_queue_id=await dead_letter_id(self._session, dead_letter),
+        )
+        identity = request_id()
+
+        async def update_at(binding: Binding) -> QueuePolicy:
+            request = queue_directory_pb.UpdateQueueRequest(
+                request_id=identity,
+                queue_id=binding.channel_id,
+                epoch=binding.epoch,
+                spec=queue_policy_to_spec(policy),
+            )
+            response = await self._session.supernodes.call("UpdateQueue", request, CALL_TIMEOUT_S)
+            request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.channel_id)
+            now = await self._session.supernodes.call("ResolveQueue", request_now, CALL_TIMEOUT_S)
+            self._state.info = learn_queue(self._session, response.queue, now.host)
+            return self._state.info.policy
+
+        return await attempt(self._place, update_at, CALL_TIMEOUT_S)
+
+    async def delete(self) -> None:
+        """Delete the queue with all that it holds, for everyone. Not while it is the dead-letter queue of another."""
+        request = queue_directory_pb.DeleteQueueRequest(request_id=request_id(), queue_id=self.info.queue_id)
+        await self._session.supernodes.call("DeleteQueue", request, CALL_TIMEOUT_S)
+        await self.aclose()
+        self._session.cache.forget(self.info.queue_id)
+
+
+async def dead_letter_id(session: Session, queue: Queue | str | None) -> bytes | None:
+    """The id of a dead-letter queue, given by its handle or name. Raises QueueNotFound, InvalidArgument."""
+    if queue is None:
+        return None
+    if isinstance(queue, Queue):
+        return queue.info.queue_id
+    request = queue_directory_pb.ResolveQueueRequest(name=parse_name(queue, "dead-letter queue"))
+    response = await session.supernodes.call("ResolveQueue", request, CALL_TIMEOUT_S)
+    return bytes(response.queue.queue_id)

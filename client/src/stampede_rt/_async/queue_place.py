@@ -1,0 +1,111 @@
+"""Where a queue is: at the gatekeeper of the host that owns it, as the directory says (paper, section 4.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
+from stampede_rt.binding import Binding, Owner
+from stampede_rt.codecs import Coding
+from stampede_rt.errors import QueueNotFound, StampedeError, Unavailable
+from stampede_rt.queueing import QueueInfo, QueuePolicy
+from stampede_rt.v1 import directory_pb2, queue_directory_service_pb2, queue_pb2
+from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
+
+
+@dataclass(slots=True)
+class QueueState:
+    """What a handle knows of its queue; `info` follows the directory. `name` is what people call it."""
+
+    kind: str
+    name: str
+    info: QueueInfo
+    stated: QueuePolicy
+    create: bool
+    coding: Coding | None = None
+
+
+async def open_queue(
+    session: Session,
+    name: str,
+    policy: QueuePolicy,
+    host: str | None,
+    create: bool,
+    timeout_s: float = CALL_TIMEOUT_S,
+) -> QueueInfo:
+    """Get or create a queue by name; an owner whose lease has ended is replaced."""
+    request = queue_directory_service_pb2.OpenQueueRequest(
+        request_id=request_id(), name=name, spec=queue_policy_to_spec(policy), create=create, host_name=host or ""
+    )
+    response = await session.supernodes.call("OpenQueue", request, timeout_s)
+    return learn_queue(session, response.queue, response.host)
+
+
+def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord) -> QueueInfo:
+    """The directory has told where a queue is."""
+    owner = Owner(host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version)
+    session.cache.learn_owner(record.queue_id, owner, [endpoint.target for endpoint in host.gatekeepers])
+    return queue_info(record, host)
+
+
+class QueuePlace:
+    """Where a queue is, as far as a session knows."""
+
+    def __init__(self, session: Session, state: QueueState) -> None:
+        self._session = session
+        self._state = state
+        self._turn = 0  # of a host with several endpoints the next one is taken after a failure
+
+    async def find(self, deadline_s: float) -> Binding:
+        """The cached place, or one found anew."""
+        queue_id = self._state.info.queue_id
+        owner = self._session.cache.owner(queue_id)
+        if owner is None:
+            await self._resolve(deadline_s)
+            owner = self._session.cache.owner(queue_id)
+        targets = self._session.cache.gatekeepers(owner.host_id) if owner is not None else ()
+        if owner is None or not targets:
+            raise Unavailable(f"the {self._state.kind} {self._state.name!r} has no owner at present")
+        return Binding(
+            channel_id=queue_id,
+            target=targets[self._turn % len(targets)],
+            epoch=owner.epoch,
+            incarnation=self._state.info.incarnation,
+        )
+
+    async def _resolve(self, deadline_s: float) -> None:
+        """Ask a supernode who owns the queue; one whose owner is lost is opened anew, as its handle was."""
+        state = self._state
+        request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)
+        response = await self._session.supernodes.call("ResolveQueue", request, left_s(deadline_s))
+        if response.host.alive:
+            state.info = learn_queue(self._session, response.queue, response.host)
+        else:
+            await self._replace_owner(response.host.name, deadline_s)
+
+    async def _replace_owner(self, lost_host: str, deadline_s: float) -> None:
+        state = self._state
+        if not state.create:
+            raise Unavailable(
+                f"the host of queue {state.name!r} ({lost_host or 'unknown'}) is lost, and this handle may not create "
+                "the queue anew; wait for the host, or open the queue with create=True",
+                reason="NO_HOST",
+            )
+        info = await open_queue(self._session, state.name, state.stated, None, True, left_s(deadline_s))
+        if info.queue_id != state.info.queue_id:
+            raise QueueNotFound(f"the queue {state.name!r} was deleted, and another now has its name; open it again")
+        state.info = info
+
+    def forget(self) -> None:
+        """Forget the queue's place, and its host's endpoint."""
+        self._turn += 1
+        self._session.cache.forget(self._state.info.queue_id)
+
+    def explain(self, error: StampedeError) -> None:
+        """Name the queue."""
+        error.concerning(self._state.kind, self._state.name)
+
+    @property
+    def closed(self) -> bool:
+        """The connection is closed."""
+        return self._session.closed

@@ -1,0 +1,282 @@
+"""Takes messages from a queue over one open stream, for all who wait at one handle."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import deque
+from contextlib import suppress
+from functools import partial
+
+from stampede_rt._async.attempts import Place, attempt
+from stampede_rt._async.message import Message, Settler
+from stampede_rt._async.queue_place import QueueState
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
+from stampede_rt.binding import Binding
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
+from stampede_rt.queueing import PREFETCH_MAX
+from stampede_rt.reading import Wait
+from stampede_rt.retry import FIRST_DELAY_S
+from stampede_rt.transports.concurrency_async import Background, Mutex, Signal, sleep
+from stampede_rt.transports.grpc_async import Conversation
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.wire.queues import deliveries_of
+
+DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0  # whoever waits hears before why no stream can be opened
+END_TIMEOUT_S = 1.0
+_log = logging.getLogger("stampede_rt")
+
+
+class Waiter:
+    """One `get` that waits: for a message, or for the error that it raises."""
+
+    def __init__(self) -> None:
+        self.come = Signal()
+        self.asked = Signal()  # the host may send one for it
+        self.leaving = False  # its time is over: it takes what is on the way, but wants nothing more
+        self.message: Message | None = None
+        self.error: StampedeError | None = None
+
+
+class Taker:
+    """The open Take stream of a handle, and those who wait for what comes on it, served in their order.
+
+    The host may send as many messages as somebody waits for, or `prefetch` if that is more than one. When a wait is
+    over and more is asked for than is wanted, the stream is drained, so that nothing is leased to nobody. The stream is
+    opened by the first `get` and again whenever it breaks; whoever dies gives nothing back but loses nothing, either.
+    """
+
+    def __init__(self, session: Session, place: Place, state: QueueState, prefetch: int) -> None:
+        self._session = session
+        self._place = place
+        self._state = state
+        self._prefetch = prefetch
+        self._taker_id = int.from_bytes(os.urandom(8), "little") | 1
+        self._settler = Settler(session, place, self._taker_id)
+        self._mutex = Mutex()  # guards everything below
+        self._waiting: deque[Waiter] = deque()
+        self._ready: deque[Message] = deque()  # prefetched; at most `prefetch`
+        self._stream: Conversation[queue_pb.TakeResponse] | None = None
+        self._credit = 0  # how many the open stream may still deliver
+        self._draining = False
+        self._opened = Signal()  # the stream is, or nobody wants one
+        self._drained = Signal()
+        self._incarnation = 0
+        self._worker: Background | None = None
+        self.closed = False
+
+    async def get(self, wait: Wait) -> Message | None:
+        """The next message, or None when the wait is over or this is closed. Raises what keeps it from coming."""
+        waiter = Waiter()
+        with self._mutex:
+            if self.closed or self._session.closed:
+                raise InvalidArgument(f"this handle of {self._state.name!r} is closed; open another")
+            waiter.message = self._next_ready()
+            if waiter.message is None:
+                self._waiting.append(waiter)
+        await self._ask()
+        if waiter.message is None:
+            await self._wait(waiter, wait)
+        if waiter.error is not None:
+            raise waiter.error
+        return waiter.message
+
+    def _next_ready(self) -> Message | None:
+        while self._ready:
+            message = self._ready.popleft()
+            if message.lease_left:  # else it is somebody else's by now
+                return message
+        return None
+
+    async def _wait(self, waiter: Waiter, wait: Wait) -> None:
+        over = False
+        try:
+            if not await waiter.come.wait(wait.seconds):
+                await waiter.asked.wait(DRAIN_TIMEOUT_S)  # what is there is taken by those who cannot wait, too
+                waiter.leaving = True
+                await self._drain(DRAIN_TIMEOUT_S)
+            over = True
+        finally:
+            self._leave(waiter)
+            if not over:
+                Background(partial(self._after_interruption, waiter), f"tidying up {self._state.name}")
+
+    def _leave(self, waiter: Waiter) -> None:
+        with self._mutex:
+            if waiter in self._waiting:
+                self._waiting.remove(waiter)
+
+    async def _after_interruption(self, waiter: Waiter) -> None:
+        """What was asked for, and what came at that very moment, is somebody else's."""
+        await self._drain(DRAIN_TIMEOUT_S)
+        if waiter.message is not None:
+            await self._give_back([waiter.message])
+
+    def _wanted(self) -> int:
+        waiting = sum(not waiter.leaving for waiter in self._waiting)
+        ahead = self._prefetch if self._prefetch > 1 and not self.closed else 0
+        return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
+
+    async def _ask(self) -> None:
+        """Let the host send what is wanted beyond what it may send already."""
+        with self._mutex:
+            if self._worker is None and self._wanted():
+                self._session.attach(self)
+                self._opened.clear()
+                self._worker = Background(self._work, f"taking from {self._state.name}")
+            more = self._wanted() - self._credit
+            stream, asking = self._stream, tuple(self._waiting)
+            if stream is None or self._draining:  # the next one is opened with what is wanted then
+                return
+            if not asking and more * 2 < self._prefetch:  # prefetched ones are asked for in batches
+                return
+            self._credit += max(more, 0)
+        if more > 0:
+            with suppress(Unavailable):  # a stream that breaks is the worker's to replace
+                await stream.say(queue_pb.TakeRequest(credit=more))
+        for waiter in asking:
+            waiter.asked.set()
+
+    async def _drain(self, timeout_s: float) -> None:
+        """Take back what the host may send without anybody wanting it; who is leaving is given what comes meanwhile."""
+        if self._worker is None:
+            return
+        await self._opened.wait(timeout_s)
+        with self._mutex:
+            stream, drained = self._stream, self._drained
+            if stream is None or self._credit <= self._wanted():
+                return
+            begin, self._draining = not self._draining, True
+        if begin:
+            with suppress(Unavailable):
+                await stream.say(queue_pb.TakeRequest(drain=True))
+        if not await drained.wait(timeout_s):
+            stream.cancel()  # it hangs
+
+    async def _work(self) -> None:
+        """Keep a stream open as long as somebody wants something."""
+        try:
+            while self._goes_on():
+                await attempt(self._place, self._take_at, CALL_TIMEOUT_S)
+        except StampedeError as error:
+            self._fail(error)
+        except Exception as error:
+            self._fail(StampedeError(f"{self._state.kind} {self._state.name!r} failed with a defect: {error!r}"))
+            raise
+
+    def _goes_on(self) -> bool:
+        with self._mutex:
+            wanted = not self._session.closed and self._wanted() > 0
+            if not wanted:
+                self._rest()
+        return wanted
+
+    def _rest(self) -> None:
+        self._worker = None
+        self._opened.set()
+        if not self._ready:
+            self._session.detach(self)
+
+    def _fail(self, error: StampedeError) -> None:
+        with self._mutex:
+            self._rest()
+            waiting = tuple(self._waiting)
+            self._waiting.clear()
+        for waiter in waiting:
+            waiter.error = error
+            waiter.asked.set()
+            waiter.come.set()
+
+    async def _take_at(self, binding: Binding) -> None:
+        """Take over one stream until it ends. What ends it before anything was heard is raised."""
+        port = self._session.ports.to(binding.target)
+        stream: Conversation[queue_pb.TakeResponse] = port.converse(port.queues.Take)
+        heard = False
+        try:
+            await self._begin(binding, stream)
+            async for response in stream:
+                heard = True
+                await self._receive(stream, response)
+        except StampedeError as error:
+            if not (error.retryable and heard):
+                raise
+            self._place.forget()
+            await sleep(FIRST_DELAY_S)
+        finally:
+            self._ended()
+
+    async def _begin(self, binding: Binding, stream: Conversation[queue_pb.TakeResponse]) -> None:
+        opening = queue_pb.TakeOpen(queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id)
+        with self._mutex:
+            self._credit = self._wanted()
+        await stream.say(queue_pb.TakeRequest(open=opening, credit=self._credit))
+        with self._mutex:
+            self._stream = stream
+            self._opened.set()
+        await self._ask()  # for those who came meanwhile
+
+    def _ended(self) -> None:
+        with self._mutex:
+            self._stream = None
+            self._credit = 0
+            self._draining = False
+            self._opened.clear()
+            self._drained.set()
+            self._drained = Signal()
+
+    async def _receive(self, stream: Conversation[queue_pb.TakeResponse], response: queue_pb.TakeResponse) -> None:
+        self._incarnation = response.incarnation or self._incarnation
+        content_type = self._state.info.policy.content_type or ""
+        unwanted: list[Message] = []
+        for run in response.runs:
+            for delivery in deliveries_of(run, content_type):
+                message = Message(self._settler, delivery, self._incarnation, self._state.coding)
+                if not self._hand_over(message):
+                    unwanted.append(message)
+        if response.drained:
+            stream.cancel()  # its credit is void; whoever still waits is served by the next one
+        if unwanted:
+            await self._give_back(unwanted)
+
+    def _hand_over(self, message: Message) -> bool:
+        with self._mutex:
+            self._credit -= 1
+            waiter = self._waiting.popleft() if self._waiting else None
+            if waiter is None and self._prefetch > 1 and not self.closed:
+                self._ready.append(message)
+                return True
+        if waiter is None:
+            return False
+        waiter.message = message
+        waiter.come.set()
+        return True
+
+    async def _give_back(self, messages: list[Message]) -> None:
+        try:
+            await self._settler.give_back(messages, END_TIMEOUT_S)
+        except StampedeError as error:
+            _log.warning(
+                "%d messages of %s %r were not given back, and come again when their leases end: %s",
+                len(messages), self._state.kind, self._state.name, error,
+            )  # fmt: skip
+
+    async def end(self) -> None:
+        """Wake those who wait, take back what was asked for, and give back what nobody was given."""
+        with self._mutex:
+            self.closed = True
+            waiting, worker = tuple(self._waiting), self._worker
+            self._waiting.clear()
+        for waiter in waiting:
+            waiter.asked.set()
+            waiter.come.set()
+        await self._drain(END_TIMEOUT_S)
+        with self._mutex:
+            stream, unwanted = self._stream, [message for message in self._ready if message.lease_left]
+            self._ready.clear()
+        if stream is not None:
+            stream.cancel()
+        if unwanted:
+            await self._give_back(unwanted)
+        if worker is not None:
+            await worker.join(END_TIMEOUT_S)
+        self._session.detach(self)

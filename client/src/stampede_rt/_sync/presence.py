@@ -1,0 +1,213 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""A named participant's registration: its lease, kept in the background, and its mailbox (paper, section 4.2)."""
+
+from __future__ import annotations
+
+import logging
+import os
+import random
+
+from stampede_rt._sync.queue import Taking
+from stampede_rt._sync.queue_place import QueuePlace, QueueState, learn_queue
+from stampede_rt._sync.session import Session, request_id
+from stampede_rt.binding import Binding
+from stampede_rt.errors import (
+    DeadlineExceeded,
+    LeaseExpired,
+    NotLeader,
+    PeerExists,
+    QueueNotFound,
+    StampedeError,
+    Unavailable,
+)
+from stampede_rt.peering import PeerIdentity, PeerInfo
+from stampede_rt.queueing import QueuePolicy
+from stampede_rt.transports.concurrency_sync import Background, Signal
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
+from stampede_rt.version import VERSION
+from stampede_rt.wire.peers import peer_info
+
+LEAVE_TIMEOUT_S = 1.0
+RENEWALS_IN_LEASE = 3
+LEADERS_ASKED_MAX = 3  # in one renewal: one that was, one that was said to be, and one more
+_log = logging.getLogger("stampede_rt")
+
+
+class Presence:
+    """Keeps one named participant registered: renews its lease, and registers again if it ended or its mailbox is lost.
+
+    `error` is set when that failed for good: somebody else has the name.
+    """
+
+    def __init__(self, session: Session, name: str, proof: str | None) -> None:
+        self._session = session
+        self._identity = PeerIdentity.parse(name, proof, os.urandom(48))
+        self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1
+        self._name = name
+        self._lease_s = 0.0
+        self._leader = ""
+        self._wake = Signal()
+        self._left = False
+        self._registered = False
+        self._background: Background | None = None
+        self.peer: PeerInfo | None = None
+        self._mailbox: QueueState | None = None
+        self.error: StampedeError | None = None
+
+    @property
+    def peer_id(self) -> bytes:
+        """What tells this participant from every other."""
+        return self._identity.peer_id
+
+    def begin(self, timeout_s: float) -> QueueState:
+        """Register, and keep the lease from now on; the mailbox. Raises PeerExists, Unavailable."""
+        mailbox = self._register(timeout_s)
+        self._session.attach(self)
+        self._background = Background(self._keep, f"lease of peer {self._name}")
+        return mailbox
+
+    def _register(self, timeout_s: float) -> QueueState:
+        request = peer_pb.RegisterPeerRequest(
+            request_id=request_id(),
+            peer_id=self.peer_id,
+            name=self._name,
+            boot_incarnation=self._boot_incarnation,
+            proof=self._identity.proof,
+            zone=self._session.zone,
+            version=VERSION,
+        )
+        try:
+            response = self._session.supernodes.call("RegisterPeer", request, timeout_s)
+        except PeerExists as error:
+            raise PeerExists(
+                f"the name {self._name!r} is taken by another live peer; take another name, or wait until that one has "
+                "left or its lease has ended. The same participant restarted is let in at once if it gives the same "
+                "proof to connect() both times",
+                metadata=error.metadata,
+            ) from error
+        return self._learn(response)
+
+    def _learn(self, response: peer_pb.RegisterPeerResponse) -> QueueState:
+        self._lease_s = response.lease_ttl_nanos / 1e9
+        info = learn_queue(self._session, response.mailbox, response.mailbox_host)
+        if self._mailbox is None:
+            self._mailbox = QueueState("mailbox of peer", self._name, info, QueuePolicy(), create=False)
+        self._mailbox.info = info
+        self.peer = peer_info(response.peer)
+        self._registered = True
+        return self._mailbox
+
+    def check(self) -> None:
+        """Raises what keeps this participant from being one; retryable while it registers again."""
+        if self.error is not None:
+            raise self.error
+        if not self._registered:
+            raise Unavailable(f"the peer {self._name!r} is registering again, since its mailbox was lost")
+
+    def register_again(self) -> None:
+        """The mailbox is lost: the directory gives another one to whoever registers."""
+        self._registered = False
+        self._wake.set()
+
+    def _keep(self) -> None:
+        while not self._left and self.error is None:
+            self._wake.wait(self._lease_s / RENEWALS_IN_LEASE * (0.75 + random.random() / 4))
+            self._wake.clear()
+            if not self._left:
+                self._renew_or_register()
+
+    def _renew_or_register(self) -> None:
+        timeout_s = self._lease_s / RENEWALS_IN_LEASE
+        try:
+            if self._registered:
+                self._renew(timeout_s)
+        except LeaseExpired:
+            _log.warning("the lease of peer %r has ended; it registers again", self._name)
+            self._registered = False
+        except StampedeError as error:
+            _log.warning("the lease of peer %r was not renewed, which is tried again: %s", self._name, error)
+        if self._registered:
+            return
+        try:
+            self._register(timeout_s)
+        except (Unavailable, DeadlineExceeded) as error:
+            _log.warning("the peer %r could not register again, which is tried again: %s", self._name, error)
+        except StampedeError as error:
+            self.error = error
+            _log.error("the peer %r is registered no more: %s", self._name, error)
+
+    def _renew(self, timeout_s: float) -> None:
+        """Ask the leader, who alone renews."""
+        request = peer_pb.RenewPeerLeaseRequest(peer_id=self.peer_id, boot_incarnation=self._boot_incarnation)
+        for _ in range(LEADERS_ASKED_MAX):
+            leader = self._leader or self._find_leader(timeout_s)
+            self._leader = ""
+            port = self._session.ports.to(leader)
+            try:
+                port.call(port.directory.RenewPeerLease, request, timeout_s)
+            except NotLeader as error:
+                self._leader = error.metadata.get("leader_endpoint", "")
+                continue
+            self._leader = leader
+            return
+        raise Unavailable("the supernodes have no leader at present")
+
+    def _find_leader(self, timeout_s: float) -> str:
+        request = directory_pb.ListSupernodesRequest()
+        response = self._session.supernodes.call("ListSupernodes", request, timeout_s)
+        for record in response.supernodes:
+            if record.is_leader:
+                return str(record.endpoint.target)
+        raise Unavailable("the supernodes have no leader at present")
+
+    def end(self) -> None:
+        """Leave: the name is free and the mailbox gone at once; if nobody hears it, once the lease has ended."""
+        self._left = True
+        self._wake.set()
+        if self._background is not None:
+            self._background.join(LEAVE_TIMEOUT_S)
+        self._session.detach(self)
+        if self.error is not None:
+            return
+        request = peer_pb.DeregisterPeerRequest(
+            request_id=request_id(), peer_id=self.peer_id, boot_incarnation=self._boot_incarnation
+        )
+        try:
+            self._session.supernodes.call("DeregisterPeer", request, LEAVE_TIMEOUT_S)
+        except StampedeError as error:
+            _log.warning("the peer %r could not say that it leaves; its lease ends by itself: %s", self._name, error)
+
+
+class MailboxPlace(QueuePlace):
+    """Where one's own mailbox is: the presence finds it again when it is lost."""
+
+    def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
+        super().__init__(session, state)
+        self._presence = presence
+
+    def find(self, deadline_s: float) -> Binding:
+        """The cached place, or one found anew."""
+        self._presence.check()
+        return super().find(deadline_s)
+
+    def _replace_owner(self, lost_host: str, deadline_s: float) -> None:
+        self._presence.register_again()
+        self._presence.check()
+
+    def explain(self, error: StampedeError) -> None:
+        """Name the mailbox. One that is gone is replaced by registering again."""
+        super().explain(error)
+        if isinstance(error, QueueNotFound):
+            self._presence.register_again()
+            error.retryable = True
+
+
+class Mailbox(Taking):
+    """What other participants send to this one (see `Connection.send`): a queue that comes and goes with it."""
+
+    def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
+        super().__init__(session, state, MailboxPlace(session, presence, state), 1)
+
+    def __repr__(self) -> str:
+        return f"<Mailbox of peer {self.name!r} at host {self.host!r}>"

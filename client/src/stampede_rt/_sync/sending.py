@@ -1,0 +1,47 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""Messages to other participants' mailboxes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stampede_rt._sync.peer_place import PeerPlace
+from stampede_rt._sync.puts import Numbers, PutStreams, Single
+from stampede_rt._sync.session import Session
+from stampede_rt.reading import Wait
+from stampede_rt.transports.concurrency_sync import Mutex
+from stampede_rt.transports.grpc_sync import Port
+
+PEERS_MAX = 256
+
+
+class Sending:
+    """Keeps the ways to the mailboxes that were sent to, the last 256 of them."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._numbers = Numbers()
+        self._ways: dict[str, PutStreams] = {}
+        self._mutex = Mutex()
+
+    def send(
+        self,
+        peer: str,
+        payload: bytes,
+        timeout: float | None,
+        attributes: Mapping[str, str] | None,
+        content_type: str | None,
+    ) -> int:
+        """Put one message; its seq. See `Connection.send`."""
+        item = Single.parse(None, payload, None, None, attributes, content_type)
+        return (self._way(peer).put(self._numbers, item, Wait.parse(timeout))).first_seq
+
+    def _way(self, peer: str) -> PutStreams:
+        with self._mutex:
+            way = self._ways.pop(peer, None)
+            if way is None:
+                way = PutStreams(self._session, PeerPlace(self._session, peer), Port.enqueues)
+            self._ways[peer] = way  # the last one used is the last to go
+            if len(self._ways) > PEERS_MAX:
+                self._ways.pop(next(iter(self._ways))).close()
+        return way

@@ -1,0 +1,121 @@
+"""Queues and mailboxes as their users hold them (paper, section 3.5). Pure.
+
+Instants are int nanoseconds since the epoch, durations int nanoseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.policy import content_type_of, count_of, duration_of
+from stampede_rt.timeline import DurationLike
+
+ON_FULL = ("block", "reject", "drop_oldest")
+LEASE_NANOS_MAX = 3_600_000_000_000
+DELAY_NANOS_MAX = 2**63 - 1
+PREFETCH_MAX = 1024
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueuePolicy:
+    """How a queue is set up; None: never stated."""
+
+    max_items: int | None = None
+    max_bytes: int | None = None
+    on_full: str | None = None
+    copies: int | None = None
+    lease_nanos: int | None = None
+    max_deliveries: int | None = None
+    dead_letter_queue_id: bytes | None = None
+    content_type: str | None = None
+    max_item_bytes: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueInfo:
+    """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is its peer's id."""
+
+    queue_id: bytes
+    name: str
+    host_id: bytes
+    host: str
+    host_alive: bool
+    epoch: int
+    incarnation: int
+    policy: QueuePolicy
+    spec_version: int
+    mailbox_of: bytes | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueStats:
+    """A queue's counters, taken at one moment.
+
+    `accepted == held + consumed + dropped + dead_lettered + expelled`, always. `leased` of the held ones are in the
+    hands of takers. `delivered` counts repeated deliveries, too; `given_back` and `leases_expired` those that ended
+    without an acknowledgement. `rejected` is by reason. `oldest`: when the oldest held item was accepted.
+    """
+
+    accepted: int
+    held: int
+    leased: int
+    consumed: int
+    dropped: int
+    dead_lettered: int
+    expelled: int
+    delivered: int
+    given_back: int
+    leases_expired: int
+    rejected: Mapping[str, int]
+    accepted_bytes: int
+    held_bytes: int
+    waiting_gets: int
+    waiting_puts: int
+    oldest: int | None
+    incarnation: int
+    host_time: int
+    policy: QueuePolicy = field(default_factory=QueuePolicy)
+
+
+def parse_queue_policy(
+    *,
+    max_items: int | None = None,
+    max_bytes: int | None = None,
+    copies: int | None = None,
+    on_full: str | None = None,
+    lease: DurationLike | None = None,
+    max_deliveries: int | None = None,
+    dead_letter_queue_id: bytes | None = None,
+    content_type: str | None = None,
+) -> QueuePolicy:
+    """The stated set-up; None stands for not stated. Raises InvalidArgument, naming the argument."""
+    if on_full is not None and on_full not in ON_FULL:
+        raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
+    return QueuePolicy(
+        max_items=count_of("max_items", max_items),
+        max_bytes=count_of("max_bytes", max_bytes),
+        on_full=on_full,
+        copies=count_of("copies", copies),
+        lease_nanos=parse_lease(lease),
+        max_deliveries=count_of("max_deliveries", max_deliveries),
+        dead_letter_queue_id=dead_letter_queue_id,
+        content_type=content_type_of(content_type),
+    )
+
+
+def parse_lease(value: DurationLike | None) -> int | None:
+    """A lease in nanoseconds: more than 0, at most one hour; None as it is."""
+    nanos = duration_of("lease", value, least=1)
+    if nanos is not None and nanos > LEASE_NANOS_MAX:
+        raise InvalidArgument(f"lease is {value!r}; it is 1 h at most: extend it while you work")
+    return nanos
+
+
+def parse_prefetch(value: int) -> int:
+    """How many messages may be under way to one handle."""
+    count = count_of("prefetch", value)
+    if count is None or count > PREFETCH_MAX:
+        raise InvalidArgument(f"prefetch is {value!r}; it is 1 to {PREFETCH_MAX}")
+    return count

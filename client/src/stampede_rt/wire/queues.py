@@ -1,0 +1,103 @@
+"""Queues, their counters and deliveries, to and from their protobuf form (`queue.proto`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+
+from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
+from stampede_rt.v1 import directory_pb2, queue_pb2
+
+_ON_FULL = {
+    "block": queue_pb2.QUEUE_ON_FULL_BLOCK,
+    "reject": queue_pb2.QUEUE_ON_FULL_REJECT,
+    "drop_oldest": queue_pb2.QUEUE_ON_FULL_DROP_OLDEST,
+}
+_FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
+_OPTIONAL = (
+    "max_items", "max_bytes", "copies", "lease_nanos", "max_deliveries", "dead_letter_queue_id", "content_type",
+    "max_item_bytes",
+)  # fmt: skip
+_COUNTED = (
+    "accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
+    "leases_expired", "accepted_bytes", "held_bytes",
+)  # fmt: skip
+REJECTED_REASONS = ("full", "too_large", "malformed")
+
+
+def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:
+    """A set-up; what was never stated stays unset."""
+    stated = {name: getattr(policy, name) for name in _OPTIONAL}
+    on_full = _ON_FULL[policy.on_full] if policy.on_full else queue_pb2.QUEUE_ON_FULL_UNSPECIFIED
+    return queue_pb2.QueueSpec(on_full=on_full, **stated)
+
+
+def queue_policy_from_spec(spec: queue_pb2.QueueSpec) -> QueuePolicy:
+    """A set-up; what was never stated is None."""
+    stated = {name: getattr(spec, name) for name in _OPTIONAL if spec.HasField(name)}
+    return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), **stated)
+
+
+def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | None) -> QueueInfo:
+    """A queue as callers see it; `host` is its owner, None if the directory does not know it any more."""
+    return QueueInfo(
+        queue_id=record.queue_id,
+        name=record.name,
+        host_id=record.host_id,
+        host=host.name if host else "",
+        host_alive=bool(host and host.alive),
+        epoch=record.epoch,
+        incarnation=record.incarnation,
+        policy=queue_policy_from_spec(record.spec),
+        spec_version=record.spec_version,
+        mailbox_of=record.mailbox_peer_id if record.HasField("mailbox_peer_id") else None,
+    )
+
+
+def queue_stats(status: queue_pb2.QueueStatus) -> QueueStats:
+    """A queue's counters as callers see them."""
+    counters = status.counters
+    return QueueStats(
+        **{name: getattr(counters, name) for name in _COUNTED},
+        rejected={reason: getattr(counters, f"rejected_{reason}") for reason in REJECTED_REASONS},
+        waiting_gets=status.waiting_takers,
+        waiting_puts=status.waiting_enqueues,
+        oldest=status.oldest_accepted_unix_nano if status.HasField("oldest_accepted_unix_nano") else None,
+        incarnation=status.record.incarnation,
+        host_time=status.host_time_unix_nano,
+        policy=queue_policy_from_spec(status.record.spec),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """One item in the hands of this taker, as it came."""
+
+    delivery_id: int
+    seq: int
+    time: int
+    payload: bytes
+    attributes: dict[str, str]
+    content_type: str
+    deliveries: int
+    lease_nanos: int
+
+
+def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[Delivery]:
+    """The items of a leased run, one delivery for each; `content_type` is the queue's."""
+    run = leased.run
+    counts = leased.deliveries or (1,) * len(run.payload_length_bytes)
+    bounds = pairwise(accumulate(run.payload_length_bytes, initial=0))
+    columns = zip(leased.delivery_ids, run.time_unix_nano, bounds, counts, strict=True)
+    for offset, (delivery_id, time, (start, end), count) in enumerate(columns):
+        yield Delivery(
+            delivery_id=delivery_id,
+            seq=run.first_seq + offset,
+            time=time,
+            payload=run.payloads[start:end],
+            attributes=dict(run.attributes),
+            content_type=run.content_type or content_type,
+            deliveries=count,
+            lease_nanos=leased.lease_nanos,
+        )
