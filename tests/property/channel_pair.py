@@ -73,6 +73,7 @@ class ChannelPair:
     core: Channel = field(init=False)
     oracle: OracleChannel = field(init=False)
     gets: list[tuple[Pending, OracleGet]] = field(default_factory=list)
+    needs: dict[Pending, int] = field(default_factory=dict)
     waiting: list[Offer] = field(default_factory=list)
     all_subscriptions: list[tuple[AllCursor, OracleSubscription]] = field(default_factory=list)
     newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)
@@ -188,8 +189,11 @@ class ChannelPair:
                 assert expected is None
                 assert answer.instant == blocked.wake_at(reader)
                 still.append((pending, blocked))
+                if answer.needs is not None:
+                    self.needs[pending] = answer.needs
             else:
                 assert expected is not None
+                assert self.needs.get(pending, self.clock) <= self.core.reach(self.clock)
                 self._agree(answer, expected)
         self.gets = still
 

@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, NEWEST, NOW, OLDEST, Bound, Interval, Match, parse_interval
-from stampede_rt_channel_host.core.channel import Answer, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Position, Query, WakeAt
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
 
 
@@ -132,12 +132,18 @@ def test_a_position_of_another_incarnation_is_refused() -> None:
         Query(interval=parse_interval(MIN_INSTANT, NOW), limit=0)
 
 
+def instant_to_wake(channel: Channel, pending: Pending) -> int | None:
+    found = channel.poll(pending, CLOCK)
+    assert isinstance(found, WakeAt)
+    return found.instant
+
+
 def test_a_blocking_get_resolves_its_anchors_at_the_first_item_and_never_again() -> None:
     channel = a_channel(max_items=9)
     pending = channel.begin(Query(interval=Interval(NEWEST, Bound(None, 35)), complete=True), CLOCK)
-    assert channel.poll(pending, CLOCK) == WakeAt(None)
+    assert instant_to_wake(channel, pending) is None
     put(channel, 10)
-    assert channel.poll(pending, CLOCK) == WakeAt(None)
+    assert instant_to_wake(channel, pending) is None
     put(channel, 30, 40)
     answer = channel.poll(pending, CLOCK)
     assert isinstance(answer, Answer)
@@ -146,11 +152,26 @@ def test_a_blocking_get_resolves_its_anchors_at_the_first_item_and_never_again()
     assert times_of(answer.slices) == [10, 30]
 
 
+def test_a_blocked_get_says_how_far_the_channel_must_come_before_it_can_be_released() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10)
+    for complete, needs in ((False, CLOCK + 50), (True, CLOCK + 91)):
+        query = Query(interval=parse_interval(CLOCK + 50, CLOCK + 90), complete=complete)
+        found = channel.poll(channel.begin(query, CLOCK), CLOCK)
+        assert isinstance(found, WakeAt)
+        assert found.needs == needs
+    assert channel.reach(CLOCK) == CLOCK
+    channel.advance(CLOCK + 60, CLOCK)
+    assert channel.reach(CLOCK) == CLOCK + 60
+    put(channel, CLOCK + 60, durations=[500])
+    assert channel.reach(CLOCK) == CLOCK + 560
+
+
 def test_a_blocking_get_for_the_future_is_looked_at_when_that_instant_comes() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
     pending = channel.begin(Query(interval=parse_interval(CLOCK + 50, CLOCK + 60, "(]")), CLOCK)
-    assert channel.poll(pending, CLOCK) == WakeAt(CLOCK + 51)
+    assert instant_to_wake(channel, pending) == CLOCK + 51
     answer = channel.poll(pending, CLOCK + 51)
     assert isinstance(answer, Answer)
     assert times_of(answer.slices) == [10], "the newest item holds up to now"

@@ -1,35 +1,57 @@
-"""The blocked gets of one channel: each is looked at again when the channel changes and at instants of its own."""
+"""The blocked gets of one channel: each is looked at again when the channel changes and at instants of its own.
+
+Ten thousand of them cost about 1 KiB each. After a change only those are looked at that it may release: a get for what
+is still to come waits in the order of how far the channel must come for it. Those that are released are so in the order
+of their arrival.
+"""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
 
-from stampede_rt.errors import StampedeError
+from sortedcontainers import SortedKeyList
+
+from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, WakeAt
 
 Outcome = Answer | StampedeError
+WAITING_GETS_MAX = 20_000
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
+_TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come sooner than it seems
 
 
 class WaitingGet:
-    """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before."""
+    """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before.
 
-    __slots__ = ("_deadline", "_on_outcome", "_timer", "_waiting", "pending")
+    `arrival` and `needs` are its place among others that wait for the channel to come further.
+    """
 
-    def __init__(self, pending: Pending, waiting: WaitingGets, on_outcome: Callable[[Outcome], None]) -> None:
+    __slots__ = ("_deadline", "_instant", "_on_outcome", "_timer", "_waiting", "arrival", "needs", "pending")
+
+    def __init__(
+        self, pending: Pending, waiting: WaitingGets, arrival: int, on_outcome: Callable[[Outcome], None]
+    ) -> None:
         self.pending = pending
+        self.arrival = arrival
+        self.needs: int | None = None
         self._waiting = waiting
         self._on_outcome = on_outcome
+        self._instant: int | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._deadline: asyncio.TimerHandle | None = None
 
-    def arm(self, delay_s: float | None, poll: Callable[[WaitingGet], None]) -> None:
-        """Look again after `delay_s`, and not at the instant named before; None: only when the channel changes."""
-        if self._timer is not None:
-            self._timer.cancel()
-        loop = asyncio.get_running_loop()
-        self._timer = None if delay_s is None else loop.call_later(max(delay_s, _TIMER_SECONDS_MIN), poll, self)
+    def arm(self, instant: int | None, now: int, look: Callable[[WaitingGet], None]) -> None:
+        """Look again at `instant`, and not at the one named before; None: only when the channel changes."""
+        if self._timer is not None and instant == self._instant:
+            return
+        self._disarm()
+        self._instant = instant
+        if instant is not None:
+            delay_s = min(max((instant - now) / 1e9, _TIMER_SECONDS_MIN), _TIMER_SECONDS_MAX)
+            self._timer = asyncio.get_running_loop().call_later(delay_s, self._fire, look)
 
     def limit(self, wait_nanos: int, give_up: Callable[[WaitingGet], None]) -> None:
         """Give up after `wait_nanos`."""
@@ -37,9 +59,9 @@ class WaitingGet:
 
     def cancel(self) -> None:
         """Forget the get; nothing of it is left behind. Idempotent."""
-        for handle in (self._timer, self._deadline):
-            if handle is not None:
-                handle.cancel()
+        self._disarm()
+        if self._deadline is not None:
+            self._deadline.cancel()
         self._waiting.remove(self)
 
     def finish(self, outcome: Outcome) -> None:
@@ -47,53 +69,85 @@ class WaitingGet:
         self.cancel()
         self._on_outcome(outcome)
 
+    def _fire(self, look: Callable[[WaitingGet], None]) -> None:
+        self._timer = None
+        look(self)
+
+    def _disarm(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
 
 class WaitingGets:
-    """Of one channel, in the order of their coming, which is the order in which they are released."""
+    """Of one channel, WAITING_GETS_MAX at the most. Released in the order of their arrival."""
 
     def __init__(self, channel: Channel, now: Callable[[], int]) -> None:
         self._channel = channel
         self._now = now
-        self._gets: dict[WaitingGet, None] = {}
+        self._arrivals = 0
+        self._near: dict[WaitingGet, None] = {}  # any change may release them
+        self._far: Any = SortedKeyList(
+            key=attrgetter("needs", "arrival")
+        )  # until the channel has come so far, none can
 
     def __len__(self) -> int:
-        return len(self._gets)
+        return len(self._near) + len(self._far)
 
     def add(
         self, pending: Pending, wake: WakeAt, wait_nanos: int, now: int, on_outcome: Callable[[Outcome], None]
     ) -> WaitingGet:
-        """Block a get that has just been polled. `wait_nanos` below 0: as long as it is not cancelled."""
-        get = WaitingGet(pending, self, on_outcome)
-        self._gets[get] = None
-        self._arm(get, wake, now)
+        """Block a get that has just been polled. `wait_nanos` below 0: as long as it is not cancelled.
+
+        Raises Overloaded if as many as there may be are blocked already.
+        """
+        if len(self) >= WAITING_GETS_MAX:
+            raise Overloaded(
+                f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
+            )
+        self._arrivals += 1
+        get = WaitingGet(pending, self, self._arrivals, on_outcome)
+        self._put_aside(get, wake, now)
         if wait_nanos >= 0:
             get.limit(wait_nanos, self._give_up)
         return get
 
     def remove(self, get: WaitingGet) -> None:
         """It does not wait any more."""
-        self._gets.pop(get, None)
+        if get in self._near:
+            del self._near[get]
+        elif get.needs is not None:
+            self._far.discard(get)
 
     def changed(self, now: int) -> None:
-        """The channel has a new item, an advance or another policy: look at all of them, first come first."""
-        for get in list(self._gets):
-            if get in self._gets:  # an outcome may have cancelled others
+        """The channel has a new item, an advance or another policy: look at those whom that may release, in order."""
+        reach = self._channel.reach(now)
+        while self._far and self._far[0].needs <= reach:
+            self._near[self._far.pop(0)] = None
+        for get in sorted(self._near, key=attrgetter("arrival")):
+            if get in self._near:  # an outcome may have cancelled others
                 self._look(get, now)
 
     def end_all(self, error: StampedeError) -> None:
         """The channel is not served any more."""
-        for get in list(self._gets):
+        for get in sorted([*self._near, *self._far], key=attrgetter("arrival")):
             get.finish(error)
 
     def _look(self, get: WaitingGet, now: int) -> None:
         found = self._channel.poll(get.pending, now)
         if isinstance(found, WakeAt):
-            self._arm(get, found, now)
+            self._put_aside(get, found, now)
         else:
             get.finish(found)
 
-    def _arm(self, get: WaitingGet, wake: WakeAt, now: int) -> None:
-        get.arm(None if wake.instant is None else (wake.instant - now) / 1e9, self._look_now)
+    def _put_aside(self, get: WaitingGet, wake: WakeAt, now: int) -> None:
+        self.remove(get)
+        get.needs = wake.needs
+        if wake.needs is not None and wake.needs > now:
+            self._far.add(get)
+        else:
+            self._near[get] = None
+        get.arm(wake.instant, now, self._look_now)
 
     def _look_now(self, get: WaitingGet) -> None:
         self._look(get, self._now())

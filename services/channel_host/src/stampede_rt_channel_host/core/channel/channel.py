@@ -110,7 +110,14 @@ class Channel:
         Released by the first matching item, with `complete` when the interval is finished, and in any case once
         nothing can come: the interval lies below the frontier, is empty, or is finished.
         """
-        return self._reading.poll(pending, self._settle(self._tick(now)))
+        found = self._reading.poll(pending, self._settle(self._tick(now)))
+        return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
+
+    def reach(self, now: int) -> int:
+        """How far the channel has come: no blocked get whose `WakeAt.needs` lies above it can be released."""
+        clock, held = self._settle(self._tick(now)), self._held
+        marks = (self.advanced_to, held.newest_consumed, held.frontier, held.newest_end(clock))
+        return max([clock, *(mark for mark in marks if mark is not None)])
 
     def give_up(self, pending: Pending, now: int) -> Answer:
         """What there is when the get's time is over, with its reason."""

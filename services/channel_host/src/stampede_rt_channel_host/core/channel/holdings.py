@@ -139,6 +139,11 @@ class Holdings:
         last = next(self.slices_down(), None)
         return None if last is None else last.end_seq - 1
 
+    def newest_end(self, now: int) -> int | None:
+        """The latest span end in the newest bucket; what has no end holds until `now`."""
+        time = self.newest
+        return None if time is None else _end_of_newest(self.slices((time, 0)), time, now)
+
     def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
         """Held items with seqs from `low` up to, not including, `high`, in seq order."""
         return self.index.slices_by_seq(low, high, self.floor)

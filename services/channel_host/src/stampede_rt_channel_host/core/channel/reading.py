@@ -91,6 +91,13 @@ class Reading:
                 return answer
         return self._wake_at(within.start + within.start_exclusive, clock)
 
+    def needs(self, pending: Pending) -> int | None:
+        """How far a channel must come at the least before it can release the get; None: that is not known yet."""
+        if pending.interval is None:
+            return None
+        region = _region(pending.query, pending.interval)
+        return region.end + (not region.end_exclusive) if pending.query.complete else region.start
+
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
         """When `now` enters the interval, if it has not: an open newest item then reaches in."""
         return WakeAt(first_instant if self.now(clock) < first_instant else None)

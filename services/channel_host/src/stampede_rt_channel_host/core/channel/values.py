@@ -126,9 +126,14 @@ class Answer(NamedTuple):
 
 
 class WakeAt(NamedTuple):
-    """Nothing to answer yet: poll again after the next change of the channel, and at `instant` if it is set."""
+    """Nothing to answer yet: poll again after the next change of the channel, and at `instant` if it is set.
+
+    Changes that leave `Channel.reach` below `needs` cannot release the get, so that it need not be polled after them;
+    None: any may.
+    """
 
     instant: int | None
+    needs: int | None = None
 
 
 class DeliveredSlice(NamedTuple):

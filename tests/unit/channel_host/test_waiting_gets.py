@@ -1,0 +1,143 @@
+"""Ten thousand gets blocked on one channel: what they cost, in which order they end, and what they leave behind."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import tracemalloc
+
+import pytest
+
+from stampede_rt.errors import Overloaded, Unavailable
+from stampede_rt.model import Policy
+from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
+from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX, Outcome, WaitingGet, WaitingGets
+from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Pending, Position, Query, WakeAt
+
+START = 1_700_000_000_000_000_000
+S = 10**9
+FOREVER = -1
+NEWEST = Query(
+    interval=parse_interval(MIN_INSTANT, MAX_INSTANT), match=Match.START, newest_first=True, limit=1,
+    newer_than=Position(START),
+)  # fmt: skip
+COST_BYTES_MAX = 4096
+
+
+class Blocked:
+    """A channel on a clock that stands until it is moved, and gets that are blocked on it."""
+
+    def __init__(self) -> None:
+        self.now = START
+        self.channel = CountingChannel(Policy(max_items=10, max_future_nanos=100 * S), incarnation=1, name="a")
+        self.gets = WaitingGets(self.channel, lambda: self.now)
+        self.released: list[int] = []
+
+    def block(self, number: int, query: Query, wait_nanos: int = FOREVER) -> WaitingGet:
+        pending = self.channel.begin(query, self.now)
+        wake = self.channel.poll(pending, self.now)
+        assert isinstance(wake, WakeAt)
+
+        def note(outcome: Outcome) -> None:
+            self.released.append(number)
+
+        return self.gets.add(pending, wake, wait_nanos, self.now, note)
+
+    def put(self, time: int | None = None, duration: int = -1) -> None:
+        times = None if time is None else (time,)
+        outcome = self.channel.put(Offer(times=times, durations=(duration,), lengths=(1,)), self.now, lambda *_: b"")
+        assert outcome.run is not None
+        self.channel.polls = 0
+        self.gets.changed(self.now)
+
+
+class CountingChannel(Channel):
+    polls = 0
+
+    def poll(self, pending: Pending, now: int) -> Answer | WakeAt:
+        self.polls += 1
+        return super().poll(pending, now)
+
+
+def timers() -> int:
+    """How many timers the event loop will still fire."""
+    scheduled = asyncio.get_running_loop()._scheduled  # type: ignore[attr-defined]
+    return sum(not handle.cancelled() for handle in scheduled)
+
+
+async def test_ten_thousand_gets_cost_bounded_memory_and_end_in_the_order_of_their_arrival() -> None:
+    blocked, before = Blocked(), timers()
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for number in range(1000):
+            blocked.block(number, NEWEST, FOREVER if number % 2 else 3600 * S)
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size / 1000 < COST_BYTES_MAX
+    for number in range(1000, 10_000):
+        blocked.block(number, NEWEST, FOREVER if number % 2 else 3600 * S)
+    blocked.now += 1
+    blocked.put()
+    assert blocked.released == list(range(10_000))
+    assert len(blocked.gets) == timers() - before == 0
+
+
+async def test_gets_for_what_is_still_to_come_cost_a_put_nothing() -> None:
+    blocked = Blocked()
+    for number in range(10_000):
+        start = START + (number + 1) * S
+        blocked.block(number, Query(interval=parse_interval(start, start + S), complete=bool(number % 2)))
+    blocked.now += 1
+    blocked.put()
+    assert blocked.channel.polls == 0
+    blocked.put(START + 3 * S + 1)
+    assert blocked.released == [0, 1, 2], "the first by an open item that reaches on, the complete one by its end"
+    assert blocked.channel.polls == 3
+    blocked.gets.end_all(Unavailable("gone"))
+    assert blocked.released == list(range(10_000))
+
+
+async def test_those_who_come_into_reach_together_end_in_the_order_of_their_arrival() -> None:
+    blocked = Blocked()
+    for number, ahead in enumerate((9, 5, 7, 5, 60, 2)):
+        blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
+    blocked.block(6, NEWEST)
+    blocked.put(START + 10 * S)
+    assert blocked.released == [0, 1, 2, 3, 5, 6]
+
+
+async def test_a_duration_that_reaches_ahead_of_the_clock_releases_those_whom_it_reaches() -> None:
+    blocked = Blocked()
+    for number, ahead in enumerate((4, 6)):
+        blocked.block(number, Query(interval=parse_interval(START + ahead * S, MAX_INSTANT)))
+    blocked.put(START, duration=5 * S)
+    assert blocked.released == [0]
+
+
+async def test_cancelled_gets_leave_nothing_behind() -> None:
+    blocked = Blocked()
+    before = timers()
+    ahead = Query(interval=parse_interval(START + S, MAX_INSTANT))
+    gets = [blocked.block(number, (NEWEST, ahead)[number % 2], 3600 * S) for number in range(10_000)]
+    assert timers() - before > 10_000
+    for get in gets:
+        get.cancel()
+        get.cancel()
+    assert len(blocked.gets) == timers() - before == 0
+    del get, gets
+    gc.collect()
+    assert not any(isinstance(one, WaitingGet | Pending) for one in gc.get_objects())
+    blocked.put(START + 2 * S)
+    assert blocked.released == []
+
+
+async def test_there_is_a_most_and_who_leaves_makes_room() -> None:
+    blocked = Blocked()
+    gets = [blocked.block(number, NEWEST) for number in range(WAITING_GETS_MAX)]
+    with pytest.raises(Overloaded, match="20000 gets wait at the channel already"):
+        blocked.block(WAITING_GETS_MAX, NEWEST)
+    gets[7].cancel()
+    blocked.block(WAITING_GETS_MAX, NEWEST)
+    assert len(blocked.gets) == WAITING_GETS_MAX
