@@ -23,6 +23,10 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
+from stampede_rt_channel_host.groups.group_directory import GroupDirectory
+from stampede_rt_channel_host.groups.group_servicer import GroupServicer
+from stampede_rt_channel_host.groups.reading import GroupReads
+from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.queues.queue_servicer import QueueServicer
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
@@ -53,6 +57,7 @@ class ChannelHost:
         explain: Explain | None = None,
     ) -> None:
         self.identity = identity
+        self._dial = dial
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
         self._registration = Registration(
             identity, self._supernodes, clock, on_registered=self._registered, on_lease=self._lease_changed
@@ -72,6 +77,9 @@ class ChannelHost:
             lease_held=self._registration.lease_held,
             on_departures=lambda hosted: None,
         )
+        self.groups = GroupStore(
+            identity, self.store, GroupDirectory(self._supernodes), dial, lambda: self._supernodes.cluster_id
+        )
         self._gatekeeper = GatekeeperServicer(self.store, identity)
         self._streams = OpenStreams()
         self._on_serving = on_serving
@@ -82,7 +90,8 @@ class ChannelHost:
     def add_to(self, server: grpc.aio.Server) -> None:
         """Serve gatekeeper and data on `server`."""
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self._gatekeeper, server)
-        ChannelServicer(self.store, self._streams).add_to(server)
+        ChannelServicer(self.store, GroupReads(self.groups), self._streams).add_to(server)
+        GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
@@ -95,6 +104,7 @@ class ChannelHost:
         await self._entering
         self._start(self._registration.keep(), "lease")
         self._start(sweep_forever(self.store), "sweep")
+        self._start(self.groups.keep(), "groups")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
 
     async def leave(self) -> None:
@@ -106,8 +116,10 @@ class ChannelHost:
         self.store.close()
         self.queues.close()
         await self._registration.leave()
+        self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)
+        await self.groups.aclose()
         await self._streams.end_all(refusals.SHUTTING_DOWN)
         await self._supernodes.aclose()
 

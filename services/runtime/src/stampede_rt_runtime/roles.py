@@ -44,6 +44,7 @@ _METHODS: Mapping[str, frozenset[Role]] = {
     "DirectoryService/RenewHostLease": _HOSTS,
     "DirectoryService/DeregisterHost": _HOSTS,
     "GatekeeperService/Ping": _ALL,
+    "GroupService/ExchangeTimes": _HOSTS,
     "MembershipService/CreateJoinToken": _OPERATORS,
     "MembershipService/TakeSnapshot": _OPERATORS,
     "MigrationDirectoryService/GetMove": _CALLERS,

@@ -12,6 +12,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.get_stream import GetStream
+from stampede_rt_channel_host.channels.group_access import GroupAccess
 from stampede_rt_channel_host.channels.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -24,8 +25,9 @@ SERVICE = "stampede_rt.v1.ChannelService"
 class ChannelServicer:
     """Each method: find the channel, hand over, let errors rise."""
 
-    def __init__(self, store: ChannelStore, streams: OpenStreams) -> None:
+    def __init__(self, store: ChannelStore, groups: GroupAccess, streams: OpenStreams) -> None:
         self._store = store
+        self._groups = groups
         self._streams = streams
 
     def add_to(self, server: grpc.aio.Server) -> None:
@@ -51,14 +53,14 @@ class ChannelServicer:
     async def get(self, requests: AsyncIterator[bytes], context: Any) -> None:
         """ChannelService.Get."""
         async with self._streams.serve(context) as stream:
-            await GetStream(self._store, context, stream).run()
+            await GetStream(self._store, self._groups, context, stream).run()
 
     async def subscribe(self, raw: bytes, context: Any) -> None:
         """ChannelService.Subscribe."""
         async with self._streams.serve(context) as stream:
             request: pb.SubscribeRequest = parse(pb.SubscribeRequest, raw, "SubscribeRequest")
             hosted = self._store.find(request.channel_id, request.epoch)
-            await Subscription(hosted, self._store, context, stream).run(request)
+            await Subscription(hosted, self._store, self._groups, context, stream).run(request)
 
     async def advance(self, request: pb.AdvanceRequest, context: Any) -> pb.AdvanceResponse:
         """ChannelService.Advance."""

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.requests import parse, query_of, wait_nanos_of
+from stampede_rt_channel_host.channels.group_access import GroupAsk
+from stampede_rt_channel_host.channels.requests import group_of, parse, query_of, wait_nanos_of
 from stampede_rt_channel_host.core.channel import Query
 
 PLANS_MAX = 64
@@ -26,6 +27,7 @@ class GetPlan:
     query: Query
     wait_nanos: int
     without_payloads: bool
+    group: GroupAsk | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
         query=query_of(request),
         wait_nanos=wait_nanos_of(request),
         without_payloads=request.without_payloads,
+        group=group_of(request),
     )
 
 

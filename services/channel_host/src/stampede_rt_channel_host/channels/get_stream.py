@@ -14,6 +14,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message, resolved_to_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
 from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans
+from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupAsk
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.outbox import Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -27,10 +28,12 @@ CALLS_MAX = 1024
 class GetStream:
     """Serves one stream. A call is under way until its last message is written or it is cancelled."""
 
-    def __init__(self, store: ChannelStore, context: Any, stream: OpenStream) -> None:
+    def __init__(self, store: ChannelStore, groups: GroupAccess, context: Any, stream: OpenStream) -> None:
         self._store = store
+        self._groups = groups
         self._context = context
-        self._calls: dict[int, WaitingGet | None] = {}  # None: being answered
+        self._stream = stream
+        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: being answered
         self._plans = GetPlans()
         self._idle = asyncio.Event()
         self._outbox = Outbox(context, stream, self._ended)
@@ -68,6 +71,9 @@ class GetStream:
         if len(self._calls) >= CALLS_MAX:
             raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, which is the most; open another stream")
         hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
+        if plan.group is not None:
+            self._begin_in_group(call_id, plan, plan.group, hosted, now)
+            return
         if not plan.wait_nanos:
             self._answer(call_id, plan, hosted, hosted.channel.read(plan.query, now), now)
             return
@@ -79,6 +85,23 @@ class GetStream:
         else:
             self._answer(call_id, plan, hosted, found, now)
 
+    def _begin_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel, now: int) -> None:
+        found = self._groups.read_now(ask, hosted, plan.query, plan.wait_nanos, now)
+        if found is None:
+            self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, ask, hosted))
+        else:
+            self._answer(call_id, plan, hosted, found.answer, now, found.cut)
+
+    async def _read_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel) -> None:
+        try:
+            found = await self._groups.read(ask, hosted, plan.query, plan.wait_nanos)
+        except StampedeError as error:
+            self._calls[call_id] = None
+            self._refuse(call_id, error)
+        else:
+            self._answer(call_id, plan, hosted, found.answer, self._store.now(), found.cut)
+        self._outbox.kick()
+
     def _releaser(self, call_id: int, plan: GetPlan, hosted: HostedChannel) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
             if isinstance(outcome, StampedeError):
@@ -89,9 +112,11 @@ class GetStream:
 
         return release
 
-    def _answer(self, call_id: int, plan: GetPlan, hosted: HostedChannel, answer: Answer, now: int) -> None:
+    def _answer(
+        self, call_id: int, plan: GetPlan, hosted: HostedChannel, answer: Answer, now: int, cut: int | None = None
+    ) -> None:
         self._calls[call_id] = None
-        summary = summary_of(answer, now)
+        summary = summary_of(answer, now, cut)
         messages = get_responses(call_id, answer, summary, without_payloads=plan.without_payloads)
         self._outbox.add(call_id, messages, hosted.count_delivered)
 
@@ -112,8 +137,8 @@ class GetStream:
             self._idle.set()
 
 
-def summary_of(answer: Answer, now: int) -> pb.GetSummary:
-    """What the reader is to know beside the items."""
+def summary_of(answer: Answer, now: int, cut: int | None) -> pb.GetSummary:
+    """What the reader is to know beside the items. `cut`: the group's that was used, if it read through one."""
     return pb.GetSummary(
         interval=resolved_to_message(answer.interval) if answer.interval else None,
         complete=answer.complete,
@@ -122,6 +147,7 @@ def summary_of(answer: Answer, now: int) -> pb.GetSummary:
         reason=reason_to_message(answer.reason),
         detail=answer.reason.detail if answer.reason else "",
         incarnation=answer.incarnation,
+        cut_unix_nano=cut,
         host_time_unix_nano=now,
     )
 

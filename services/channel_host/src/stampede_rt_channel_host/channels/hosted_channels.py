@@ -40,6 +40,7 @@ class HostedChannel:
         self.gets = WaitingGets(self.channel, now)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce)
         self.listeners: dict[Listener, None] = {}
+        self.followers: dict[Listener, None] = {}  # as listeners, but no subscriptions: groups
         self.messages = SharedMessages()
         self.delivered_bytes = 0
         self._now = now
@@ -82,7 +83,7 @@ class HostedChannel:
         """Whoever waits for the channel or listens to it hears `error`."""
         self.gets.end_all(error)
         self.puts.end_all(error)
-        for listener in list(self.listeners):
+        for listener in [*self.listeners, *self.followers]:
             listener.end(error)
 
     def count_delivered(self, payload_bytes: int) -> None:
@@ -97,5 +98,7 @@ class HostedChannel:
     def _announce(self, now: int) -> None:
         if len(self.gets):
             self.gets.changed(now)
+        for follower in self.followers:
+            follower.wake()
         for listener in self.listeners:
             listener.wake()

@@ -6,10 +6,11 @@ from typing import Protocol, TypeVar
 
 from google.protobuf.message import DecodeError
 
-from stampede_rt.errors import InvalidArgument, error_for
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.reads import interval_from_message, match_from_message
+from stampede_rt_channel_host.channels.group_access import GroupAsk
 from stampede_rt_channel_host.core.channel import Position, Query
 
 M = TypeVar("M", covariant=True)
@@ -30,8 +31,7 @@ def parse(kind: _Message[M], raw: bytes, name: str) -> M:
 
 
 def query_of(request: pb.GetRequest) -> Query:
-    """What a get asks for. Raises InvalidArgument, InvalidInterval, or GROUP_NOT_FOUND."""
-    refuse_group(request)
+    """What a get asks for. Raises InvalidArgument, InvalidInterval."""
     if not request.HasField("interval"):
         raise InvalidArgument("the get has no interval; set its start and end")
     return Query(
@@ -58,8 +58,12 @@ def position_of(message: item_pb2.ItemPosition) -> Position:
     return Position(message.time_unix_nano, seq, message.incarnation)
 
 
-def refuse_group(request: pb.GetRequest | pb.SubscribeRequest) -> None:
-    """Groups are read at hosts that know them. Raises GROUP_NOT_FOUND."""
-    if request.HasField("group_id"):
-        shown = request.group_id.hex()
-        raise error_for("GROUP_NOT_FOUND", f"this host knows no group {shown}; leave group_id out", {"group_id": shown})
+def group_of(request: pb.GetRequest) -> GroupAsk | None:
+    """The group that the get reads through; None: the whole channel."""
+    if not request.HasField("group_id"):
+        return None
+    return GroupAsk(
+        group_id=request.group_id,
+        floor=request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None,
+        at=request.cut_unix_nano if request.HasField("cut_unix_nano") else None,
+    )

@@ -4,30 +4,21 @@ flight (paper, section 4.1: push), so an idle stream adds no delay and a busy on
 from __future__ import annotations
 
 import asyncio
-from typing import Any, Protocol
+from typing import Any
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import bound_from_message, reason_to_message
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
-from stampede_rt_channel_host.channels.requests import position_of, refuse_group
+from stampede_rt_channel_host.channels.requests import position_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
 WRITE_SECONDS_MAX = 30.0
-
-
-class Cursor(Protocol):
-    """What differs between the modes."""
-
-    def take(self, now: int) -> Delivery:
-        """The next part; empty if there is nothing new."""
-
-    def progress(self, now: int) -> pb.SubscriptionProgress:
-        """How far the subscription is."""
 
 
 class _All:
@@ -62,9 +53,12 @@ class _Newest:
 class Subscription:
     """Serves one subscription. A `Listener` of its channel: everything happens on the event loop."""
 
-    def __init__(self, hosted: HostedChannel, store: ChannelStore, context: Any, stream: OpenStream) -> None:
+    def __init__(
+        self, hosted: HostedChannel, store: ChannelStore, groups: GroupAccess, context: Any, stream: OpenStream
+    ) -> None:
         self._hosted = hosted
         self._store = store
+        self._groups = groups
         self._context = context
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None
@@ -85,8 +79,14 @@ class Subscription:
             raise Overloaded(
                 f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, which is the most"
             )
-        channel, now = self._hosted.channel, self._store.now()
-        cursor = open_cursor(channel, request, now)
+        if request.HasField("group_id"):
+            async with self._groups.subscribe(request, self._hosted, self) as cursor:
+                await self._serve(cursor, request)
+        else:
+            await self._serve(open_cursor(self._hosted.channel, request, self._store.now()), request)
+
+    async def _serve(self, cursor: Cursor, request: pb.SubscribeRequest) -> None:
+        channel = self._hosted.channel
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
         self._hosted.listeners[self] = None
         self._owes_progress = request.HasField("start")
@@ -153,7 +153,6 @@ class Subscription:
 
 def open_cursor(channel: Channel, request: pb.SubscribeRequest, now: int) -> Cursor:
     """Begin where the request says. Raises InvalidArgument, IncarnationLost."""
-    refuse_group(request)
     start = bound_from_message(request.start, "the subscription's start") if request.HasField("start") else None
     after = position_of(request.after) if request.HasField("after") else None
     exclusive = request.start.exclusive

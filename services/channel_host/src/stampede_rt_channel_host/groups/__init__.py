@@ -1,0 +1,1 @@
+"""Channel groups served over gRPC: reads, cut events, matches, and what hosts tell each other."""

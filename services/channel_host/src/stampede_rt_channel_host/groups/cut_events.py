@@ -1,0 +1,210 @@
+"""One subscription to cut events at one host (paper, section 3.3, Figure 7; decision 0011).
+
+The host that decides ends each event with a boundary; the reader hands it to the others, which wait until their own cut
+has come as far and answer with their own channels' items.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import Any
+
+from stampede_rt.errors import IncarnationLost, InvalidArgument, Overloaded, Unavailable
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt.wire.reads import reason_to_message
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
+from stampede_rt_channel_host.core.group import MAX_WAIT_NANOS_DEFAULT, Boundary, CutFollower, EventDecider, Loss
+from stampede_rt_channel_host.groups.frames import cut_part
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
+from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_channel_host.groups.waiting import Waiter
+
+LIFE_SECONDS = 4.0  # the contract says after 5 s
+BOUNDARIES_MAX = 256
+_TIMER_SECONDS_MIN = 0.0001
+
+
+class _Followed:
+    """One of this host's members: the channel, and where the subscription stands in it."""
+
+    def __init__(self, hosted: HostedChannel, follower: CutFollower) -> None:
+        self.hosted = hosted
+        self.follower = follower
+
+    def cursor(self) -> pb.ChannelCursor:
+        record = self.hosted.record
+        return pb.ChannelCursor(
+            channel_id=record.channel_id, incarnation=record.incarnation, next_seq=self.follower.next_seq
+        )
+
+
+class CutEvents:
+    """Serves one stream."""
+
+    def __init__(self, groups: GroupStore, context: Any, stream: OpenStream) -> None:
+        self._groups = groups
+        self._context = context
+        self._stream = stream
+        self._waiter = Waiter()
+        self._followed: dict[bytes, _Followed] = {}
+        self._kept: dict[bytes, pb.ChannelCursor] = {}  # places of channels from before, of which none is followed yet
+        self._boundaries: deque[Boundary] = deque()  # handed over and not answered yet
+        self._room = asyncio.Event()
+        self._cut: int | None = None  # of the last event
+
+    async def run(self) -> None:
+        """Until the stream ends. Raises InvalidArgument, IncarnationLost, GROUP_NOT_FOUND, Unavailable."""
+        request = await self._context.read()
+        if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
+            raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
+        begun = request.open
+        group = await self._groups.find(begun.group_id)
+        await self._begin(group, begun)
+        group.listeners[self._waiter] = None
+        reading = self._stream.spawn(self._read(group, decides=begun.decides))
+        try:
+            await self._write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
+            await self._serve(group, begun)
+        finally:
+            reading.cancel()
+            group.listeners.pop(self._waiter, None)
+
+    async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
+        """Where the subscription begins: at the cut of the moment, or at the place that it is to go on from."""
+        floor = begun.after.cut_unix_nano if begun.HasField("after") else None
+        if floor is not None and begun.after.incarnation != group.record.incarnation:
+            raise IncarnationLost(
+                f"the place comes from another incarnation of group {group.record.name}, whose cut began anew since "
+                "all hosts of its members were restarted; subscribe from now on"
+            )
+        if not await group.reach(floor, SETTLE_SECONDS_MAX):
+            raise Unavailable(
+                f"group {group.record.name} is not as far as the reader was, {group.held_by()}; try again"
+            )
+        self._cut = group.cut.cut if floor is None else floor
+        self._kept = {one.channel_id: one for one in begun.after.channels}
+        self._follow(group)
+
+    def _opened(self, group: HostedGroup) -> pb.CutCursor:
+        cut = 0 if self._cut is None else self._cut
+        return pb.CutCursor(
+            incarnation=group.record.incarnation,
+            cut_unix_nano=cut,
+            channels=[one.cursor() for one in self._followed.values()],
+        )
+
+    def _follow(self, group: HostedGroup) -> None:
+        """Take up members that came, or came back, to this host, and leave those that went."""
+        members = group.cut.definition.members
+        for channel_id in [one for one in self._followed if one not in members]:
+            del self._followed[channel_id]
+        for channel_id in sorted(members):
+            own, held = self._groups.own(channel_id), self._followed.get(channel_id)
+            if own is None or (held is not None and held.hosted is own.hosted):
+                continue
+            place = self._kept.pop(channel_id, None) if held is None else held.cursor()
+            follower = CutFollower(
+                own.hosted.channel,
+                self._cut,
+                self._groups.channels.now(),
+                next_seq=None if place is None else place.next_seq,
+                incarnation=None if place is None else place.incarnation,
+            )
+            self._followed[channel_id] = _Followed(own.hosted, follower)
+
+    async def _read(self, group: HostedGroup, *, decides: bool) -> None:
+        """Take in the boundaries that another host decided."""
+        while isinstance(request := await self._context.read(), pb.SubscribeCutsRequest):
+            if decides or not request.HasField("boundary"):
+                raise InvalidArgument("a boundary goes to the hosts that do not decide, and nothing else after open")
+            boundary = request.boundary
+            last = self._boundaries[-1].cut if self._boundaries else self._cut
+            if boundary.incarnation != group.record.incarnation or (last is not None and boundary.cut_unix_nano < last):
+                raise InvalidArgument("boundaries grow and are of the group's incarnation; hand on what was decided")
+            while len(self._boundaries) >= BOUNDARIES_MAX:
+                self._room.clear()
+                await self._room.wait()
+            self._boundaries.append(Boundary(boundary.cut_unix_nano, tuple(boundary.incomplete_channel_ids)))
+            self._waiter.wake()
+
+    async def _serve(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
+        max_wait = begun.max_wait_nanos if begun.HasField("max_wait_nanos") else MAX_WAIT_NANOS_DEFAULT
+        decider = EventDecider(self._cut, max_wait) if begun.decides else None
+        while True:  # ends with the stream
+            self._follow(group)
+            boundary = self._decided(group, decider) if decider is not None else self._handed(group)
+            if boundary is not None:
+                await self._send_event(group, boundary, without_payloads=begun.without_payloads)
+            elif not await self._waiter.wait(self._pause_s(decider)):
+                await self._send_life(decider)
+
+    def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
+        now = self._groups.channels.now()
+        decider.note(group.cut.cut, now)
+        return decider.due(group.members(), now)
+
+    def _handed(self, group: HostedGroup) -> Boundary | None:
+        """The next boundary, once this host's cut has come as far: the reader's word raises none."""
+        if not self._boundaries or not group.has_reached(self._boundaries[0].cut):
+            return None
+        self._room.set()
+        return self._boundaries.popleft()
+
+    def _pause_s(self, decider: EventDecider | None) -> float:
+        due = None if decider is None else decider.wake_at()
+        if due is None:
+            return LIFE_SECONDS
+        return min(LIFE_SECONDS, max((due - self._groups.channels.now()) / 1e9, _TIMER_SECONDS_MIN))
+
+    async def _send_life(self, decider: EventDecider | None) -> None:
+        if decider is None or decider.wake_at() is None:
+            await self._write(pb.SubscribeCutsResponse().SerializeToString())
+
+    async def _send_event(self, group: HostedGroup, boundary: Boundary, *, without_payloads: bool) -> None:
+        for followed in list(self._followed.values()):
+            await self._send_part(followed, boundary.cut, without_payloads=without_payloads)
+        self._cut = boundary.cut
+        end = pb.CutBoundary(
+            cut_unix_nano=boundary.cut,
+            incarnation=group.record.incarnation,
+            incomplete_channel_ids=boundary.incomplete,
+        )
+        await self._write(pb.SubscribeCutsResponse(boundary=end).SerializeToString())
+
+    async def _send_part(self, followed: _Followed, cut: int, *, without_payloads: bool) -> None:
+        follower = followed.follower
+        follower.begin(cut)
+        while follower.under_way:
+            step = follower.take(self._groups.channels.now(), MESSAGE_BYTES_MAX)
+            about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
+            if step.loss is not None:
+                about.loss.CopyFrom(_loss(step.loss))
+            if step.is_last:
+                about.cursor.CopyFrom(followed.cursor())
+            await self._write(cut_part(about, step.slices, step.late, without_payloads=without_payloads))
+            if not without_payloads:
+                followed.hosted.count_delivered(sum(one.slice.payload_bytes for one in step.slices + step.late))
+
+    async def _write(self, message: bytes) -> None:
+        try:
+            async with asyncio.timeout(WRITE_SECONDS_MAX):
+                await self._context.write(message)
+        except TimeoutError:
+            raise Overloaded(
+                f"the reader took no cut event for {WRITE_SECONDS_MAX:g} s, and its subscription is ended; read "
+                "faster, and subscribe again behind the last event"
+            ) from None
+
+
+def _loss(loss: Loss) -> pb.CutLoss:
+    return pb.CutLoss(
+        before_unix_nano=loss.before,
+        items=loss.items if loss.is_exact else None,
+        reason=reason_to_message(loss.reason),
+        detail=loss.reason.detail,
+    )

@@ -1,0 +1,38 @@
+"""What a host asks the directory about groups (paper, sections 3.3 and 4.3)."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import group_directory_service_pb2 as pb
+from stampede_rt.v1 import group_directory_service_pb2_grpc
+from stampede_rt_channel_host.cluster.supernodes import Supernodes
+
+CALL_SECONDS_MAX = 4.0
+
+
+class GroupDirectory:
+    """Each method blocks for CALL_SECONDS_MAX at most and raises what the directory answers, or Unavailable."""
+
+    def __init__(self, supernodes: Supernodes) -> None:
+        self._supernodes = supernodes
+
+    async def resolve(self, group_id: bytes) -> pb.ResolveGroupResponse:
+        """The group as of now, its members and their owners. Raises GROUP_NOT_FOUND."""
+        request = pb.ResolveGroupRequest(group_id=group_id)
+        response: pb.ResolveGroupResponse = await self._supernodes.call(
+            "ResolveGroup",
+            request,
+            CALL_SECONDS_MAX,
+            service=group_directory_service_pb2_grpc.GroupDirectoryServiceStub,
+        )
+        return response
+
+    async def groups_of(self, channel_id: bytes) -> list[bytes]:
+        """The ids of the groups that the channel is a member of."""
+        request = pb.ListGroupsRequest(channel_id=channel_id)
+        response: pb.ListGroupsResponse = await self._supernodes.call(
+            "ListGroups",
+            request,
+            CALL_SECONDS_MAX,
+            service=group_directory_service_pb2_grpc.GroupDirectoryServiceStub,
+        )
+        return [one.group_id for one in response.groups]

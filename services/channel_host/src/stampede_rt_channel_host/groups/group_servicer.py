@@ -1,0 +1,92 @@
+"""GroupService on the wire (paper, sections 3.3 and 4.1): find the group, hand over, let errors rise."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import abort
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.groups.cut_events import CutEvents
+from stampede_rt_channel_host.groups.group_status import group_status
+from stampede_rt_channel_host.groups.match_stream import MatchStream
+from stampede_rt_channel_host.groups.peers import Dial
+from stampede_rt_channel_host.groups.store import GroupStore
+
+SERVICE = "stampede_rt.v1.GroupService"
+
+
+class GroupServicer:
+    """Streams end with the host, by `streams`. What carries runs is answered with bytes: they are sent as stored."""
+
+    def __init__(self, groups: GroupStore, dial: Dial, streams: OpenStreams) -> None:
+        self._groups = groups
+        self._dial = dial
+        self._streams = streams
+
+    def add_to(self, server: grpc.aio.Server) -> None:
+        """Serve on `server`."""
+        handlers: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
+            "ExchangeTimes": grpc.stream_stream_rpc_method_handler(
+                self.exchange_times,
+                request_deserializer=pb.ExchangeTimesRequest.FromString,
+                response_serializer=pb.ExchangeTimesResponse.SerializeToString,
+            ),
+            "GetCut": grpc.unary_unary_rpc_method_handler(
+                self.get_cut,
+                request_deserializer=pb.GetCutRequest.FromString,
+                response_serializer=pb.GetCutResponse.SerializeToString,
+            ),
+            "SubscribeCuts": grpc.stream_stream_rpc_method_handler(
+                self.subscribe_cuts, request_deserializer=pb.SubscribeCutsRequest.FromString
+            ),
+            "SubscribeMatches": grpc.unary_stream_rpc_method_handler(
+                self.subscribe_matches, request_deserializer=pb.SubscribeMatchesRequest.FromString
+            ),
+            "GetGroupStatus": grpc.unary_unary_rpc_method_handler(
+                self.get_group_status,
+                request_deserializer=pb.GetGroupStatusRequest.FromString,
+                response_serializer=pb.GetGroupStatusResponse.SerializeToString,
+            ),
+        }
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
+        server.add_registered_method_handlers(SERVICE, handlers)
+
+    async def exchange_times(self, requests: AsyncIterator[pb.ExchangeTimesRequest], context: Any) -> None:
+        """GroupService.ExchangeTimes: between hosts only."""
+        async with self._streams.serve(context):
+            await self._groups.peers.accept(context)
+
+    async def subscribe_cuts(self, requests: AsyncIterator[pb.SubscribeCutsRequest], context: Any) -> None:
+        """GroupService.SubscribeCuts."""
+        async with self._streams.serve(context) as stream:
+            await CutEvents(self._groups, context, stream).run()
+
+    async def subscribe_matches(self, request: pb.SubscribeMatchesRequest, context: Any) -> None:
+        """GroupService.SubscribeMatches."""
+        async with self._streams.serve(context) as stream:
+            await MatchStream(self._groups, self._dial, context, stream).run(request)
+
+    async def get_cut(self, request: pb.GetCutRequest, context: Any) -> pb.GetCutResponse:
+        """GroupService.GetCut: the cut once it is as far as the caller has seen it, or that it is stalled."""
+        try:
+            self._groups.check_lease()
+            group = await self._groups.find(request.group_id)
+            floor = request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None
+            reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
+        except StampedeError as error:
+            await abort(context, error)
+        waiting_on = group.cut.waiting_on(self._groups.channels.now())
+        return pb.GetCutResponse(floor=group.floor(), stalled=not reached, waiting_on_channel_ids=waiting_on)
+
+    async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Any) -> pb.GetGroupStatusResponse:
+        """GroupService.GetGroupStatus: the cut, what holds it back, and each member's place."""
+        try:
+            group = await self._groups.find(request.group_id)
+        except StampedeError as error:
+            await abort(context, error)
+        return pb.GetGroupStatusResponse(status=group_status(group, self._groups))

@@ -1,0 +1,47 @@
+"""A group as a host sees it at one moment, in its protobuf form."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import group_pb2
+from stampede_rt_channel_host.core.group import GroupView, Member
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.messages import times_to_message
+from stampede_rt_channel_host.groups.store import GroupStore
+
+
+def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatus:
+    """The cut, what holds it back, and each member's place."""
+    now = groups.channels.now()
+    return group_pb2.GroupStatus(
+        record=group.record,
+        cut_unix_nano=group.cut.cut,
+        waiting_on_channel_ids=group.cut.waiting_on(now),
+        members=[_member(member, group, groups, now) for member in group.cut.members(now)],
+        host_time_unix_nano=now,
+    )
+
+
+def _member(member: Member, group: HostedGroup, groups: GroupStore, now: int) -> group_pb2.GroupMemberStatus:
+    cut, heard, own = group.cut.cut, member.heard, groups.own(member.channel_id)
+    if heard is None:
+        return group_pb2.GroupMemberStatus(times=group_pb2.ChannelTimes(channel_id=member.channel_id))
+    newest = heard.times.newest
+    lead = None if cut is None or newest is None else newest - cut
+    view = None if own is None else GroupView(own.hosted.channel)
+    return group_pb2.GroupMemberStatus(
+        times=times_to_message(member.channel_id, heard.times, heard.silent_nanos(now)),
+        cut_unix_nano=member.cut,
+        lead_nanos=lead,
+        hidden_items=None if view is None else view.hidden_items(cut, now),
+        idle=member.is_idle,
+        window_too_short=_is_too_short(member, group, lead) if view is None else view.window_too_short(cut, now),
+        heard_ago_nanos=heard.heard_ago_nanos(now),
+    )
+
+
+def _is_too_short(member: Member, group: HostedGroup, lead: int | None) -> bool:
+    """Of a channel at another host its stated age is known, and no more."""
+    record = group.channels.get(member.channel_id)
+    if record is None or lead is None or not record.spec.retention.HasField("max_age_nanos"):
+        return False
+    return lead > record.spec.retention.max_age_nanos

@@ -1,0 +1,131 @@
+"""One group as a host serves it: the directory's record, the cut, and whoever waits for it or listens to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import group_directory_service_pb2, group_pb2
+from stampede_rt_channel_host.channels.hosted_channels import Listener
+from stampede_rt_channel_host.core.group import GroupCut, Horizon, Member, TimesBoard
+from stampede_rt_channel_host.groups.messages import definition_of
+from stampede_rt_channel_host.groups.waiting import Waiter
+
+_TIMER_SECONDS_MIN = 0.001
+
+
+class HostedGroup:
+    """`record` is the directory's, as last told; `owners` gives each member's host, `targets` where such hosts listen.
+
+    `unheard`: live hosts of members that have not told how far the cut was; until they have, nothing is shown.
+    """
+
+    def __init__(
+        self,
+        told: group_directory_service_pb2.ResolveGroupResponse,
+        board: TimesBoard,
+        now: Callable[[], int],
+        on_moved: Callable[[bytes], None],
+    ) -> None:
+        """`on_moved` hears whenever the cut has moved."""
+        self.cut = GroupCut(definition_of(told.group), board)
+        self.listeners: dict[Listener, None] = {}
+        self.unheard: set[bytes] = set()
+        self.looked_up_s = 0.0  # on the loop's clock: when the directory was asked last, and when somebody named it
+        self.named_s = 0.0
+        self._now = now
+        self._on_moved = on_moved
+        self._idle_timer: asyncio.TimerHandle | None = None
+        self.adopt(told)
+
+    def adopt(self, told: group_directory_service_pb2.ResolveGroupResponse) -> bool:
+        """The directory says how the group is now; True if it began anew, so that its readers must, too."""
+        anew = told.group.incarnation != self.cut.definition.incarnation
+        self.record: group_pb2.GroupRecord = told.group
+        self.owners: dict[bytes, bytes] = {one.channel_id: one.host_id for one in told.channels}
+        self.channels = {one.channel_id: one for one in told.channels}
+        self.targets = {one.host_id: one.gatekeepers[0].target for one in told.hosts if one.alive and one.gatekeepers}
+        self.host_names = {one.host_id: one.name for one in told.hosts}
+        self.cut.define(definition_of(told.group))
+        return anew
+
+    def horizon(self, cut: int | None = None) -> Horizon:
+        """Up to where the group can be seen now; or up to an earlier `cut`."""
+        return Horizon(self.cut.cut if cut is None else cut, self.held_by)
+
+    def held_by(self) -> str:
+        """Who holds the cut back, in a few words."""
+        if not self.cut.is_settled:
+            hosts = ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.unheard)) or "the directory"
+            return f"until {hosts} has told how far it was"
+        names = [self.name_of(one) for one in self.cut.waiting_on(self._now())]
+        return f"held back by {', '.join(names)}" if names else "where its members have not come again yet"
+
+    def name_of(self, channel_id: bytes) -> str:
+        """A member's name, for people."""
+        return self.channels[channel_id].name if channel_id in self.channels else channel_id.hex()
+
+    def members(self) -> list[Member]:
+        """All members as of now."""
+        return list(self.cut.members(self._now()))
+
+    def changed(self) -> None:
+        """A member or what is known of it has changed: look at the cut and wake all."""
+        if self.cut.refresh(self._now()):
+            self._on_moved(self.record.group_id)
+        for listener in list(self.listeners):
+            listener.wake()
+        self._arm()
+
+    def end(self, error: StampedeError) -> None:
+        """Whoever waits for the group or listens to it hears `error`."""
+        if self._idle_timer is not None:
+            self._idle_timer.cancel()
+        for listener in list(self.listeners):
+            listener.end(error)
+
+    async def reach(self, floor: int | None, timeout_s: float) -> bool:
+        """Block until the group is settled and its cut has come to `floor`; False after `timeout_s`."""
+        deadline_s = asyncio.get_running_loop().time() + timeout_s
+        waiter = Waiter()
+        self.listeners[waiter] = None
+        try:
+            while not self.has_reached(floor):
+                left_s = deadline_s - asyncio.get_running_loop().time()
+                if left_s <= 0 or not await waiter.wait(left_s):
+                    return self.has_reached(floor)
+            return True
+        finally:
+            self.listeners.pop(waiter, None)
+
+    def has_reached(self, floor: int | None) -> bool:
+        """The group is settled and its cut is at or past `floor`."""
+        cut = self.cut.cut
+        return self.cut.is_settled and (floor is None or (cut is not None and cut >= floor))
+
+    def floor(self) -> group_pb2.CutFloor | None:
+        """What this host stands by, as it tells others."""
+        cut = self.cut.cut
+        if cut is None:
+            return None
+        return group_pb2.CutFloor(
+            group_id=self.record.group_id,
+            incarnation=self.record.incarnation,
+            cut_unix_nano=cut,
+            spec_version=self.record.spec_version,
+        )
+
+    def _arm(self) -> None:
+        """Look again when a member falls idle, though nothing is put."""
+        if self._idle_timer is not None:
+            self._idle_timer.cancel()
+            self._idle_timer = None
+        due = self.cut.next_idle(self._now())
+        if due is not None:
+            delay_s = max((due - self._now()) / 1e9, _TIMER_SECONDS_MIN)
+            self._idle_timer = asyncio.get_running_loop().call_later(delay_s, self._idle)
+
+    def _idle(self) -> None:
+        self._idle_timer = None
+        self.changed()

@@ -1,0 +1,169 @@
+"""One stream between two hosts that share a group: how far channels are, and cuts have come (paper, section 4.1).
+
+Both sides do the same. What has changed is gathered while a message is being written; only the latest of it is sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable
+from typing import Any, Protocol
+
+from stampede_rt.errors import InvalidArgument, Unavailable, VersionMismatch
+from stampede_rt.v1 import group_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_runtime.version import PROTOCOL_VERSION
+
+LIFE_SECONDS = 1.0
+BROKEN_AFTER_SECONDS = 5.0
+ENTRIES_MAX = 1024
+INTEREST_MAX = 4096
+
+
+class Knowledge(Protocol):
+    """What a link tells from, and what it tells it to."""
+
+    def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
+        """How far a channel of this host is; None if it is none of it."""
+
+    def floor_of(self, group_id: bytes) -> group_pb2.CutFloor | None:
+        """How far the group's cut has come here; None: nothing is visible, or the group is not known."""
+
+    def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
+        """The other host has told this. An `is_first` update is the last of those that bring all that it knows."""
+
+    def greeted(self, link: Link) -> None:
+        """The other host has said who it is."""
+
+    def asked_for(self, channel_ids: set[bytes]) -> None:
+        """The other host wants to hear of these channels, which it believes to be this one's."""
+
+    def check_lease(self) -> None:
+        """Raises HostNotFound if this host may not speak for its channels."""
+
+
+class Link:
+    """`write` and `read` are those of either side's call; `message` is what this side sends."""
+
+    def __init__(
+        self,
+        identity: HostIdentity,
+        cluster_id: str,
+        knowledge: Knowledge,
+        message: Callable[..., Any],
+        write: Callable[[Any], Awaitable[None]],
+        read: Callable[[], Awaitable[Any]],
+    ) -> None:
+        self.host_id = b""  # the other one, once it has greeted
+        self._identity = identity
+        self._cluster_id = cluster_id
+        self._knowledge = knowledge
+        self._message, self._write, self._read = message, write, read
+        self._told = False  # all that the other side knew has come
+        self._wanted: set[bytes] = set()  # channels of this host that the other one wants to hear of
+        self._times: dict[bytes, None] = {}
+        self._floors: dict[bytes, None] = {}
+        self._interest: list[bytes] | None = None
+        self._news = asyncio.Event()
+
+    async def run(self, peer: bytes | None = None) -> None:
+        """Until the other side ends it or falls silent; `peer` is who it must be. Raises what breaks it."""
+        hello = pb.ExchangeHello(
+            cluster_id=self._cluster_id,
+            host_id=self._identity.host_id,
+            boot_incarnation=self._identity.boot_incarnation,
+            protocol_version=PROTOCOL_VERSION,
+        )
+        await self._write(self._message(hello=hello))
+        self._greet(await self._next(), peer)
+        self._knowledge.greeted(self)
+        async with asyncio.TaskGroup() as sides:
+            writing = sides.create_task(self._write_all())
+            await self._read_all()
+            writing.cancel()
+
+    def want(self, channel_ids: Iterable[bytes]) -> None:
+        """Of these channels of the other host this one wants to hear, and of no others."""
+        self._interest = sorted(channel_ids)[:INTEREST_MAX]
+        self._news.set()
+
+    def tell_times(self, channel_id: bytes) -> None:
+        """A channel of this host has changed."""
+        if channel_id in self._wanted:
+            self._times[channel_id] = None
+            self._news.set()
+
+    def tell_floor(self, group_id: bytes) -> None:
+        """A cut has come further here, in a group that both hosts have members of."""
+        self._floors[group_id] = None
+        self._news.set()
+
+    def _greet(self, message: Any, peer: bytes | None) -> None:
+        hello = message.hello if message is not None and message.HasField("hello") else None
+        if hello is None:
+            raise InvalidArgument("the first message of an exchange has no hello; send it alone, before anything else")
+        if hello.protocol_version != PROTOCOL_VERSION:
+            raise VersionMismatch(
+                f"the other host speaks protocol {hello.protocol_version}, this one {PROTOCOL_VERSION}; install the "
+                "same release on both"
+            )
+        if self._cluster_id and hello.cluster_id and hello.cluster_id != self._cluster_id:
+            raise InvalidArgument(f"the hello is of cluster {hello.cluster_id}, and this is {self._cluster_id}")
+        if peer is not None and hello.host_id != peer:
+            raise InvalidArgument(f"host {hello.host_id.hex()} answers where {peer.hex()} should; resolve it again")
+        self.host_id = hello.host_id
+
+    async def _next(self) -> Any:
+        """The next message; None if the other side has ended."""
+        try:
+            async with asyncio.timeout(BROKEN_AFTER_SECONDS):
+                message = await self._read()
+        except TimeoutError:
+            raise Unavailable(f"the other host was silent for {BROKEN_AFTER_SECONDS:g} s") from None
+        return message if hasattr(message, "HasField") else None  # else it is gRPC's EOF
+
+    async def _read_all(self) -> None:
+        while (message := await self._next()) is not None:
+            update = message.update
+            if update.HasField("interest"):
+                self._wanted = set(update.interest.channel_ids[:INTEREST_MAX])
+                self._knowledge.asked_for(self._wanted)
+                self._times.update(dict.fromkeys(sorted(self._wanted)))
+                self._news.set()
+            first = not self._told and len(update.floors) < ENTRIES_MAX
+            self._told = self._told or first
+            self._knowledge.hear(self.host_id, update, is_first=first)
+
+    async def _write_all(self) -> None:
+        while True:  # ends with the stream; paced by news and signs of life
+            await self._write(self._message(update=self._gather()))
+            if not (self._times or self._floors):
+                await self._wait()
+
+    async def _wait(self) -> None:
+        try:
+            async with asyncio.timeout(LIFE_SECONDS):
+                await self._news.wait()
+        except TimeoutError:
+            return
+
+    def _gather(self) -> pb.TimesUpdate:
+        """The latest of what has changed; an empty update is a sign of life."""
+        self._knowledge.check_lease()
+        self._news.clear()
+        interest, self._interest = self._interest, None
+        times = [self._knowledge.times_of(one) for one in _taken(self._times)]
+        floors = [self._knowledge.floor_of(one) for one in _taken(self._floors)]
+        return pb.TimesUpdate(
+            interest=None if interest is None else pb.TimesInterest(channel_ids=interest),
+            times=[one for one in times if one is not None],
+            floors=[one for one in floors if one is not None],
+        )
+
+
+def _taken(waiting: dict[bytes, None]) -> list[bytes]:
+    taken = list(waiting)[:ENTRIES_MAX]
+    for one in taken:
+        del waiting[one]
+    return taken

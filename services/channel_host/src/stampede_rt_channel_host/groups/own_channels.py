@@ -1,0 +1,54 @@
+"""The channels of this host that are members of groups: how far they are, told as soon as it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.core.group import OwnTimes, TimesBoard
+
+
+class OwnChannel:
+    """Follows one channel as a `Listener` from the event loop, and enters it on the board.
+
+    `on_change` hears of every put and advance, `on_end` once that the host does not serve the channel any more.
+    """
+
+    def __init__(
+        self,
+        hosted: HostedChannel,
+        board: TimesBoard,
+        now: Callable[[], int],
+        *,
+        on_change: Callable[[bytes], None],
+        on_end: Callable[[bytes], None],
+    ) -> None:
+        self.hosted = hosted
+        self.channel_id: bytes = hosted.record.channel_id
+        self._board = board
+        self._now = now
+        self._on_change = on_change
+        self._on_end = on_end
+        self._own = OwnTimes(hosted.channel, now())
+        self._tell()
+        hosted.followers[self] = None
+
+    def wake(self) -> None:
+        """Something was put, or the channel advanced."""
+        self._own.observe(self._now())
+        self._tell()
+        self._on_change(self.channel_id)
+
+    def end(self, error: StampedeError) -> None:
+        """The host does not serve the channel any more."""
+        self.let_go()
+        self._on_end(self.channel_id)
+
+    def let_go(self) -> None:
+        """Follow it no more; what is known of it stays on the board."""
+        self.hosted.followers.pop(self, None)
+        self._board.disown(self.channel_id, self._now())
+
+    def _tell(self) -> None:
+        self._board.tell_own(self.channel_id, self._own.times(self.hosted.epoch), self._own.silent_since)

@@ -1,0 +1,187 @@
+"""The other hosts that share groups with this one, and the links to them (paper, section 4.1).
+
+The host with the lower id opens the stream of a pair. One with the higher id that finds none knocks: it names the group
+at the other, which then learns of it and opens the stream.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt.v1 import group_service_pb2_grpc
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.groups.link import Knowledge, Link
+
+logger = logging.getLogger(__name__)
+
+PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.05, 2.0
+KNOCK_SECONDS_MAX = 2.0
+
+Dial = Callable[[str], grpc.aio.Channel]
+
+
+class Peer:
+    """Another host: where it listens, what is wanted of it, and a group that both share."""
+
+    def __init__(self, host_id: bytes) -> None:
+        self.host_id = host_id
+        self.target = ""
+        self.wanted: frozenset[bytes] = frozenset()
+        self.groups: frozenset[bytes] = frozenset()
+        self.link: Link | None = None
+        self.task: asyncio.Task[None] | None = None
+
+
+class Peers:
+    """`knowledge` is told from and to; `lease_held` says whether this host may speak for its channels."""
+
+    def __init__(
+        self, identity: HostIdentity, knowledge: Knowledge, dial: Dial, cluster_id: Callable[[], str],
+        lease_held: Callable[[], bool],
+    ) -> None:  # fmt: skip
+        self._identity = identity
+        self._knowledge = knowledge
+        self._dial = dial
+        self._cluster_id = cluster_id
+        self._lease_held = lease_held
+        self._peers: dict[bytes, Peer] = {}
+
+    def share(self, targets: Mapping[bytes, str], wanted: Mapping[bytes, set[bytes]],
+              groups: Mapping[bytes, set[bytes]]) -> None:  # fmt: skip
+        """These are the other hosts now, with what is wanted to be heard of each and the groups shared with it."""
+        for host_id, peer in list(self._peers.items()):
+            if host_id not in groups and peer.task is not None:
+                peer.task.cancel()
+                del self._peers[host_id]
+        for host_id, shared in groups.items():
+            peer = self._peers.setdefault(host_id, Peer(host_id))
+            news = frozenset(shared) - peer.groups
+            peer.groups = frozenset(shared)
+            peer.target = targets.get(host_id, peer.target)
+            self._want(peer, frozenset(wanted.get(host_id, ())))
+            if peer.link is not None:
+                for group_id in sorted(news):
+                    peer.link.tell_floor(group_id)
+            if peer.task is None:
+                peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
+
+    def is_linked(self, host_id: bytes) -> bool:
+        """A stream to the host stands."""
+        peer = self._peers.get(host_id)
+        return peer is not None and peer.link is not None
+
+    def wanted_of(self, host_id: bytes) -> frozenset[bytes]:
+        """The channels that this host is heard about."""
+        peer = self._peers.get(host_id)
+        return peer.wanted if peer is not None else frozenset()
+
+    def tell_times(self, channel_id: bytes) -> None:
+        """A channel of this host has changed: tell those who want to hear."""
+        for peer in self._peers.values():
+            if peer.link is not None:
+                peer.link.tell_times(channel_id)
+
+    def tell_floor(self, group_id: bytes) -> None:
+        """A cut has come further: tell those who share the group."""
+        for peer in self._peers.values():
+            if peer.link is not None and group_id in peer.groups:
+                peer.link.tell_floor(group_id)
+
+    def greeted(self, link: Link) -> None:
+        """A link stands: begin with all that is known. A newer link of a pair takes the place of the older."""
+        peer = self._peers.setdefault(link.host_id, Peer(link.host_id))
+        peer.link = link
+        link.want(peer.wanted)
+        for group_id in sorted(peer.groups):
+            link.tell_floor(group_id)
+
+    async def accept(self, context: Any) -> None:
+        """Serve a stream that another host opened, until it ends."""
+        self._knowledge.check_lease()
+        link = Link(
+            self._identity, self._cluster_id(), self._knowledge, pb.ExchangeTimesResponse, context.write, context.read
+        )
+        try:
+            await _unwrapped(link.run())
+        finally:
+            self._unlink(link)
+
+    async def aclose(self) -> None:
+        """End all streams."""
+        tasks = [peer.task for peer in self._peers.values() if peer.task is not None]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _want(self, peer: Peer, wanted: frozenset[bytes]) -> None:
+        if wanted != peer.wanted:
+            peer.wanted = wanted
+            if peer.link is not None:
+                peer.link.want(wanted)
+
+    def _unlink(self, link: Link) -> None:
+        peer = self._peers.get(link.host_id)
+        if peer is not None and peer.link is link:
+            peer.link = None
+            if peer.task is None:  # no group is shared with it
+                del self._peers[link.host_id]
+
+    async def _keep(self, peer: Peer) -> None:
+        """Keep a stream to the peer, or have it opened by the peer, as long as both share a group."""
+        pause_s = PAUSE_SECONDS_MIN
+        while True:  # paced; ends when the peer is dropped
+            if peer.link is None and peer.target and self._lease_held():
+                try:
+                    opens = self._identity.host_id < peer.host_id
+                    await (self._open(peer) if opens else self._knock(peer))
+                except StampedeError as error:
+                    logger.debug("no link to a host", extra={"host": peer.host_id.hex(), "why": str(error)})
+            pause_s = PAUSE_SECONDS_MIN if peer.link is not None else min(2 * pause_s, PAUSE_SECONDS_MAX)
+            await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
+
+    async def _open(self, peer: Peer) -> None:
+        """Open the stream and serve it until it breaks."""
+        channel = self._dial(peer.target)
+        link: Link | None = None
+        try:
+            call = group_service_pb2_grpc.GroupServiceStub(channel).ExchangeTimes()
+            link = Link(
+                self._identity, self._cluster_id(), self._knowledge, pb.ExchangeTimesRequest, call.write, call.read
+            )
+            await _unwrapped(link.run(peer.host_id))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, peer.target) from error
+        finally:
+            if link is not None:
+                self._unlink(link)
+            await channel.close(None)
+
+    async def _knock(self, peer: Peer) -> None:
+        group_id = min(peer.groups, default=None)
+        if group_id is None:
+            return
+        channel = self._dial(peer.target)
+        try:
+            stub = group_service_pb2_grpc.GroupServiceStub(channel)
+            await stub.GetCut(pb.GetCutRequest(group_id=group_id), timeout=KNOCK_SECONDS_MAX)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, peer.target) from error
+        finally:
+            await channel.close(None)
+
+
+async def _unwrapped(work: Any) -> None:
+    """Raise the one failure of a link, not the group that it comes in."""
+    try:
+        await work
+    except BaseExceptionGroup as group:
+        raise group.exceptions[0] from group

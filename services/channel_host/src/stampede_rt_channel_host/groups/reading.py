@@ -1,0 +1,175 @@
+"""Gets and subscriptions of channels that name a group (paper, section 3.3).
+
+The cut is computed beside each channel: a read costs no further round trip, unless the reader has seen more than this
+host, which then waits for the others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.reads import bound_from_message
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
+from stampede_rt_channel_host.channels.requests import position_of
+from stampede_rt_channel_host.core.channel import Delivery, Pending, Query, WakeAt
+from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_channel_host.groups.waiting import Waiter
+
+STALL_SECONDS_MAX = 1.0
+SETTLE_SECONDS_MAX = 5.0
+_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
+
+
+class GroupReads:
+    """A `GroupAccess`."""
+
+    def __init__(self, groups: GroupStore) -> None:
+        self._groups = groups
+
+    def read_now(
+        self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
+    ) -> GroupAnswer | None:
+        """See `GroupAccess`."""
+        group = self._groups.known(ask.group_id)
+        if group is None or not group.has_reached(_wanted(ask)):
+            return None
+        view, horizon = GroupView(_member(group, hosted).channel), group.horizon(ask.at)
+        if not wait_nanos:
+            return GroupAnswer(view.read(query, horizon, now), horizon.cut)
+        found = view.poll(view.begin(query, horizon, now), horizon, now)
+        return None if isinstance(found, WakeAt) else GroupAnswer(found, horizon.cut)
+
+    async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
+        """See `GroupAccess`."""
+        wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
+        deadline_s = None if wait_s is None else _now_s() + wait_s
+        group = await self._groups.find(ask.group_id)
+        view = GroupView(_member(group, hosted).channel)
+        wanted = _wanted(ask)
+        if not await group.reach(wanted, max(STALL_SECONDS_MAX, wait_s or 0.0)):
+            horizon = group.horizon()
+            stalled_at = 0 if wanted is None else wanted
+            return GroupAnswer(view.stalled(stalled_at, horizon), horizon.cut)
+        return await _Get(self._groups, group, hosted, ask.at).run(query, deadline_s)
+
+    @asynccontextmanager
+    async def subscribe(
+        self, request: pb.SubscribeRequest, hosted: HostedChannel, listener: Listener
+    ) -> AsyncIterator[Cursor]:
+        """See `GroupAccess`. Raises Unavailable if other hosts do not tell how far the group was."""
+        group = await self._groups.find(request.group_id)
+        _member(group, hosted)
+        if not await group.reach(None, SETTLE_SECONDS_MAX):
+            raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
+        cursor = _cursor(group, hosted, request, self._groups.channels.now())
+        group.listeners[listener] = None
+        try:
+            yield cursor
+        finally:
+            group.listeners.pop(listener, None)
+
+
+class _Get:
+    """One blocked get: looks again when the channel or the group changes, and at instants of its own."""
+
+    def __init__(self, groups: GroupStore, group: HostedGroup, hosted: HostedChannel, at: int | None) -> None:
+        self._now = groups.channels.now
+        self._group = group
+        self._hosted = hosted
+        self._at = at
+        self._view = GroupView(hosted.channel)
+
+    async def run(self, query: Query, deadline_s: float | None) -> GroupAnswer:
+        waiter = Waiter()
+        self._group.listeners[waiter] = self._hosted.followers[waiter] = None
+        try:
+            pending = self._view.begin(query, self._group.horizon(self._at), self._now())
+            while True:  # ends with an answer, the deadline, or the group or channel itself
+                horizon, now = self._group.horizon(self._at), self._now()
+                found = self._view.poll(pending, horizon, now)
+                if not isinstance(found, WakeAt):
+                    return GroupAnswer(found, horizon.cut)
+                if deadline_s is not None and _now_s() >= deadline_s:
+                    return self._give_up(pending, horizon)
+                await waiter.wait(_pause_s(found, now, deadline_s))
+        finally:
+            self._group.listeners.pop(waiter, None)
+            self._hosted.followers.pop(waiter, None)
+
+    def _give_up(self, pending: Pending, horizon: Horizon) -> GroupAnswer:
+        return GroupAnswer(self._view.give_up(pending, horizon, self._now()), horizon.cut)
+
+
+def _pause_s(wake: WakeAt, now: int, deadline_s: float | None) -> float | None:
+    pauses = [] if wake.instant is None else [max((wake.instant - now) / 1e9, _TIMER_SECONDS_MIN)]
+    pauses += [] if deadline_s is None else [max(deadline_s - _now_s(), 0.0)]
+    return min(pauses, default=None)
+
+
+class _All:
+    """SUBSCRIBE_MODE_ALL through a group."""
+
+    def __init__(self, group: HostedGroup, cursor: VisibleAll) -> None:
+        self._group = group
+        self._cursor = cursor
+
+    def take(self, now: int) -> Delivery:
+        return self._cursor.take(self._group.horizon(), now, MESSAGE_BYTES_MAX)
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), dropped=self._cursor.dropped)
+
+
+class _Newest:
+    """SUBSCRIBE_MODE_NEWEST through a group."""
+
+    def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleNewest) -> None:
+        self._group = group
+        self._hosted = hosted
+        self._cursor = cursor
+
+    def take(self, now: int) -> Delivery:
+        latest = self._cursor.take(self._group.horizon(), now)
+        return Delivery(slices=(latest,)) if latest else Delivery()
+
+    def progress(self, now: int) -> pb.SubscriptionProgress:
+        return pb.SubscriptionProgress(next_seq=self._hosted.channel.next_seq, skipped=self._cursor.skipped)
+
+
+def _cursor(group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeRequest, now: int) -> Cursor:
+    start = bound_from_message(request.start, "the subscription's start") if request.HasField("start") else None
+    after = position_of(request.after) if request.HasField("after") else None
+    horizon, exclusive = group.horizon(), request.start.exclusive
+    if request.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
+        return _All(
+            group, VisibleAll(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
+        )
+    if request.mode == pb.SUBSCRIBE_MODE_NEWEST:
+        newest = VisibleNewest(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
+        return _Newest(group, hosted, newest)
+    raise InvalidArgument(f"mode is {request.mode}; use a value of stampede_rt.v1.SubscribeMode")
+
+
+def _member(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
+    if hosted.record.channel_id not in group.cut.definition.members:
+        raise InvalidArgument(
+            f"channel {hosted.record.name} is no member of group {group.record.name}; add it, or leave group_id out"
+        )
+    return hosted
+
+
+def _wanted(ask: GroupAsk) -> int | None:
+    """How far the cut must have come."""
+    return max((one for one in (ask.floor, ask.at) if one is not None), default=None)
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,236 @@
+"""Groups at one host, over gRPC with the generated stubs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import grpc
+import pytest
+
+from stampede_rt.v1 import channel_service_pb2, error_pb2, group_pb2, item_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from tests.unit.channel_host.rig import MS, S, between
+from tests.unit.groups.rig import CutReader, Host, running_cluster
+
+
+@pytest.fixture
+async def host() -> AsyncIterator[Host]:
+    async with running_cluster() as cluster:
+        yield await cluster.start("h1", b"host-number-one!")
+
+
+async def test_a_group_shows_what_lies_before_the_newest_of_its_reference(host: Host) -> None:
+    text, audio, t = await host.open("text"), await host.open("audio"), host.now() - S
+    group = host.directory.add_group(
+        "tv", [text, audio], reference=group_pb2.GROUP_REFERENCE_CHANNEL, reference_channel_id=text.channel_id
+    )
+    await audio.put(*(t + at * MS for at in (0, 10, 20, 30)))
+    await text.put(t + 15 * MS)
+    times, summary = await audio.get(group)
+    assert times == [t, t + 10 * MS]
+    assert (summary.cut_unix_nano, summary.reason) == (t + 15 * MS, error_pb2.ABSENCE_REASON_HIDDEN)
+    assert "text" in summary.detail
+    assert (await text.get(group))[0] == []
+    assert len((await audio.get())[0]) == 4  # the original descriptor shows all
+    assert not (await audio.get())[1].HasField("cut_unix_nano")
+
+
+async def test_a_blocked_get_is_released_when_the_cut_comes(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t)
+    waiting = asyncio.create_task(left.get(group, wait_nanos=-1))
+    await right.put(t + 1)
+    await left.put(t + 2)
+    times, summary = await waiting
+    assert times == [t]
+    assert summary.cut_unix_nano > t
+
+
+async def test_a_blocked_get_ends_with_its_time_and_says_who_holds_it(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t)
+    times, summary = await left.get(group, wait_nanos=20 * MS)
+    assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
+    assert "right" in summary.detail
+
+
+async def test_a_get_may_read_at_an_earlier_cut(host: Host) -> None:
+    one, t = await host.open("one"), host.now() - S
+    group = host.directory.add_group("alone", [one])
+    await one.put(t, t + 1, t + 2)
+    assert (await one.get(group))[0] == [t, t + 1]
+    times, summary = await one.get(group, cut_unix_nano=t + 1)
+    assert (times, summary.cut_unix_nano) == ([t], t + 1)
+
+
+async def test_a_reader_that_has_seen_more_gets_nothing_rather_than_less(host: Host) -> None:
+    one, t = await host.open("one"), host.now() - S
+    group = host.directory.add_group("alone", [one])
+    await one.put(t, t + 1)
+    times, summary = await one.get(group, cut_floor_unix_nano=t + 5)
+    assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
+    assert summary.cut_unix_nano == t + 1  # the reader's word has not raised it
+    waiting = asyncio.create_task(one.get(group, cut_floor_unix_nano=t + 5, wait_nanos=10 * S))
+    await one.put(t + 5)
+    assert (await waiting)[0] == [t, t + 1]
+
+
+async def test_reading_through_a_group_that_is_not_there_or_has_not_the_channel_is_refused(host: Host) -> None:
+    one, other = await host.open("one"), await host.open("other")
+    group = host.directory.add_group("alone", [other])
+    for group_id, reason in (
+        (b"no group of this", error_pb2.ERROR_REASON_GROUP_NOT_FOUND),
+        (b"short", error_pb2.ERROR_REASON_GROUP_NOT_FOUND),
+        (group.group_id, error_pb2.ERROR_REASON_INVALID_ARGUMENT),
+    ):
+        request = channel_service_pb2.GetRequest(
+            call_id=1, channel_id=one.channel_id, epoch=1, group_id=group_id, interval=between(0, 1)
+        )
+        responses = [response async for response in host.channels.Get(iter((request,)))]
+        assert responses[-1].error.reason == reason
+
+
+async def test_a_subscription_brings_items_in_the_order_of_becoming_visible(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    reading = await left.subscribe(group).opened()
+    await left.put(t, t + 2, t + 4)
+    await right.put(t + 3)
+    assert await reading.take(2) == [t, t + 2]
+    await left.put(t + 1)
+    assert await reading.take(1) == [t + 1]
+    await right.put(t + 9)
+    await left.put(t + 9)
+    assert await reading.take(1) == [t + 4]
+
+
+async def test_a_subscription_to_the_newest_never_shows_what_is_hidden(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t, t + 2, t + 4)
+    reading = await left.subscribe(group, mode=channel_service_pb2.SUBSCRIBE_MODE_NEWEST).opened()
+    await right.put(t + 3)
+    assert await reading.take(1) == [t + 2]
+
+
+async def test_status_says_who_holds_the_cut_how_far_each_is_and_how_much_is_hidden(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t, t + 2, t + 4)
+    status = await host.status(group)
+    assert not status.HasField("cut_unix_nano")
+    assert list(status.waiting_on_channel_ids) == [right.channel_id]
+    await right.put(t + 1)
+    status = await host.status(group)
+    of = {member.times.channel_id: member for member in status.members}
+    assert (status.cut_unix_nano, list(status.waiting_on_channel_ids)) == (t + 1, [right.channel_id])
+    assert (of[left.channel_id].lead_nanos, of[left.channel_id].hidden_items) == (3, 2)
+    assert (of[right.channel_id].lead_nanos, of[right.channel_id].hidden_items) == (0, 1)
+    assert not of[left.channel_id].window_too_short
+
+
+async def test_get_cut_waits_for_what_the_caller_has_seen_and_says_if_that_does_not_come(host: Host) -> None:
+    one, t = await host.open("one"), host.now() - S
+    group = host.directory.add_group("alone", [one])
+    await one.put(t)
+    answer = await host.groups.GetCut(pb.GetCutRequest(group_id=group.group_id))
+    assert (answer.floor.cut_unix_nano, answer.stalled) == (t, False)
+    answer = await host.groups.GetCut(
+        pb.GetCutRequest(group_id=group.group_id, cut_floor_unix_nano=t + 1, wait_nanos=10 * MS)
+    )
+    assert (answer.floor.cut_unix_nano, answer.stalled) == (t, True)
+    assert list(answer.waiting_on_channel_ids) == [one.channel_id]
+
+
+async def test_cut_events_bring_each_item_once_and_late_ones_apart(host: Host) -> None:
+    text, video, t = await host.open("text"), await host.open("video"), host.now() - S
+    group = host.directory.add_group("tv", [text, video])
+    reader = CutReader(host, group, decides=True)
+    await reader.opened()
+    await video.put(*(t + at for at in range(10)))
+    await text.put(t + 5)
+    event = await reader.event()
+    assert (event.boundary.cut_unix_nano, list(event.boundary.incomplete_channel_ids)) == (t + 5, [])
+    assert (event.times(video), event.times(text)) == ([t + at for at in range(5)], [])
+    await video.put(t + 2)
+    await text.put(t + 8)
+    event = await reader.event()
+    assert (event.times(video), event.late(video), event.times(text)) == ([t + 5, t + 6, t + 7], [t + 2], [t + 5])
+    resumed = CutReader(host, group, decides=True, after=event.cursor(group))
+    await resumed.opened()
+    await text.put(t + 9)
+    assert (await resumed.event()).times(video) == [t + 8]
+
+
+async def test_a_member_that_lags_is_waited_for_and_then_named(host: Host) -> None:
+    text, video, t = await host.open("text"), await host.open("video"), host.now() - S
+    group = host.directory.add_group(
+        "tv", [text, video], reference=group_pb2.GROUP_REFERENCE_CHANNEL, reference_channel_id=text.channel_id
+    )
+    reader = CutReader(host, group, decides=True, max_wait_nanos=30 * MS)
+    await reader.opened()
+    await text.put(t)
+    event = await reader.event()
+    assert list(event.boundary.incomplete_channel_ids) == [video.channel_id]
+    await video.put(t - 1)
+    await text.put(t + 1)
+    assert (await reader.event()).late(video) == [t - 1]
+
+
+async def test_a_place_of_another_incarnation_is_refused(host: Host) -> None:
+    one = await host.open("one")
+    group = host.directory.add_group("alone", [one])
+    reader = CutReader(host, group, after=pb.CutCursor(incarnation=group.incarnation + 2, cut_unix_nano=5))
+    with pytest.raises(grpc.aio.AioRpcError) as caught:
+        await reader.opened()
+    assert "incarnation" in (caught.value.details() or "")
+
+
+async def test_matches_pair_the_nearest_items(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("stereo", [left, right])
+    await left.put(t + 10, t + 20)
+    request = pb.SubscribeMatchesRequest(
+        group_id=group.group_id,
+        per_channel_id=left.channel_id,
+        epoch=1,
+        tolerance_nanos=3,
+        after=item_pb2.ItemPosition(time_unix_nano=t),
+    )
+    call = host.groups.SubscribeMatches(request)
+    await right.put(t + 9, t + 12, t + 40)
+    found: list[pb.ItemMatch] = []
+    async with asyncio.timeout(10):
+        while len(found) < 2:
+            response = await call.read()
+            found += response.matches
+    assert [list(one.item.run.time_unix_nano) for one in found] == [[t + 10], [t + 20]]
+    assert [[near.position.time_unix_nano for near in one.matched] for one in found] == [[t + 9], []]
+    assert found[0].matched[0].item.run.payloads == str(t + 9).encode()
+    assert list(found[1].unmatched_channel_ids) == [right.channel_id]
+    assert response.unmatched == 1
+
+
+async def test_a_group_that_is_deleted_ends_its_streams(host: Host) -> None:
+    one = await host.open("one")
+    group = host.directory.add_group("alone", [one])
+    reading = await one.subscribe(group).opened()
+    del host.directory.groups[group.group_id]
+    with pytest.raises(grpc.aio.AioRpcError) as caught:
+        await reading.take(1)
+    assert caught.value.code() is grpc.StatusCode.NOT_FOUND
+
+
+async def test_a_member_that_is_removed_releases_the_cut(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t, t + 1)
+    assert (await left.get(group))[0] == []
+    record = host.directory.groups[group.group_id]
+    record.spec.channel_ids.remove(right.channel_id)
+    record.spec_version += 1
+    status = await host.until_cut(group, t + 1)
+    assert [member.times.channel_id for member in status.members] == [left.channel_id]
