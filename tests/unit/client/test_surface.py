@@ -15,6 +15,9 @@ from stampede_rt.v1 import (
     gatekeeper_service_pb2,
     group_directory_service_pb2,
     group_service_pb2,
+    peer_service_pb2,
+    queue_directory_service_pb2,
+    queue_service_pb2,
 )
 
 METHODS = {
@@ -46,6 +49,21 @@ METHODS = {
     "SubscribeCuts": st.Group.subscribe,
     "SubscribeMatches": st.Group.match,
     "GetGroupStatus": st.Group.status,
+    "OpenQueue": st.Connection.queue,
+    "ResolveQueue": st.Connection.send,  # and every other call of a queue's handle whose place is not cached
+    "UpdateQueue": st.Queue.configure,
+    "DeleteQueue": st.Queue.delete,
+    "ListQueues": st.Connection.queues,
+    "Enqueue": st.Queue.put,
+    "Take": st.Queue.get,
+    "Settle": st.Message.ack,
+    "GetQueueStatus": st.Queue.stats,
+    "RegisterPeer": st.connect,
+    "RenewPeerLease": st.connect,
+    "DeregisterPeer": st.Connection.close,
+    "ResolvePeer": st.Connection.peer,
+    "ListPeers": st.Connection.peers,
+    "WatchPeers": st.Connection.watch_peers,
 }
 # What hosts ask of supernodes, and of each other.
 OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel", "ExchangeTimes"}
@@ -60,6 +78,9 @@ def test_every_rpc_for_callers_has_a_method() -> None:
         gatekeeper_service_pb2,
         group_directory_service_pb2,
         group_service_pb2,
+        peer_service_pb2,
+        queue_directory_service_pb2,
+        queue_service_pb2,
     )
     services = [service for module in modules for service in module.DESCRIPTOR.services_by_name.values()]
     rpcs = {method.name for service in services for method in service.methods}
@@ -75,8 +96,14 @@ def test_every_rpc_for_callers_has_a_method() -> None:
         "CutSubscription",
         "Group",
         "GroupChannel",
+        "Listener",
+        "Mailbox",
         "MatchSubscription",
+        "Message",
+        "PeerWatch",
         "Producer",
+        "Queue",
+        "Sampler",
         "Subscription",
         "Watch",
     ],
@@ -92,7 +119,22 @@ def test_both_clients_have_the_same_names_and_arguments(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "owner", [st, aio, st.Channel, st.Connection, st.Producer, st.Subscription, st.Watch, st.Items]
+    "owner",
+    [
+        st,
+        aio,
+        st.Channel,
+        st.Connection,
+        st.Producer,
+        st.Subscription,
+        st.Watch,
+        st.Items,
+        st.Queue,
+        st.Mailbox,
+        st.Message,
+        st.Listener,
+        st.Sampler,
+    ],
 )
 def test_everything_public_explains_itself(owner: object) -> None:
     for name in getattr(owner, "__all__", vars(owner)):

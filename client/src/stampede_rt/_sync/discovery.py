@@ -7,10 +7,11 @@ from typing import Any
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt._sync.watch import PeerWatch, Watch
-from stampede_rt.errors import HostNotFound
+from stampede_rt.errors import HostNotFound, PeerNotFound, QueueNotFound
 from stampede_rt.grouping import GroupInfo
 from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.peering import PeerInfo
+from stampede_rt.policy import parse_name
 from stampede_rt.queueing import QueueInfo
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
@@ -61,6 +62,17 @@ class Discovery:
             found += [peer_info(record) for record in page.peers if record.alive or include_dead]
         return found
 
+    def peer(self, name: str) -> PeerInfo:
+        """The live participant with that name. Raises PeerNotFound."""
+        request = peer_pb.ResolvePeerRequest(name=parse_name(name, "peer"))
+        try:
+            found = peer_info((self._session.supernodes.call("ResolvePeer", request, CALL_TIMEOUT_S)).peer)
+        except QueueNotFound as error:  # how the contract says it
+            raise peer_not_found(name) from error
+        if not found.alive:
+            raise peer_not_found(name)
+        return found
+
     def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
         """The channel hosts, in the order of names."""
         found: list[HostInfo] = []
@@ -108,3 +120,9 @@ class Discovery:
     def watch_peers(self, name_glob: str = "*") -> PeerWatch:
         """Changes of participants whose names match, from now on: an iterator and context manager."""
         return PeerWatch(self._session, name_glob)
+
+
+def peer_not_found(name: str) -> PeerNotFound:
+    """No live participant has that name."""
+    text = f"no live peer is named {name!r}; `peers` lists those there are"
+    return PeerNotFound(text, metadata={"peer": name})

@@ -136,10 +136,7 @@ class Queue(Taking):
         doubled. Raises ChannelFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
         item = Single.parse(self._state.coding, payload, None, None, attributes, content_type)
-        wait = Wait.parse(timeout)
-        if self.info.policy.on_full not in (None, "block"):
-            wait = Wait(0)
-        return (self._puts.put(self._numbers, item, wait)).first_seq
+        return (self._puts.put(self._numbers, item, Wait.parse(timeout))).first_seq
 
     def configure(
         self,

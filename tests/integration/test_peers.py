@@ -1,0 +1,155 @@
+"""Participants: they register by name, are found, keep their leases, leave, and come back."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import sys
+import threading
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+
+STAY = """
+import sys, time
+import stampede_rt as st
+with st.connect(sys.argv[1], name=sys.argv[2], proof="0123456789abcdef") as rt:
+    print("in", flush=True)
+    sys.stdin.read()
+"""
+
+
+def names(rt: st.Connection, glob: str = "*") -> list[str]:
+    return [peer.name for peer in rt.peers(glob)]
+
+
+def test_a_named_connection_is_listed_while_it_is_open(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as watching:
+        with st.connect(cluster.address, name="list/me", zone="lab") as rt:
+            found = watching.peer("list/me")
+            assert (found.name, found.alive, found.zone, rt.name) == ("list/me", True, "lab", "list/me")
+            assert found.mailbox_queue_id == rt.mailbox.info.queue_id
+            assert names(watching, "list/*") == ["list/me"]
+        assert names(watching, "list/*") == []
+        with pytest.raises(st.PeerNotFound, match="list/me"):
+            watching.peer("list/me")
+
+
+def test_a_connection_without_a_name_is_nobody_in_particular(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        before = rt.peers(include_dead=True)
+        with st.connect(cluster.address) as nameless:
+            assert rt.peers(include_dead=True) == before
+            with pytest.raises(st.InvalidArgument, match='connect\\(name="planner"\\)'):
+                _ = nameless.mailbox
+
+
+def test_a_second_live_peer_of_a_name_is_refused_and_told_why(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, name="only/one") as first:
+        with pytest.raises(st.PeerExists, match="the name 'only/one' is taken"):
+            st.connect(cluster.address, name="only/one")
+        with pytest.raises(st.PeerExists):
+            st.connect(cluster.address, name="only/one", proof="quite another proof")
+        assert names(first, "only/*") == ["only/one"]
+    with st.connect(cluster.address, name="only/one") as second:
+        assert names(second, "only/*") == ["only/one"]
+
+
+def test_a_refused_connection_leaves_nothing_running(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, name="quiet"):
+        before = threading.active_count()
+        with pytest.raises(st.PeerExists):
+            st.connect(cluster.address, name="quiet")
+        assert threading.active_count() <= before
+
+
+def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        process = subprocess.Popen(
+            [sys.executable, "-c", STAY, cluster.address, "phoenix"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        with process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "in\n"
+            rt.send("phoenix", b"while it was alive")
+            process.kill()
+        with pytest.raises(st.PeerExists):
+            st.connect(cluster.address, name="phoenix")
+        with st.connect(cluster.address, name="phoenix", proof="0123456789abcdef") as again:
+            message = again.mailbox.get(timeout=10)
+            assert message is not None
+            assert message.payload == b"while it was alive"
+
+
+@pytest.mark.parametrize("proof", ["short", 7])
+def test_a_proof_that_anybody_could_guess_is_refused(cluster: LocalCluster, proof: Any) -> None:
+    with pytest.raises(st.InvalidArgument, match="token_hex"):
+        st.connect(cluster.address, name="weak", proof=proof)
+
+
+def test_coming_and_going_is_watched(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt, rt.watch_peers("seen/*") as changes:
+        with st.connect(cluster.address, name="seen/one"), st.connect(cluster.address, name="unseen/one"):
+            change = next(changes)
+            assert (change.kind, change.peer.name, change.peer.alive) == ("added", "seen/one", True)
+        assert next(changes).kind == "removed"
+
+
+async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:
+    async with aio.connect(cluster.address) as rt, rt.watch_peers("aio/*") as changes:
+        async with aio.connect(cluster.address, name="aio/one"):
+            assert [peer.name for peer in await rt.peers("aio/*")] == ["aio/one"]
+            with pytest.raises(st.PeerExists):
+                await aio.connect(cluster.address, name="aio/one")
+        assert [(await anext(changes)).kind for _ in range(2)] == ["added", "removed"]
+
+
+def test_a_lease_is_kept_and_one_that_ended_is_taken_again(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, name="sleeper") as rt:
+        presence: Any = rt._presence
+        first = rt.peer("sleeper")
+        leave(rt)
+        assert names(rt, "sleeper") == []
+        presence._wake.set()  # it is time to renew
+        with rt.watch_peers("sleeper") as changes:
+            while "sleeper" not in names(rt):
+                assert next(changes).kind in ("added", "updated")
+        again = rt.peer("sleeper")
+        assert (again.peer_id, again.boot_incarnation) == (first.peer_id, first.boot_incarnation)
+        rt.send("sleeper", b"good morning")
+        message = rt.mailbox.get(timeout=10)
+        assert message is not None
+        assert message.payload == b"good morning"
+
+
+def leave(rt: st.Connection) -> None:
+    """What the directory does when a lease has ended: the peer and its mailbox are gone."""
+    from stampede_rt.v1 import peer_service_pb2
+
+    peer = rt.peer(rt.name)
+    request = peer_service_pb2.DeregisterPeerRequest(
+        request_id=bytes(16), peer_id=peer.peer_id, boot_incarnation=peer.boot_incarnation
+    )
+    rt._session.supernodes.call("DeregisterPeer", request, 5.0)
+
+
+def test_many_named_connections_come_and_go_at_once(cluster: LocalCluster) -> None:
+    async def all_of_them() -> set[str]:
+        made = await asyncio.gather(*(aio.connect(cluster.address, name=f"many/{number}") for number in range(20)))
+        found = {peer.name for peer in await made[0].peers("many/*")}
+        await asyncio.gather(*(one.aclose() for one in made))
+        return found
+
+    assert len(asyncio.run(all_of_them())) == 20
+    with st.connect(cluster.address) as rt:
+        assert names(rt, "many/*") == []
