@@ -8,10 +8,27 @@ from collections.abc import AsyncIterator
 import grpc
 import pytest
 
-from stampede_rt.v1 import error_pb2, item_pb2
+from stampede_rt.errors import Unavailable
+from stampede_rt.v1 import error_pb2, item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.queues import take_stream
 from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.queues.rig import MS, QueueRig, S, ack, extend, nack, run_of, running_queue_host
+from tests.unit.queues.rig import (
+    MS,
+    Delivered,
+    OpenedQueue,
+    QueueRig,
+    S,
+    TakeCall,
+    ack,
+    delivered_in,
+    extend,
+    host_of,
+    nack,
+    queue_directory,
+    run_of,
+    running_queue_host,
+)
 
 
 @pytest.fixture
@@ -189,3 +206,167 @@ async def test_a_stream_whose_caller_has_closed_its_side_ends_when_its_credit_is
     await queue.put(b"x")
     assert (await taker.items(1))[0].payload == b"x"
     assert await taker.ended() == grpc.StatusCode.OK
+
+
+async def test_an_item_delivered_too_often_moves_to_the_dead_letter_queue_of_another_host() -> None:
+    async with (
+        queue_directory() as directory,
+        host_of(directory) as rig,
+        host_of(directory, host_id=b"the-other-host-1", name="h2") as other,
+    ):
+        graveyard = other.open("dead")
+        queue = rig.open(max_deliveries=2, dead_letter_queue_id=graveyard.queue_id, content_type="image/jpeg")
+        await queue.put(b"poison", b"good", attributes={"k": "v"})
+        taker = await queue.take(credit=1).open()
+        for _ in range(2):
+            (item,) = await taker.items(1)
+            await taker.settled(nack(item))
+            await taker.send(credit=1)
+        assert (await taker.items(1))[0].payload == b"good"
+        await queue.until(lambda status: status.counters.dead_lettered == 1)
+        (dead,) = await (await graveyard.take(credit=1).open()).items(1)
+        assert (dead.payload, dead.run.run.content_type, dead.delivery) == (b"poison", "image/jpeg", 1)
+        assert dict(dead.run.run.attributes) == {"k": "v"}
+        counters = (await queue.status()).counters
+        assert (counters.held, counters.expelled, counters.accepted) == (1, 0, 2)
+
+
+async def test_an_item_stays_until_the_dead_letter_queue_takes_it() -> None:
+    async with queue_directory() as directory, host_of(directory) as rig:
+        graveyard = rig.open("dead", max_items=1, on_full=queue_pb2.QUEUE_ON_FULL_REJECT)
+        queue = rig.open(max_deliveries=1, dead_letter_queue_id=graveyard.queue_id)
+        await graveyard.put(b"in the way")
+        await queue.put(b"poison")
+        taker = await queue.take(credit=1).open()
+        await taker.settled(nack((await taker.items(1))[0]))
+        await graveyard.until(lambda status: status.counters.rejected_full > 0)
+        assert (await queue.status()).counters.held == 1
+        clearing = await graveyard.take(credit=2).open()
+        await clearing.settled(ack((await clearing.items(1))[0]))
+        assert (await clearing.items(1))[0].payload == b"poison"
+        await queue.until(lambda status: status.counters.dead_lettered == 1)
+
+
+async def test_an_item_delivered_too_often_is_expelled_where_no_dead_letter_queue_is_named(rig: QueueRig) -> None:
+    queue = rig.open(max_deliveries=1)
+    await queue.put(b"poison")
+    taker = await queue.take(credit=1).open()
+    await taker.settled(nack((await taker.items(1))[0]))
+    assert (await queue.status()).counters.expelled == 1
+
+
+async def test_a_changed_set_up_holds_as_soon_as_the_directory_tells_of_it(rig: QueueRig) -> None:
+    queue = rig.open(max_items=1)
+    await queue.put(b"a")
+    await rig.directory.called("Watch", times=1)
+    waiting = asyncio.create_task(queue.put(b"b"))
+    await queue.until(lambda status: status.waiting_enqueues == 1)
+    queue.record.spec.max_items, queue.record.spec_version = 2, 2
+    rig.directory.tell(queue.record)
+    assert (await waiting).first_seq == 2
+
+
+async def test_takers_of_a_deleted_queue_are_told_and_its_items_are_gone(rig: QueueRig) -> None:
+    queue = rig.open()
+    taker = await queue.take(credit=1).open()
+    await rig.directory.called("Watch", times=1)
+    await rig.directory.called("ResolveQueue", times=2)  # what may have been missed before the watch began
+    del rig.directory.queues[queue.queue_id]
+    rig.directory.tell(queue.record)
+    assert await taker.ended() == grpc.StatusCode.NOT_FOUND
+    assert rig.host.queues.all() == []
+
+
+async def test_what_a_broken_watch_missed_is_asked_for(rig: QueueRig) -> None:
+    queue = rig.open()
+    taker = await queue.take(credit=1).open()
+    await rig.directory.called("Watch", times=1)
+    queue.record.host_id, queue.record.epoch = b"another-host-id!", 2
+    rig.directory.break_watches()
+    assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
+
+
+async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_items() -> None:
+    async with queue_directory(lease_ttl_nanos=S) as directory, host_of(directory) as rig:
+        queue = rig.open()
+        await queue.put(b"a")
+        taker = await queue.take(credit=2).open()
+        (item,) = await taker.items(1)
+        directory.refuse["RenewHostLease"] = Unavailable("no majority")
+        assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
+        (acked,) = await queue.enqueue(run_of(b"x"))
+        assert acked.error.reason == error_pb2.ERROR_REASON_NOT_HERE
+        directory.refuse.clear()
+        again = await _taken_again(queue)
+        (result,) = await again.settled(ack(item))
+        assert not result.HasField("error")
+
+
+async def test_another_incarnation_begins_with_an_empty_queue(rig: QueueRig) -> None:
+    queue = rig.open()
+    await queue.put(b"lost")
+    taker = await queue.take(credit=1).open()
+    queue.record.epoch, queue.record.incarnation = 2, queue.record.incarnation + 1
+    status = await queue.rig.stub.GetQueueStatus(pb.GetQueueStatusRequest(queue_id=queue.queue_id, epoch=2))
+    assert status.status.counters.accepted == 0
+    assert await taker.ended() == grpc.StatusCode.FAILED_PRECONDITION
+
+
+async def test_a_thousand_waiting_takers_are_served_in_turn(rig: QueueRig) -> None:
+    queue = rig.open()
+    calls = [await queue.take(taker_id=number, credit=1).open() for number in range(1, 1001)]
+    await queue.until(lambda status: status.waiting_takers == 1000)
+    await queue.enqueue(*[run_of(*[b"%d" % (part * 250 + place) for place in range(250)]) for part in range(4)])
+    found = [(await call.items(1))[0].payload for call in calls]
+    assert found == [b"%d" % number for number in range(1000)]
+    assert (await queue.status()).waiting_takers == 0
+
+
+async def test_a_taker_is_shown_a_sign_of_life(rig: QueueRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(take_stream, "SIGN_OF_LIFE_SECONDS", 0.01)
+    taker = await rig.open().take(credit=1).open()
+    assert await taker.read() == pb.TakeResponse()
+
+
+async def test_the_hosts_memory_bounds_all_queues_together() -> None:
+    async with running_queue_host(memory_bytes_max=2**20) as rig:
+        first, second = rig.open("a"), rig.open("b")
+        await first.put(bytes(2**20 - 4096))
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await second.put(bytes(8192))
+        assert caught.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert (await second.status()).counters.accepted == 0
+
+
+async def test_large_deliveries_come_in_messages_of_a_mebibyte(rig: QueueRig) -> None:
+    queue = rig.open()
+    await queue.enqueue(*[run_of(bytes(300_000)) for _ in range(10)])
+    await queue.enqueue(run_of(bytes(2**21)), run_of(b"last"))
+    taker = await queue.take(credit=100).open()
+    sizes = []
+    taken: list[Delivered] = []
+    while len(taken) < 12:
+        response = await taker.read()
+        taken += delivered_in(response)
+        sizes.append(response.ByteSize())
+    assert [one.seq for one in taken] == list(range(1, 13))
+    assert sorted(sizes)[-2] <= 2**20 < sorted(sizes)[-1]
+
+
+async def test_a_host_that_stops_says_so_to_takers_and_producers() -> None:
+    async with queue_directory() as directory, host_of(directory) as rig:
+        queue = rig.open(max_items=1)
+        taker = await queue.take().open()
+        server_stops = asyncio.create_task(rig.host.leave())
+        assert await taker.ended() == grpc.StatusCode.UNAVAILABLE
+        await server_stops
+
+
+async def _taken_again(queue: OpenedQueue) -> TakeCall:
+    """A stream, opened as soon as the host may serve again."""
+    async with asyncio.timeout(20):
+        while True:
+            try:
+                return await queue.take().open()
+            except (AssertionError, grpc.aio.AioRpcError):
+                continue

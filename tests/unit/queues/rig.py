@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -158,7 +159,11 @@ class TakeCall:
         return self.results[before:]
 
     async def ended(self) -> grpc.StatusCode:
+        """How the stream ended, once it has; what comes before is read and dropped."""
         async with asyncio.timeout(WAIT_SECONDS_MAX):
+            with contextlib.suppress(grpc.aio.AioRpcError):
+                while await self.call.read() is not grpc.aio.EOF:
+                    pass
             code: grpc.StatusCode = await self.call.code()
         return code
 

@@ -21,12 +21,14 @@ from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.cluster.queue_watch import watch_queues_forever
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.group_servicer import GroupServicer
 from stampede_rt_channel_host.groups.reading import GroupReads
 from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_channel_host.queues.dead_letters import DeadLetterMover
 from stampede_rt_channel_host.queues.queue_servicer import QueueServicer
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
@@ -69,13 +71,17 @@ class ChannelHost:
             lease_held=self._registration.lease_held,
             memory_bytes_max=memory_bytes_max,
         )
+        queue_directory = QueueDirectory(self._supernodes)
         self.queues = QueueStore(
             identity,
-            QueueDirectory(self._supernodes),
+            queue_directory,
             MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos),
             now=self.store.now,
             lease_held=self._registration.lease_held,
-            on_departures=lambda hosted: None,
+            on_departures=lambda hosted: self._dead_letters.departures(hosted),
+        )
+        self._dead_letters = DeadLetterMover(
+            queue_directory, dial, may_move=self.queues.holds, on_defect=lambda failure: self._on_defect(failure)
         )
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: self._supernodes.cluster_id
@@ -106,6 +112,7 @@ class ChannelHost:
         self._start(sweep_forever(self.store), "sweep")
         self._start(self.groups.keep(), "groups")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
+        self._start(watch_queues_forever(self._supernodes, self.queues), "queue watch")
 
     async def leave(self) -> None:
         """Deregister, then tell whoever waits and all streams that the host goes. Ends an `enter` under way."""
@@ -115,6 +122,7 @@ class ChannelHost:
             self._entering.cancel()
         self.store.close()
         self.queues.close()
+        self._dead_letters.close()
         await self._registration.leave()
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)

@@ -7,7 +7,7 @@ import logging
 import random
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from typing import Any, NamedTuple
 
 import grpc
@@ -84,6 +84,26 @@ class Supernodes:
                 logger.debug("directory call failed", extra={"method": method, "why": str(error)})
             await asyncio.sleep(delay_s)
             await self._rebind(backoff.deadline_s)
+
+    async def stream(self, method: str, request: Any) -> AsyncGenerator[Any, None]:
+        """The responses of a call of DirectoryService that goes on; of one supernode, the next time of another.
+
+        Raises what ended it, or Unavailable. Close the iterator to end the call.
+        """
+        if not self._targets:
+            await self.bind(time.monotonic() + BIND_SECONDS_MAX)
+        if not self._targets:
+            raise Unavailable("the front-ends name no supernode")
+        target = self._targets[-1]  # not the leader, if there are others: it has more to do
+        call = getattr(directory_service_pb2_grpc.DirectoryServiceStub(self._channel(target)), method)(request)
+        try:
+            async for response in call:
+                yield response
+        except grpc.RpcError as error:
+            self._prefer(target)  # so that another one is last
+            raise from_rpc_error(error, target) from error
+        finally:
+            call.cancel()
 
     async def bind(self, deadline_s: float) -> None:
         """Ask the front-ends, one after the other, for the supernodes. Raises Unavailable, VersionMismatch, ..."""

@@ -49,6 +49,7 @@ class QueueStore:
         self._asking: dict[bytes, asyncio.Lock] = {}
         self._closing: StampedeError | None = None
         self._registrations = 0
+        self.in_use = asyncio.Event()  # set once a queue is used here
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
         """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""
@@ -131,9 +132,13 @@ class QueueStore:
         """All queues that were used here."""
         return list(self._queues.values())
 
+    def ids(self) -> list[bytes]:
+        """The ids of all queues that were used here."""
+        return list(self._queues)
+
     def holds(self, hosted: HostedQueue) -> bool:
-        """The queue is still this host's, as far as it knows."""
-        return self._queues.get(hosted.record.queue_id) is hosted
+        """The queue is this host's, and the host may serve."""
+        return self._lease_held() and self._queues.get(hosted.record.queue_id) is hosted
 
     def footprint_bytes(self) -> int:
         """What all queues take of the host's memory."""
@@ -188,6 +193,7 @@ class QueueStore:
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, which is the most; use another")
         self._queues[record.queue_id] = HostedQueue(record, self._memory, self.now, self._on_departures)
+        self.in_use.set()
 
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:
         hosted = self._queues.pop(queue_id, None)

@@ -1,0 +1,170 @@
+"""Moves items that were delivered too often to the dead-letter queue, wherever that lives (paper, section 3.5).
+
+An item stays until the other queue has acknowledged it. The move is an enqueue like any other, from a producer whose
+id follows from the queue and whose numbers follow from the items' seqs: one that is tried again, by any host, is not
+doubled. A refusal is an answer that would only be repeated, so that the next try has another number.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import random
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.status import from_error_message, from_rpc_error
+from stampede_rt.v1 import channel_service_pb2, item_pb2, queue_pb2, raw_run_pb2
+from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt.wire.runs import select_items
+from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.core.queue import Departure
+from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
+from stampede_rt_channel_host.queues.refusals import shown
+
+logger = logging.getLogger(__name__)
+
+ITEMS_PER_ATTEMPT_MAX = 16
+ATTEMPT_SECONDS_MAX = 10.0
+ROOM_WAIT_NANOS = 2_000_000_000
+"""How long an attempt waits for room in a dead-letter queue that blocks."""
+_PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.1, 30.0
+_SEQ_BITS = 48  # of a number; above them it counts refusals
+_ENQUEUE = "/stampede_rt.v1.QueueService/Enqueue"
+
+
+class DeadLetterMover:
+    """One task for each queue that has something to move; it tries until all is moved, with growing pauses.
+
+    `may_move` says whether the queue is still this host's; `on_defect` hears of a task that died.
+    """
+
+    def __init__(
+        self,
+        directory: QueueDirectory,
+        dial: Callable[[str], grpc.aio.Channel],
+        *,
+        may_move: Callable[[HostedQueue], bool],
+        on_defect: Callable[[BaseException], None],
+    ) -> None:
+        self._directory = directory
+        self._dial = dial
+        self._may_move = may_move
+        self._on_defect = on_defect
+        self._tasks: dict[HostedQueue, asyncio.Task[None]] = {}
+
+    def departures(self, hosted: HostedQueue) -> None:
+        """The queue has items to move. Idempotent."""
+        if hosted not in self._tasks:
+            task = asyncio.create_task(self._move_all(hosted), name="dead letters")
+            self._tasks[hosted] = task
+            task.add_done_callback(lambda done: self._ended(hosted, done))
+
+    def close(self) -> None:
+        """Move no more."""
+        for task in list(self._tasks.values()):
+            task.cancel()
+
+    def _ended(self, hosted: HostedQueue, task: asyncio.Task[None]) -> None:
+        del self._tasks[hosted]
+        if not task.cancelled() and (failure := task.exception()) is not None:
+            logger.error("moving dead letters died", exc_info=failure)
+            self._on_defect(failure)
+
+    async def _move_all(self, hosted: HostedQueue) -> None:
+        pause_s, refusals = _PAUSE_SECONDS_MIN, Counter[int]()
+        while hosted.queue.is_moving_out and self._may_move(hosted):  # paced by its pauses, ends with the queue
+            try:
+                await self._attempt(hosted, refusals)
+                pause_s = _PAUSE_SECONDS_MIN
+            except StampedeError as error:
+                extra = {"queue": shown(hosted.record), "why": str(error)}
+                logger.warning("dead letters are not moved yet", extra=extra)
+                await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
+                pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
+
+    async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
+        """Move some. Raises what kept any of them. `refusals` counts by seq."""
+        found = await self._directory.resolve(hosted.record.spec.dead_letter_queue_id)
+        if not found.host.alive or not found.host.gatekeepers:
+            raise Unavailable(f"the dead-letter queue {shown(found.queue)} has no live host at present")
+        target = found.host.gatekeepers[0].target
+        items = hosted.queue.departing(ITEMS_PER_ATTEMPT_MAX)
+        connection = self._dial(target)
+        try:
+            async with asyncio.timeout(ATTEMPT_SECONDS_MAX):
+                acks = await _enqueue(connection, _requests(hosted.record, found.queue, items, refusals))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, target) from error
+        except TimeoutError:
+            raise Unavailable(f"{target} did not take the items in {ATTEMPT_SECONDS_MAX:g} s") from None
+        finally:
+            await connection.close(None)
+        _conclude(hosted, items, acks, refusals)
+
+
+def producer_id_of(record: queue_pb2.QueueRecord) -> int:
+    """As whom a queue puts into others: the same number at whichever host it is; never 0."""
+    about = record.queue_id + record.incarnation.to_bytes(8, "little")
+    return int.from_bytes(hashlib.blake2b(about, digest_size=8).digest(), "little") | 1
+
+
+def _requests(
+    source: queue_pb2.QueueRecord, target: queue_pb2.QueueRecord, items: Sequence[Departure], refusals: Counter[int]
+) -> list[bytes]:
+    """One for each item, since several together might exceed the limit of a request."""
+    requests = []
+    for item in items:
+        put = raw_run_pb2.RawPutRun(
+            first_number=refusals[item.seq] << _SEQ_BITS | item.seq,
+            wait_nanos=ROOM_WAIT_NANOS,
+            run=_run_of(item, source.spec.content_type),
+        )
+        request = raw_run_pb2.RawPutRequest(
+            channel_id=target.queue_id, epoch=target.epoch, producer_id=producer_id_of(source), puts=[put]
+        )
+        requests.append(request.SerializeToString())
+    return requests
+
+
+def _run_of(item: Departure, content_type: str) -> bytes:
+    """The item as its producer put it. What it took from its queue's set-up goes along: the other's may differ."""
+    alone = select_items(item.run.body, [item.place])
+    if content_type and not item_pb2.ItemRun.FromString(alone).content_type:
+        return alone + item_pb2.ItemRun(content_type=content_type).SerializeToString()
+    return alone
+
+
+async def _enqueue(connection: grpc.aio.Channel, requests: Sequence[bytes]) -> list[channel_service_pb2.PutAck]:
+    enqueue: Any = connection.stream_stream(_ENQUEUE, response_deserializer=pb.EnqueueResponse.FromString)
+    acks: list[channel_service_pb2.PutAck] = []
+    async for response in enqueue(iter(requests)):
+        acks += response.acks
+    if len(acks) != len(requests):
+        raise Unavailable(f"the dead-letter queue answered {len(acks)} of {len(requests)} enqueues")
+    return acks
+
+
+def _conclude(
+    hosted: HostedQueue,
+    items: Sequence[Departure],
+    acks: Sequence[channel_service_pb2.PutAck],
+    refusals: Counter[int],
+) -> None:
+    """What was taken has left; what was not lets the others go first. Raises the last refusal."""
+    failure: StampedeError | None = None
+    for item, ack in zip(items, acks, strict=True):
+        if ack.HasField("first_seq"):
+            hosted.departed(item.seq)
+            del refusals[item.seq]
+            continue
+        refusals[item.seq] += len(ack.rejections)
+        failure = from_error_message(ack.rejections[0].error if ack.rejections else ack.error)
+        hosted.queue.postpone_departure(item.seq)
+    if failure is not None:
+        raise failure
