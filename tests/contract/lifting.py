@@ -1,0 +1,61 @@
+"""Blocking queues and their messages behind the awaitable face of `stampede_rt.aio`."""
+
+from __future__ import annotations
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import stampede_rt as st
+
+_LIFTED = (st.Queue, st.Mailbox, st.Message, st.Connection)
+
+
+def lifted(value: Any, pool: ThreadPoolExecutor | None) -> Any:
+    """`value` with awaitable methods; without a pool it has them already."""
+    return Lifted(value, pool) if pool is not None and isinstance(value, _LIFTED) else value
+
+
+class Lifted:
+    """A blocking object whose methods are awaited, and give such objects again."""
+
+    def __init__(self, wrapped: Any, pool: ThreadPoolExecutor) -> None:
+        self._wrapped = wrapped
+        self._pool = pool
+
+    async def _run(self, function: Any, *args: Any, **kwargs: Any) -> Any:
+        call = asyncio.get_running_loop().run_in_executor(self._pool, lambda: function(*args, **kwargs))
+        return lifted(await call, self._pool)
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._wrapped, {"aclose": "close"}.get(name, name))
+        if not callable(value):
+            return lifted(value, self._pool)
+
+        async def call(*args: Any, **kwargs: Any) -> Any:
+            plain = {key: one._wrapped if isinstance(one, Lifted) else one for key, one in kwargs.items()}
+            return await self._run(value, *args, **plain)
+
+        return call
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Lifted) and other._wrapped == self._wrapped
+
+    def __hash__(self) -> int:
+        return hash(self._wrapped)
+
+    async def __aenter__(self) -> Any:
+        await self._run(self._wrapped.__enter__)
+        return self
+
+    async def __aexit__(self, *error: Any) -> None:
+        await self._run(self._wrapped.__exit__, *error)
+
+    def __aiter__(self) -> Lifted:
+        return self
+
+    async def __anext__(self) -> Any:
+        found = await self._run(next, self._wrapped, None)
+        if found is None:
+            raise StopAsyncIteration
+        return found
