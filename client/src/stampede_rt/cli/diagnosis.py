@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from statistics import median_low
 
 from stampede_rt.timeline import format_duration
 
@@ -145,7 +144,8 @@ def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
     if not offsets:
         return
-    middle, doubt = median_low(offsets.values()), max(one.round_trip_nanos or 0 for one in offsets)
+    middle = sorted(offsets.values())[(len(offsets) - 1) // 2]
+    doubt = max(one.round_trip_nanos or 0 for one in offsets)
     allowed = CLOCK_OFFSET_NANOS_MAX + doubt
     off = {one: offset - middle for one, offset in offsets.items() if abs(offset - middle) > allowed}
     advice = [f"that of {one.part} is {_ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]

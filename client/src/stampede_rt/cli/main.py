@@ -9,12 +9,15 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
 
 from stampede_rt.cli import data, discovery, doctor, group, rates
 from stampede_rt.cli.arguments import VerbParser
 from stampede_rt.errors import StampedeError
 from stampede_rt.version import VERSION
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 FAILED, MISUSED, NOTHING, INTERRUPTED = 1, 2, 3, 130
 
@@ -53,6 +56,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_service(verb: str, arguments: Sequence[str]) -> int:
+    from importlib.metadata import entry_points  # not at the top: what is no service starts faster without it
+
     found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
     if not found:
         extra = verb if verb in ("demo", "bench") else "server"

@@ -11,7 +11,6 @@ import grpc
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.tls import TlsFiles, TlsMaterial, TlsReader
 from stampede_rt.tls_diagnosis import check_own_certificate
-from stampede_rt_runtime.certificates import describe
 from stampede_rt_runtime.identity import Identity, Role
 
 logger = logging.getLogger(__name__)
@@ -62,6 +61,8 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
 
     Raises PermissionDenied if they are missing, expired, of another authority or role, or do not belong together.
     """
+    from stampede_rt_runtime.certificates import describe  # not at the top: a tenth of a service's start without it
+
     reader = TlsReader(files)
     check_own_certificate(reader)
     own = describe(reader.current().certificate)[0]
