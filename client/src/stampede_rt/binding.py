@@ -10,7 +10,10 @@ CACHE_ENTRIES_MAX = 100_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Binding:
-    """Where a channel's data is reached, and the epoch and incarnation that hold there."""
+    """Where a channel's data is reached, and the epoch and incarnation that hold there.
+
+    A queue's is the same with the queue's id as `channel_id`.
+    """
 
     channel_id: bytes
     target: str
@@ -20,11 +23,12 @@ class Binding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Owner:
-    """Which host owns a channel, under which epoch."""
+    """Which host owns a channel or queue, under which epoch; `incarnation` is for queues, 0 for channels."""
 
     host_id: bytes
     epoch: int
     spec_version: int
+    incarnation: int = 0
 
 
 @dataclass(slots=True)

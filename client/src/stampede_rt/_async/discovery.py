@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from stampede_rt._async.peer_place import peer_not_found
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt._async.watch import PeerWatch, Watch
-from stampede_rt.errors import HostNotFound, PeerNotFound, QueueNotFound
+from stampede_rt.errors import HostNotFound, QueueNotFound
 from stampede_rt.grouping import GroupInfo
 from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.peering import PeerInfo
@@ -121,9 +122,3 @@ class Discovery:
     def watch_peers(self, name_glob: str = "*") -> PeerWatch:
         """Changes of participants whose names match, from now on: an iterator and context manager."""
         return PeerWatch(self._session, name_glob)
-
-
-def peer_not_found(name: str) -> PeerNotFound:
-    """No live participant has that name."""
-    text = f"no live peer is named {name!r}; `peers` lists those there are"
-    return PeerNotFound(text, metadata={"peer": name})

@@ -32,13 +32,18 @@ class Settler:
         self._place = place
         self._taker_id = taker_id
 
-    async def settle(self, settlement: queue_pb2.Settlement) -> queue_pb2.SettlementResult:
-        """Settle one delivery; tried again until the host has heard. Raises LeaseExpired."""
+    async def settle(self, settlement: queue_pb2.Settlement, incarnation: int) -> queue_pb2.SettlementResult:
+        """Settle one delivery; tried again until the host has heard. Raises LeaseExpired.
+
+        In another incarnation of the queue than that of the delivery its id may be another delivery's.
+        """
         tries = 0
 
         async def settle_at(binding: Binding) -> queue_pb2.SettlementResult:
             nonlocal tries
             tries += 1
+            if binding.incarnation != incarnation:
+                raise LeaseExpired("the host of the queue was lost with all that it held, and this message with it")
             result = (await self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
@@ -51,12 +56,12 @@ class Settler:
     async def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
         """Give back what was never handed to anybody. What is not given back comes back when its lease ends."""
         for at in range(0, len(messages), SETTLEMENTS_MAX):
-            settlements = [one.given_back() for one in messages[at : at + SETTLEMENTS_MAX]]
 
             async def settle_at(
-                binding: Binding, settlements: Sequence[queue_pb2.Settlement] = settlements
+                binding: Binding, some: Sequence[Message] = messages[at : at + SETTLEMENTS_MAX]
             ) -> Sequence[queue_pb2.SettlementResult]:
-                return await self._settle_at(binding, settlements, timeout_s)
+                held = [one.given_back() for one in some if one.incarnation == binding.incarnation]
+                return await self._settle_at(binding, held, timeout_s) if held else ()
 
             await attempt(self._place, settle_at, timeout_s)
 
@@ -136,7 +141,7 @@ class Message:
 
     async def _send(self, settlement: queue_pb2.Settlement) -> queue_pb2.SettlementResult:
         settlement.delivery_id = self._delivery.delivery_id
-        return await self._settler.settle(settlement)
+        return await self._settler.settle(settlement, self.incarnation)
 
     def given_back(self) -> queue_pb2.Settlement:
         """What gives it back, at once."""

@@ -43,7 +43,9 @@ async def open_queue(
 
 def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord) -> QueueInfo:
     """The directory has told where a queue is."""
-    owner = Owner(host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version)
+    owner = Owner(
+        host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version, incarnation=record.incarnation
+    )
     session.cache.learn_owner(record.queue_id, owner, [endpoint.target for endpoint in host.gatekeepers])
     return queue_info(record, host)
 
@@ -70,7 +72,7 @@ class QueuePlace:
             channel_id=queue_id,
             target=targets[self._turn % len(targets)],
             epoch=owner.epoch,
-            incarnation=self._state.info.incarnation,
+            incarnation=owner.incarnation,
         )
 
     async def _resolve(self, deadline_s: float) -> None:

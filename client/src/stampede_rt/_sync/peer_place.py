@@ -35,10 +35,7 @@ class PeerPlace(QueuePlace):
         try:
             response = self._session.supernodes.call("ResolveQueue", request, left_s(deadline_s))
         except QueueNotFound as error:
-            raise PeerNotFound(
-                f"no live peer is named {name!r}, so that there is no mailbox; rt.peers() lists those there are",
-                metadata={"peer": name},
-            ) from error
+            raise peer_not_found(name) from error
         if not response.host.alive:
             raise Unavailable(f"the host of the mailbox of peer {name!r} is lost; the peer gets another soon")
         self._state.info = learn_queue(self._session, response.queue, response.host)
@@ -48,3 +45,8 @@ class PeerPlace(QueuePlace):
         super().explain(error)
         if isinstance(error, QueueNotFound):
             error.retryable = True
+
+
+def peer_not_found(name: str) -> PeerNotFound:
+    """No live participant has that name, and so there is no mailbox."""
+    return PeerNotFound(f"no live peer is named {name!r}; peers() lists those there are", metadata={"peer": name})
