@@ -4,29 +4,23 @@ from __future__ import annotations
 
 from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from hypothesis.stateful import initialize, invariant, rule
 
 from stampede_rt.model import Policy
-from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
-from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.commands import (
     BeginTenure,
-    Command,
-    Deed,
     DeleteChannel,
     DeregisterHost,
     ExpireHost,
     OpenChannel,
-    Refused,
     RegisterHost,
-    Result,
     UpdateChannel,
 )
-from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.records import ChangeKind, Channel, Endpoint, Group, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, SetReplicaInSync
 from tests.unit.supernode.deeds import add_replica, id_of, open_channel, open_group, register
 from tests.unit.supernode.drawn_records import group_changes, open_groups, replica_deeds
+from tests.unit.supernode.three_directories import ThreeDirectories
 
 hosts = st.integers(1, 4).map(id_of)
 host_names = st.sampled_from(["", "a", "b", "c", "Bad"])
@@ -39,16 +33,12 @@ policies = st.builds(
 )
 
 
-class DirectoryMachine(RuleBasedStateMachine):
-    """`directory` is fed values, `twin` encoded bytes, `restored` is replaced by its own snapshot now and then."""
+class DirectoryMachine(ThreeDirectories):
+    """Hosts, channels, groups and copies."""
 
     @initialize(populated=st.sampled_from([True, True, True, False]))
     def found(self, populated: bool) -> None:
-        self.directory, self.twin, self.restored = Directory(), Directory(), Directory()
-        self.index = 0
-        self.drawn = 0
         self.epochs: dict[bytes, tuple[int, int]] = {}
-        self.writer = SnapshotWriter()
         self.mirror: dict[bytes, Channel] = {}
         self.groups_mirror: dict[bytes, Group] = {}
         self.versions: dict[bytes, tuple[int, GroupSpec]] = {}
@@ -72,28 +62,6 @@ class DirectoryMachine(RuleBasedStateMachine):
                 channel_id=copy.channel_id, epoch=1, host_id=added.host.host_id, boot_incarnation=1, in_sync=True
             )
             self.apply(said, self.fresh_id())
-
-    def fresh_id(self) -> bytes:
-        self.drawn += 1
-        return id_of(1000 + self.drawn)
-
-    def apply(self, deed: Deed, op_id: bytes, skip: int = 1) -> Result:
-        self.index += skip
-        command = Command(op_id=op_id, time_unix_nano=0, deed=deed)
-        before = encode_snapshot(self.directory)
-        result = self.directory.apply(self.index, command)
-        again = decode_command(encode_command(command))
-        assert encode_result(self.twin.apply(self.index, again)) == encode_result(result)
-        assert encode_result(self.restored.apply(self.index, command)) == encode_result(result)
-        if isinstance(result, Refused):
-            assert self.without_index(before) == self.without_index(encode_snapshot(self.directory))
-        return result
-
-    @staticmethod
-    def without_index(snapshot: bytes) -> Directory | bytes:
-        directory = decode_snapshot(snapshot)
-        directory.tables.index = 0
-        return encode_snapshot(directory)
 
     op_ids = st.none() | st.integers(1, 6).map(id_of)
 
@@ -162,18 +130,9 @@ class DirectoryMachine(RuleBasedStateMachine):
     def change_replica(self, data: st.DataObject, op_id: bytes | None) -> None:
         self.apply(data.draw(replica_deeds(self.directory)), op_id or self.fresh_id())
 
-    @rule()
-    def restore(self) -> None:
-        self.restored = decode_snapshot(encode_snapshot(self.restored))
-
     def some_channel(self, which: int) -> Channel | None:
         channels = [self.directory.tables.channels[one] for one in sorted(self.directory.tables.channels)]
         return channels[which % len(channels)] if channels else None
-
-    @invariant()
-    def all_replicas_agree(self) -> None:
-        assert encode_snapshot(self.directory) == encode_snapshot(self.twin) == encode_snapshot(self.restored)
-        assert self.writer.write(self.directory) == encode_snapshot(self.directory), "what is kept is not outdated"
 
     @invariant()
     def names_and_ids_are_one_to_one(self) -> None:
@@ -190,7 +149,7 @@ class DirectoryMachine(RuleBasedStateMachine):
             owned = sorted(channel.channel_id for channel in tables.channels.values() if channel.host_id == one)
             assert [channel.channel_id for channel in tables.channels_at(one)] == owned
             assert host.channels == len(owned)
-            assert host.alive or owned, "a gone host without channels is forgotten"
+            assert host.alive or owned, "a gone host without channels is forgotten, there being no queues"
         assert {channel.host_id for channel in tables.channels.values()} <= set(tables.hosts)
 
     @invariant()
