@@ -40,8 +40,8 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.robustness", description=__doc__)
     where = "where the page goes; docs/robustness.md keeps what stands above its last run"
     parser.add_argument("--report", type=Path, default=Path("out/robustness.md"), help=where)
-    parser.add_argument("--minutes", type=float, default=16.0, help="about so long for the real processes")
-    parser.add_argument("--seeds", type=int, default=250, help="of the simulated directory")
+    parser.add_argument("--minutes", type=float, default=14.0, help="about so long for the real processes")
+    parser.add_argument("--seeds", type=int, default=200, help="of the simulated directory")
     parser.add_argument("--seed", type=int, default=1, help="of the order and the choices of the real faults")
     return parser.parse_args()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,8 +21,8 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from tests.robustness.cluster import Host
 from tests.robustness.faults import KILLED, STOPPED, cut
-from tests.robustness.placed_process import DidNotBite
-from tests.robustness.scene import PATIENCE_SECONDS, Fault, Scene
+from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.supernode import LEASE_TTL_SECONDS
 from tests.robustness.traffic import CLIENT, Traffic
 from tests.unit.channel_host.rig import run_of
@@ -47,7 +48,7 @@ async def kill_host(scene: Scene) -> None:
     await pinned.host.kill()
     recovery = await _put_again(scene, pinned, began)
     bite = f"{KILLED}; {_reopened(pinned)}"
-    await _start(pinned.host)
+    await _started(pinned.host)
     await _read(scene, pinned)
     scene.ended("host: kill -9, its channels go elsewhere", began, recovery, bite=bite)
 
@@ -57,7 +58,7 @@ async def restart_host(scene: Scene) -> None:
     pinned = await _pin(scene)
     began = time.monotonic()
     await pinned.host.kill()
-    await _start(pinned.host)
+    await _started(pinned.host)
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
     start = f"of which its start {pinned.host.start_seconds:.2f} s"
@@ -71,13 +72,44 @@ async def kill_all_hosts(scene: Scene) -> None:
     began = time.monotonic()
     for host in scene.cluster.hosts:
         await host.kill()
-    await asyncio.gather(*(_start(host) for host in scene.cluster.hosts))
+    await asyncio.gather(*(_started(host) for host in scene.cluster.hosts))
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
     slowest = max(host.start_seconds for host in scene.cluster.hosts)
     bite = f"{KILLED}; {_reopened(pinned)}"
     kind = "host: kill -9 of all"
     scene.ended(kind, began, recovery, bite=bite, majority=False, note=f"of which the start {slowest:.2f} s")
+
+
+async def kill_frontend(scene: Scene) -> None:
+    """Clients that are bound go on without it, new channels included."""
+    frontend = scene.cluster.frontend
+    assert frontend is not None
+    began = time.monotonic()
+    await frontend.kill()
+    pinned = await _pin(scene)
+    recovery = time.monotonic() - began
+    await _started(frontend)
+    note = f"a channel was made and a put acknowledged at {pinned.host.name} without it"
+    scene.ended("front-end: kill -9", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=KILLED, note=note)
+
+
+async def kill_everything(scene: Scene) -> None:
+    """Supernodes, front-end and hosts at one moment, all started again at once, as after a power failure."""
+    pinned = await _pin(scene)
+    began = time.monotonic()
+    for one in scene.cluster.processes():
+        one.signal(signal.SIGKILL)
+    for one in scene.cluster.processes():
+        await one.kill()
+        await one.launch()
+    await asyncio.gather(*(one.said_ready() for one in scene.cluster.processes()))
+    up = time.monotonic() - began
+    recovery = await _put_again(scene, pinned, began)
+    await _read(scene, pinned)
+    bite = f"{KILLED}, {len(scene.cluster.processes())} times; {_reopened(pinned)}"
+    note = f"all processes were up, the hosts registered, after {up:.2f} s"
+    scene.ended("everything: kill -9 of all processes", began, recovery, bite=bite, majority=False, note=note)
 
 
 async def freeze_host(scene: Scene) -> None:
@@ -170,9 +202,9 @@ async def _read(scene: Scene, pinned: Pinned) -> None:
     await _traffic(scene).read_all(pinned.channel)
 
 
-async def _start(host: Host) -> None:
-    if not await host.start():
-        raise TimeoutError(f"{host.name} did not start again: {host.last_words()!r}")
+async def _started(one: PlacedProcess) -> None:
+    if not await one.start():
+        raise TimeoutError(f"{one.name} did not start again: {one.last_words()!r}")
 
 
 def _direct(scene: Scene, host: Host) -> grpc.aio.Channel:
@@ -220,4 +252,6 @@ FAULTS: dict[str, Fault] = {
     "kill_all_hosts": kill_all_hosts,
     "freeze_host": freeze_host,
     "cut_off_host": cut_off_host,
+    "kill_frontend": kill_frontend,
+    "kill_everything": kill_everything,
 }

@@ -60,7 +60,8 @@ async def replace_dead(scene: Scene) -> None:
         newcomer = await _join(scene)
     bite = await _listed(scene, newcomer, dead)
     kind = "membership: a dead one is replaced by one that joins"
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=f"beside {trouble}")
+    note = f"beside {trouble}, when only two were left, both of which are needed"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, majority=False, bite=bite, note=note)
 
 
 async def volunteer_leaves(scene: Scene) -> None:

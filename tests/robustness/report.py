@@ -14,6 +14,7 @@ from tests.robustness.campaign import Findings
 from tests.robustness.scene import Outcome
 
 TITLE = "# A run of "
+NOTES_MAX = 4  # of one kind
 VIOLATION_CHARS_MAX = 3000  # the whole history of a name may be long
 
 
@@ -192,7 +193,12 @@ def _bites(outcomes: Iterable[Outcome]) -> str:
 
 
 def _notes(outcomes: Iterable[Outcome]) -> str:
-    lines = [f"- {outcome.kind}: {outcome.note}" for outcome in outcomes if outcome.note]
+    lines: list[str] = []
+    for kind, members in sorted(_by_kind(outcomes).items()):
+        notes = [one.note for one in members if one.note]
+        lines += [f"- {kind}: {note}" for note in notes[:NOTES_MAX]]
+        if len(notes) > NOTES_MAX:
+            lines.append(f"- {kind}: {len(notes) - NOTES_MAX} more like these")
     return "## What came of it\n\n" + "\n".join(lines) + "\n" if lines else ""
 
 

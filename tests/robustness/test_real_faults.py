@@ -22,8 +22,8 @@ needs_namespaces = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 
 @needs_namespaces
 @pytest.mark.timeout(180)
-async def test_a_directory_whose_leader_is_killed_frozen_and_removed_loses_nothing(tmp_path: Path) -> None:
-    faults = ["kill_leader", "freeze_leader", "remove_leader"]
+async def test_a_directory_whose_leader_is_killed_and_removed_loses_nothing(tmp_path: Path) -> None:
+    faults = ["kill_leader", "remove_leader"]
     found = await run_campaign(tmp_path, "short", faults, seed=7, secured=False, with_hosts=False, quiet_s=0.1)
     assert found.violations == ()
     assert not [outcome for outcome in found.outcomes if outcome.failed]

@@ -151,11 +151,11 @@ class HearsMembersOnly(TrialElections):
 @pytest.mark.parametrize(
     ("fault", "first_seed"),
     [
-        (CutsOffWhatAgrees, 0),
-        (CommitsByPieces, 0),
-        (ReadsTooEarly, 0),
-        (VotesTwice, 25),
-        (HearsMembersOnly, 0),
+        (CutsOffWhatAgrees, 5),
+        (CommitsByPieces, 17),
+        (ReadsTooEarly, 5),
+        (VotesTwice, 29),
+        (HearsMembersOnly, 2),
     ],
 )
 def test_a_planted_fault_in_the_rules_is_found(fault: type, first_seed: int) -> None:
