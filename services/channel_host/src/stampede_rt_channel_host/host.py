@@ -151,5 +151,6 @@ class ChannelHost:
     def _lease_changed(self, held: bool) -> None:
         if not held:
             self.store.fence()
+            self.groups.fence()
             self.queues.fence()
         self._on_serving(held)

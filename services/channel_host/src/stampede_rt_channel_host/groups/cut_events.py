@@ -101,8 +101,11 @@ class CutEvents:
     def _follow(self, group: HostedGroup) -> None:
         """Take up members that came, or came back, to this host, and leave those that went."""
         members = group.cut.definition.members
-        for channel_id in [one for one in self._followed if one not in members]:
-            del self._followed[channel_id]
+        for channel_id in list(self._followed):
+            if channel_id not in members:
+                del self._followed[channel_id]
+            elif self._groups.own(channel_id) is None:
+                raise self._groups.not_here(channel_id)
         for channel_id in sorted(members):
             own, held = self._groups.own(channel_id), self._followed.get(channel_id)
             if own is None or (held is not None and held.hosted is own.hosted):

@@ -85,19 +85,21 @@ class HostedGroup:
         for listener in list(self.listeners):
             listener.end(error)
 
-    async def reach(self, floor: int | None, timeout_s: float) -> bool:
-        """Block until the group is settled and its cut has come to `floor`; False after `timeout_s`."""
-        deadline_s = asyncio.get_running_loop().time() + timeout_s
+    async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
+        """Block until the group is settled and its cut has come to `floor`; False after `timeout_s`, if it is given."""
+        if self.has_reached(floor):
+            return True
         waiter = Waiter()
         self.listeners[waiter] = None
         try:
-            while not self.has_reached(floor):
-                left_s = deadline_s - asyncio.get_running_loop().time()
-                if left_s <= 0 or not await waiter.wait(left_s):
-                    return self.has_reached(floor)
-            return True
+            async with asyncio.timeout(timeout_s):
+                while not self.has_reached(floor):
+                    await waiter.wait(None)
+        except TimeoutError:
+            return self.has_reached(floor)
         finally:
             self.listeners.pop(waiter, None)
+        return True
 
     def has_reached(self, floor: int | None) -> bool:
         """The group is settled and its cut is at or past `floor`."""

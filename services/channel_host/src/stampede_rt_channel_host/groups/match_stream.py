@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from typing import Any
 
 import grpc
@@ -21,6 +22,8 @@ from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
+
+logger = logging.getLogger(__name__)
 
 LIFE_SECONDS = 4.0
 MATCHES_PER_MESSAGE_MAX = 64
@@ -174,7 +177,8 @@ class MatchStream:
             if far.target:
                 try:
                     await self._listen(far)
-                except (StampedeError, grpc.RpcError):
+                except (StampedeError, grpc.RpcError) as error:
+                    logger.debug("cannot follow a member", extra={"target": far.target, "why": str(error)})
                     far.incarnation = 0  # its seqs may mean nothing any more: compare times alone
             await asyncio.sleep(PAUSE_SECONDS)
 

@@ -31,13 +31,13 @@ class OwnChannel:
         self._on_change = on_change
         self._on_end = on_end
         self._own = OwnTimes(hosted.channel, now())
-        self._tell()
+        self.tell()
         hosted.followers[self] = None
 
     def wake(self) -> None:
         """Something was put, or the channel advanced."""
         self._own.observe(self._now())
-        self._tell()
+        self.tell()
         self._on_change(self.channel_id)
 
     def end(self, error: StampedeError) -> None:
@@ -50,5 +50,6 @@ class OwnChannel:
         self.hosted.followers.pop(self, None)
         self._board.disown(self.channel_id, self._now())
 
-    def _tell(self) -> None:
+    def tell(self) -> None:
+        """Enter it on the board, under the epoch of now."""
         self._board.tell_own(self.channel_id, self._own.times(self.hosted.epoch), self._own.silent_since)

@@ -38,6 +38,7 @@ class Peer:
         self.wanted: frozenset[bytes] = frozenset()
         self.groups: frozenset[bytes] = frozenset()
         self.link: Link | None = None
+        self.unlinked = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
 
 
@@ -100,6 +101,7 @@ class Peers:
         """A link stands: begin with all that is known. A newer link of a pair takes the place of the older."""
         peer = self._peers.setdefault(link.host_id, Peer(link.host_id))
         peer.link = link
+        peer.unlinked.clear()
         link.want(peer.wanted)
         for group_id in sorted(peer.groups):
             link.tell_floor(group_id)
@@ -132,6 +134,7 @@ class Peers:
         peer = self._peers.get(link.host_id)
         if peer is not None and peer.link is link:
             peer.link = None
+            peer.unlinked.set()
             if peer.task is None:  # no group is shared with it
                 del self._peers[link.host_id]
 
@@ -145,8 +148,11 @@ class Peers:
                     await (self._open(peer) if opens else self._knock(peer))
                 except StampedeError as error:
                     logger.debug("no link to a host", extra={"host": peer.host_id.hex(), "why": str(error)})
-            pause_s = PAUSE_SECONDS_MIN if peer.link is not None else min(2 * pause_s, PAUSE_SECONDS_MAX)
+            if peer.link is not None:  # the peer has opened it, or has just had it broken
+                pause_s = PAUSE_SECONDS_MIN
+                await peer.unlinked.wait()
             await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
+            pause_s = min(2 * pause_s, PAUSE_SECONDS_MAX)
 
     async def _open(self, peer: Peer) -> None:
         """Open the stream and serve it until it breaks."""

@@ -13,6 +13,7 @@ from contextlib import asynccontextmanager
 from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import bound_from_message
+from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
@@ -54,10 +55,11 @@ class GroupReads:
         group = await self._groups.find(ask.group_id)
         view = GroupView(_member(group, hosted).channel)
         wanted = _wanted(ask)
-        if not await group.reach(wanted, max(STALL_SECONDS_MAX, wait_s or 0.0)):
+        if not await group.reach(wanted, None if wait_s is None else max(STALL_SECONDS_MAX, wait_s)):
             horizon = group.horizon()
             stalled_at = 0 if wanted is None else wanted
             return GroupAnswer(view.stalled(stalled_at, horizon), horizon.cut)
+        self._check_served(hosted)
         return await _Get(self._groups, group, hosted, ask.at).run(query, deadline_s)
 
     @asynccontextmanager
@@ -69,12 +71,19 @@ class GroupReads:
         _member(group, hosted)
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
+        self._check_served(hosted)
         cursor = _cursor(group, hosted, request, self._groups.channels.now())
         group.listeners[listener] = None
         try:
             yield cursor
         finally:
             group.listeners.pop(listener, None)
+
+    def _check_served(self, hosted: HostedChannel) -> None:
+        """After a wait: the channel may have gone elsewhere meanwhile. Raises StaleBinding."""
+        found = self._groups.channels.find(hosted.record.channel_id, hosted.epoch)
+        if found is not hosted:
+            raise refusals.wrong_epoch(hosted.record.name, hosted.epoch, found.epoch)
 
 
 class _Get:

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 from stampede_rt.errors import HostNotFound, Overloaded, StampedeError, error_for
 from stampede_rt.v1 import group_directory_service_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.core.group import TimesBoard
@@ -91,6 +92,14 @@ class GroupStore:
         for own in self._own.values():
             own.let_go()
         await self.peers.aclose()
+
+    def not_here(self, channel_id: bytes) -> StampedeError:
+        """Why a member is not served by this host."""
+        return refusals.not_here(self._identity.name, channel_id)
+
+    def fence(self) -> None:
+        """The lease ran out: readers of groups must look for their channels elsewhere, or wait."""
+        self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:
         """Whoever waits for a group or listens to it hears `error`."""
@@ -237,6 +246,7 @@ class GroupStore:
                 self._groups_of.get(channel_id, set()).discard(group_id)
             if group.adopt(told):
                 group.end(_anew(told.group))
+            self.peers.tell_floor(group_id)  # with it goes the version, so that the others ask, too
         else:
             group.adopt(told)
         for channel_id in told.group.spec.channel_ids:
@@ -256,7 +266,9 @@ class GroupStore:
                 logger.debug("cannot serve a member", extra={"channel": record.name, "why": str(error)})
                 continue
             held = self._own.get(channel_id)
-            if held is None or held.hosted is not hosted:
+            if held is not None and held.hosted is hosted:
+                held.tell()
+            else:
                 if held is not None:
                     held.let_go()
                 self._own[channel_id] = OwnChannel(

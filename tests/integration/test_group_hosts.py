@@ -1,0 +1,232 @@
+"""Groups whose channels are at different hosts: real gRPC between them, in one process."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from stampede_rt.v1 import error_pb2, group_pb2, item_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from tests.unit.channel_host.rig import MS, S
+from tests.unit.groups.rig import Cluster, CutReader, GroupedChannel, running_cluster
+
+LOWER, HIGHER = b"a-lower-host-id!", b"b-higher-host-id"
+
+
+class Pair:
+    """A channel at each of two hosts, and a group of both."""
+
+    def __init__(self, cluster: Cluster, left: GroupedChannel, right: GroupedChannel) -> None:
+        self.cluster = cluster
+        self.left, self.right = left, right
+        self.group = cluster.directory.add_group("pair", [left, right])
+        self.start = left.host.now() - S
+
+    async def synced(self, cut: int) -> None:
+        for host in (self.left.host, self.right.host):
+            await host.until_cut(self.group, cut)
+
+
+@asynccontextmanager
+async def pair_of(*host_ids: bytes) -> AsyncIterator[Pair]:
+    async with running_cluster() as cluster:
+        hosts = [await cluster.start(f"h{number}", host_id) for number, host_id in enumerate(host_ids)]
+        yield Pair(cluster, await hosts[0].open("left"), await hosts[1].open("right"))
+
+
+@pytest.fixture
+async def pair() -> AsyncIterator[Pair]:
+    async with pair_of(LOWER, HIGHER) as pair:
+        yield pair
+
+
+@pytest.mark.parametrize("named_at", [LOWER, HIGHER])
+async def test_a_host_learns_of_a_group_because_another_one_serves_it(named_at: bytes) -> None:
+    other = HIGHER if named_at == LOWER else LOWER
+    async with pair_of(named_at, other) as pair:
+        t = pair.start
+        await pair.left.put(t, t + 2, t + 4)
+        await pair.right.put(t + 3)
+        assert (await pair.left.get(pair.group, wait_nanos=-1))[0] == [t, t + 2]  # the other host was never asked
+
+
+async def test_a_put_at_one_host_moves_the_cut_at_the_other(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 5)
+    await pair.right.put(t + 1)
+    await pair.synced(t + 1)
+    assert (await pair.right.get(pair.group))[0] == []
+    waiting = asyncio.create_task(pair.left.get(pair.group, cut_floor_unix_nano=t + 3, wait_nanos=-1))
+    await pair.right.put(t + 7)
+    times, summary = await waiting
+    assert (times, summary.cut_unix_nano) == ([t], t + 5)
+
+
+async def test_an_advance_counts_as_much_as_an_item(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 5)
+    await pair.right.advance(t + 4)
+    await pair.synced(t + 4)
+    assert (await pair.left.get(pair.group))[0] == [t]
+
+
+async def test_status_tells_how_far_a_channel_of_another_host_is(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t)
+    await pair.right.put(t + 5)
+    await pair.synced(t)
+    status = await pair.left.host.until(pair.group, lambda status: len(status.members) == 2)
+    of = {member.times.channel_id: member for member in status.members}
+    assert of[pair.right.channel_id].lead_nanos == 5
+    assert not of[pair.right.channel_id].HasField("hidden_items")
+    assert of[pair.left.channel_id].hidden_items == 1
+    assert list(status.waiting_on_channel_ids) == [pair.left.channel_id]
+
+
+async def test_one_cut_serves_a_read_over_both_hosts(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 2, t + 4)
+    await pair.right.put(t + 1, t + 3, t + 5)
+    await pair.left.host.until_cut(pair.group, t + 4)
+    cut = (await pair.left.host.groups.GetCut(pb.GetCutRequest(group_id=pair.group.group_id))).floor.cut_unix_nano
+    assert (await pair.left.get(pair.group, cut_unix_nano=cut))[0] == [t, t + 2]
+    assert (await pair.right.get(pair.group, cut_unix_nano=cut))[0] == [t + 1, t + 3]
+
+
+async def test_cut_events_over_two_hosts_fit_together(pair: Pair) -> None:
+    t = pair.start
+    decider = CutReader(pair.left.host, pair.group, decides=True)
+    other = CutReader(pair.right.host, pair.group)
+    await asyncio.gather(decider.opened(), other.opened())
+    await pair.left.put(t, t + 2)
+    await pair.right.put(t + 1, t + 3)
+    brought: dict[str, list[int]] = {"left": [], "right": []}
+    for last in (t + 2, t + 12):
+        while True:
+            event = await decider.event()
+            await other.hand(event.boundary)
+            answer = await other.event()
+            assert answer.boundary.cut_unix_nano == event.boundary.cut_unix_nano
+            assert list(event.boundary.incomplete_channel_ids) == []
+            brought["left"] += event.times(pair.left)
+            brought["right"] += answer.times(pair.right)
+            if event.boundary.cut_unix_nano >= last:
+                break
+        if last == t + 2:
+            await pair.left.put(t + 12)
+            await pair.right.put(t + 13)
+    assert brought == {"left": [t, t + 2], "right": [t + 1, t + 3]}
+
+
+async def test_matches_reach_over_hosts(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t + 10, t + 20)
+    await pair.right.put(t + 11, t + 30)
+    request = pb.SubscribeMatchesRequest(
+        group_id=pair.group.group_id,
+        per_channel_id=pair.left.channel_id,
+        epoch=1,
+        tolerance_nanos=3,
+        after=item_pb2.ItemPosition(time_unix_nano=t),
+    )
+    call = pair.left.host.groups.SubscribeMatches(request)
+    found: list[pb.ItemMatch] = []
+    async with asyncio.timeout(15):
+        while len(found) < 2:
+            found += (await call.read()).matches
+    assert [[near.position.time_unix_nano for near in one.matched] for one in found] == [[t + 11], []]
+    assert not found[0].matched[0].HasField("item")  # it is at the other host
+    assert found[0].matched[0].position.incarnation == pair.right.record.incarnation
+
+
+async def test_a_lost_host_holds_the_cut_until_its_channel_has_another_owner(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 5)
+    await pair.right.put(t + 3)
+    await pair.synced(t + 3)
+    await pair.right.host.stop()
+    await pair.left.put(t + 9)
+    status = await pair.left.host.until(pair.group, lambda status: status.members[0].heard_ago_nanos >= 0)
+    assert (status.cut_unix_nano, list(status.waiting_on_channel_ids)) == (t + 3, [pair.right.channel_id])
+    third = await pair.cluster.start("h3", b"c-another-host!!")
+    record = pair.cluster.directory.channels[pair.right.channel_id]
+    record.host_id, record.epoch, record.incarnation = third.host.identity.host_id, 2, record.incarnation + 1
+    channel = await third.bound(record)
+    assert (await pair.left.get(pair.group))[1].cut_unix_nano == t + 3  # still, though the new owner has no item
+    await channel.put(t + 8)
+    await pair.left.host.until_cut(pair.group, t + 8)
+
+
+async def test_a_host_that_was_restarted_shows_no_less_than_before(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 5)
+    await pair.right.put(t + 9)
+    await pair.synced(t + 5)
+    await pair.left.host.stop()
+    restarted = await pair.cluster.start("h0", LOWER, boot=8)
+    left = await restarted.bound(pair.cluster.directory.channels[pair.left.channel_id])
+    times, summary = await left.get(pair.group, wait_nanos=100 * MS)
+    assert (times, summary.cut_unix_nano) == ([], t + 5)
+    await left.put(t + 7)
+    status = await restarted.until_cut(pair.group, t + 7)
+    assert status.cut_unix_nano == t + 7
+
+
+async def test_a_host_shows_nothing_before_it_knows_how_far_the_others_have_shown(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 5)
+    await pair.right.put(t + 9)
+    await pair.right.host.server.grpc.stop(None)  # it lives, as the directory believes, but nobody can talk to it
+    times, summary = await pair.left.get(pair.group)
+    assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
+    assert not summary.HasField("cut_unix_nano")
+    assert "h1" in summary.detail
+    pair.cluster.directory.hosts[HIGHER].alive = False
+    pair.cluster.directory.groups[pair.group.group_id].spec.reference = group_pb2.GROUP_REFERENCE_CHANNEL
+    pair.cluster.directory.groups[pair.group.group_id].spec.reference_channel_id = pair.left.channel_id
+    pair.cluster.directory.groups[pair.group.group_id].spec_version += 1
+    await pair.left.host.until_cut(pair.group, t + 5)
+
+
+async def test_a_member_that_others_know_of_is_asked_for_when_they_tell_a_newer_version(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t, t + 5)
+    await pair.right.put(t + 3)
+    await pair.synced(t + 3)
+    third = await pair.left.host.open("third")
+    record = pair.cluster.directory.groups[pair.group.group_id]
+    record.spec.channel_ids.append(third.channel_id)
+    record.spec_version += 1
+    for host in (pair.left.host, pair.right.host):
+        await host.until(pair.group, lambda status: len(status.members) == 3)
+    await pair.right.put(t + 9)
+    assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 3
+    await third.put(t + 4)
+    await pair.synced(t + 4)
+
+
+async def test_a_host_that_says_it_is_another_gets_no_times(pair: Pair) -> None:
+    call = pair.left.host.groups.ExchangeTimes()
+    await call.write(pb.ExchangeTimesRequest(update=pb.TimesUpdate()))
+    async with asyncio.timeout(10):
+        assert (await call.read()).hello.host_id == LOWER
+        assert "hello" in (await call.details())
+
+
+async def test_what_is_not_a_channel_of_the_teller_changes_nothing(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t)
+    await pair.right.put(t + 1)
+    await pair.synced(t)
+    host = pair.right.host.host.groups
+    lie = group_pb2.ChannelTimes(
+        channel_id=pair.right.channel_id, epoch=9, incarnation=pair.right.record.incarnation, newest_unix_nano=t + 99
+    )
+    host.hear(LOWER, pb.TimesUpdate(times=[lie]), is_first=False)
+    await pair.left.put(t + 50)
+    await pair.synced(t + 1)
+    status = await pair.right.host.until_cut(pair.group, t + 1)
+    assert status.cut_unix_nano == t + 1

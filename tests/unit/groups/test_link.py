@@ -1,0 +1,154 @@
+"""The stream between two hosts, without a network."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import HostNotFound, InvalidArgument, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.v1 import group_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.groups import link as link_module
+from stampede_rt_channel_host.groups.link import ENTRIES_MAX, Link
+from stampede_rt_channel_host.groups.peers import _unwrapped
+
+ME, OTHER = b"this-host-has-16", b"another-host-id!"
+
+
+class Notebook:
+    """Knows the times of every channel asked for, and writes down what it hears."""
+
+    def __init__(self) -> None:
+        self.newest = 1
+        self.heard: list[tuple[pb.TimesUpdate, bool]] = []
+        self.asked: list[set[bytes]] = []
+        self.has_lease = True
+        self.stands = asyncio.Event()
+
+    def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
+        return group_pb2.ChannelTimes(channel_id=channel_id, newest_unix_nano=self.newest)
+
+    def floor_of(self, group_id: bytes) -> group_pb2.CutFloor | None:
+        return group_pb2.CutFloor(group_id=group_id, cut_unix_nano=self.newest)
+
+    def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
+        self.heard.append((update, is_first))
+
+    def greeted(self, link: Link) -> None:
+        self.stands.set()
+
+    def asked_for(self, channel_ids: set[bytes]) -> None:
+        self.asked.append(channel_ids)
+
+    def check_lease(self) -> None:
+        if not self.has_lease:
+            raise HostNotFound("no lease")
+
+
+class Wire:
+    """One link, its two ends in the hands of the test."""
+
+    def __init__(self, notebook: Notebook) -> None:
+        self.sent: asyncio.Queue[pb.ExchangeTimesRequest] = asyncio.Queue()
+        self.incoming: asyncio.Queue[Any] = asyncio.Queue()
+        self.may_write = asyncio.Event()
+        self.may_write.set()
+        identity = HostIdentity(host_id=ME, name="me", boot_incarnation=1)
+        self.link = Link(identity, "c", notebook, pb.ExchangeTimesRequest, self._write, self.incoming.get)
+        self.running = asyncio.create_task(_unwrapped(self.link.run(OTHER)))
+
+    async def _write(self, message: pb.ExchangeTimesRequest) -> None:
+        await self.may_write.wait()
+        self.sent.put_nowait(message)
+
+    async def greet(self, **fields: Any) -> None:
+        hello = {"cluster_id": "c", "host_id": OTHER, "boot_incarnation": 1, "protocol_version": 1, **fields}
+        await self.incoming.put(pb.ExchangeTimesResponse(hello=pb.ExchangeHello(**hello)))
+        assert (await self.sent.get()).hello.host_id == ME
+
+    async def say(self, update: pb.TimesUpdate) -> None:
+        await self.incoming.put(pb.ExchangeTimesResponse(update=update))
+
+    async def end(self) -> None:
+        await self.incoming.put(None)
+        await self.running
+
+
+async def test_the_other_side_is_told_only_what_it_wants_to_hear_and_the_latest_of_it() -> None:
+    notebook = Notebook()
+    wire = Wire(notebook)
+    await wire.greet()
+    assert (await wire.sent.get()).update == pb.TimesUpdate()
+    wire.link.tell_times(b"one")  # nobody has asked
+    await wire.say(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
+    update = (await wire.sent.get()).update
+    assert [told.channel_id for told in update.times] == [b"one", b"two"]
+    wire.may_write.clear()
+    for notebook.newest in range(2, 100):
+        wire.link.tell_times(b"one")
+        wire.link.tell_floor(b"group")
+        await asyncio.sleep(0)
+    wire.may_write.set()
+    said = [(await wire.sent.get()).update for _ in range(2)]
+    assert [len(one.times) for one in said] == [1, 1]  # one was under way; all others became one
+    assert (said[-1].times[0].newest_unix_nano, said[-1].floors[0].cut_unix_nano) == (99, 99)
+    assert notebook.asked == [{b"one", b"two"}]
+    await wire.end()
+
+
+async def test_it_says_when_the_other_side_has_told_all_that_it_knew() -> None:
+    notebook = Notebook()
+    wire = Wire(notebook)
+    await wire.greet()
+    await wire.say(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)] * ENTRIES_MAX))
+    await wire.say(pb.TimesUpdate())
+    await wire.say(pb.TimesUpdate())
+    await wire.end()
+    assert [is_first for _, is_first in notebook.heard] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("hello", "error"),
+    [
+        ({"protocol_version": 2}, VersionMismatch),
+        ({"cluster_id": "another"}, InvalidArgument),
+        ({"host_id": b"neither-of-them!"}, InvalidArgument),
+    ],
+)
+async def test_a_link_to_the_wrong_host_is_refused(hello: dict[str, Any], error: type[StampedeError]) -> None:
+    wire = Wire(Notebook())
+    await wire.greet(**hello)
+    with pytest.raises(error):
+        await wire.running
+
+
+async def test_whoever_does_not_greet_is_refused() -> None:
+    wire = Wire(Notebook())
+    await wire.say(pb.TimesUpdate())
+    with pytest.raises(InvalidArgument, match="hello"):
+        await wire.running
+
+
+async def test_silence_breaks_a_link_and_signs_of_life_keep_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_module, "LIFE_SECONDS", 0.01)
+    monkeypatch.setattr(link_module, "BROKEN_AFTER_SECONDS", 0.2)
+    wire = Wire(Notebook())
+    await wire.greet()
+    for _ in range(3):
+        assert (await wire.sent.get()).update == pb.TimesUpdate()
+    with pytest.raises(Unavailable, match="silent"):
+        await wire.running
+
+
+async def test_a_host_without_a_lease_speaks_for_no_channel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_module, "LIFE_SECONDS", 0.01)
+    notebook = Notebook()
+    wire = Wire(notebook)
+    await wire.greet()
+    await notebook.stands.wait()
+    notebook.has_lease = False
+    with pytest.raises(HostNotFound):
+        await wire.running
