@@ -109,7 +109,8 @@ async def main(listen: str, to: str) -> None:
     async with await asyncio.start_server(relay.serve, host, int(port)):
         print("ready", flush=True)
         while line := await asyncio.to_thread(sys.stdin.readline):
-            former, relay.weather = relay.weather, Weather(*map(float, line.split()[:4]))
+            delay_s, jitter_s, stall_share, cut_share = map(float, line.split())
+            former, relay.weather = relay.weather, Weather(delay_s, jitter_s, stall_share, cut_share)
             print(former.counts(), flush=True)
 
 

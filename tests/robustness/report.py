@@ -83,7 +83,7 @@ def _summary(run: Run) -> str:
         ("calls whose outcome their caller never heard", sum(operation.ambiguous for operation in operations)),
         ("calls refused for want of a majority, certainly not done", sum(one.not_done for one in run.findings)),
         ("acknowledged writes", sum(findings.acknowledged for findings in run.findings)),
-        ("**histories that show a lost, stale or doubled write, and other violations**", f"**{unexplained}**"),
+        ("**acknowledged writes lost, undone, read stale or done twice, and other violations**", f"**{unexplained}**"),
         ("lease renewals / registrations of hosts without items", _leases(run.findings)),
         ("longest time without service, a majority alive", f"{worst.gap_s:.2f} s ({worst.gap_in})" if worst else "-"),
         ("longest time that the measuring process itself did not run", f"{stalled:.2f} s"),
@@ -116,7 +116,7 @@ def _simulated_rows(simulated: Simulated | None) -> list[tuple[str, object]]:
         return []
     failed = ", ".join(map(str, simulated.failed)) or "none"
     return [
-        ("simulated seeds / failed", f"{simulated.seeds} / {failed}"),
+        ("simulated seeds / failed", f"{simulated.seeds} (0 to {simulated.seeds - 1}) / {failed}"),
         ("simulated calls judged / acknowledged writes", f"{simulated.operations} / {simulated.acknowledged}"),
         ("simulated puts that hosts acknowledged", simulated.puts),
     ]

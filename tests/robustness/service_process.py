@@ -36,6 +36,7 @@ def compact_early(entries: int) -> None:
     from stampede_rt_supernode.replication.settings import ReplicationSettings
 
     defaults = ReplicationSettings.__init__.__kwdefaults__
+    assert defaults is not None
     assert "snapshot_every_entries" in defaults, "the setting has another name now"
     defaults["snapshot_every_entries"] = entries
 

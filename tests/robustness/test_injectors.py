@@ -1,0 +1,82 @@
+"""What makes the faults does what it says, and what looks for their effect sees it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_runtime.identity import Role
+from tests.robustness.__main__ import write_page
+from tests.robustness.certificates import Certificates
+from tests.robustness.network import Network, unavailable_because
+from tests.robustness.noise import giant_frame
+from tests.robustness.relay import Weather
+from tests.robustness.report import TITLE
+from tests.robustness.service_process import shift_wall_clock
+
+WHY_NOT = unavailable_because()
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
+def test_a_way_that_is_cut_is_seen_to_be_cut_in_that_direction_alone() -> None:
+    with Network(2) as network:
+        first, second = network.places
+        both = {(first, second), (second, first)}
+        assert network.ways(network.places) == both
+        network.block(first, second)
+        assert network.ways(network.places) == {(second, first)}
+        network.unblock_all()
+        assert network.ways(network.places) == both
+        network.plug(first, in_=False)
+        assert network.ways(network.places) == set()
+
+
+def test_the_wall_clock_of_a_process_follows_its_file_and_no_other_clock_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offset = tmp_path / "clock"
+    offset.write_text("0")
+    monkeypatch.setattr(time, "time_ns", lambda: 1_000)
+    shift_wall_clock(offset)
+    assert time.time_ns() == 1_000
+    offset.write_text("-300".ljust(31))
+    assert time.time_ns() == 700
+    assert time.monotonic_ns() > 0
+
+
+def test_a_relay_counts_what_its_weather_did() -> None:
+    weather = Weather(delay_s=0.5, stall_share=1.0, cut_share=1.0)
+    assert weather.wait_s() >= 0.7
+    assert weather.cuts_now()
+    chunks, stalled, waited_millis, cuts = (int(word) for word in weather.counts().split())
+    assert (chunks, stalled, cuts) == (1, 1, 1)
+    assert waited_millis >= 700
+
+
+def test_a_rotation_of_certificates_changes_every_file_and_trusts_both_authorities_in_between(tmp_path: Path) -> None:
+    certificates = Certificates(tmp_path / "certificates")
+    files = certificates.files(Role.SUPERNODE, "s1", "10.0.0.1")
+    before = [path.read_bytes() for path in files.paths()]
+    certificates.take_over()
+    assert files.paths()[0].read_bytes().startswith(before[0])
+    certificates.renew()
+    certificates.forget_former()
+    after = [path.read_bytes() for path in files.paths()]
+    assert not set(before) & set(after)
+
+
+def test_a_giant_frame_names_the_greatest_length_that_http2_has() -> None:
+    frame = giant_frame()
+    header = frame[frame.index(b"SM\r\n\r\n") + 6 :][9:18]
+    assert int.from_bytes(header[:3], "big") == 2**24 - 1
+
+
+def test_a_new_run_takes_the_place_of_the_one_before_on_a_page_and_what_stands_above_stays(tmp_path: Path) -> None:
+    page = tmp_path / "out" / "robustness.md"
+    write_page(page, f"{TITLE}1 minutes\n")
+    assert page.read_text() == f"{TITLE}1 minutes\n"
+    page.write_text(f"# Robustness\n\nHow.\n\n{TITLE}1 minutes\n\n## Summary\n")
+    write_page(page, f"{TITLE}2 minutes\n")
+    assert page.read_text() == f"# Robustness\n\nHow.\n\n{TITLE}2 minutes\n"
