@@ -27,18 +27,17 @@ class Lease:
     id: int
     taker_id: int
     ends: int
-    copy: int
+    number: int
 
 
 @dataclass
 class Item:
-    """`delivered` counts for each copy that was given out, `returned` are those of them that lie in the queue again."""
+    """`returned`: how often each of the copies that came back was delivered."""
 
     seq: int
     length: int
     accepted_at: int
-    delivered: list[int] = field(default_factory=list)
-    returned: set[int] = field(default_factory=set)
+    returned: list[int] = field(default_factory=list)
     leases: list[Lease] = field(default_factory=list)
     done: list[int] = field(default_factory=list)
     held_back_until: int | None = None
@@ -140,8 +139,7 @@ class OracleQueue:
             for item in self.items:
                 for lease in [one for one in item.leases if one.id == delivery_id]:
                     item.leases.remove(lease)
-                    item.delivered[lease.copy] -= 1
-                    item.returned.add(lease.copy)
+                    item.returned += [lease.number - 1] if lease.number > 1 else []
                     self.counts["delivered"] -= 1
         taker.unsent = []
         self._follow_up()
@@ -326,9 +324,9 @@ class OracleQueue:
 
     def _in_vain(self, item: Item, lease: Lease, delay: int) -> None:
         item.leases.remove(lease)
-        item.returned.add(lease.copy)
+        item.returned.append(lease.number)
         most = self.setup.max_deliveries
-        if most is not None and item.delivered[lease.copy] >= most:
+        if most is not None and lease.number >= most:
             item.leases.clear()
             if self.setup.dead_letters:
                 item.leaving, item.held_back_until = True, None
@@ -378,14 +376,10 @@ class OracleQueue:
         return True
 
     def _lease(self, item: Item, taker_id: int, ends: int) -> tuple[int, int, int]:
-        if item.returned:
-            copy = min(item.returned)
-            item.returned.discard(copy)
-        else:
-            copy = len(item.delivered)
-            item.delivered.append(0)
-        item.delivered[copy] += 1
-        item.leases.append(Lease(self.next_delivery, taker_id, ends, copy))
+        before = max(item.returned, default=0)
+        if before:
+            item.returned.remove(before)
+        item.leases.append(Lease(self.next_delivery, taker_id, ends, before + 1))
         self.next_delivery += 1
         self.counts["delivered"] += 1
-        return item.seq, self.next_delivery - 1, item.delivered[copy]
+        return item.seq, self.next_delivery - 1, before + 1

@@ -29,6 +29,7 @@ SETUPS = (
     Setup(copies=3, max_items=5, on_full="drop_oldest", max_deliveries=3),
     Setup(copies=2, max_deliveries=2, dead_letters=True, max_item_bytes=50),
     Setup(max_bytes=400, lease=7),
+    Setup(max_deliveries=1, dead_letters=True),
 )
 
 
@@ -97,13 +98,17 @@ def configure(dice: Dice, pair: QueuePair) -> None:
     pair.configure(dice.pick(SETUPS))
 
 
+def hand_over(dice: Dice, pair: QueuePair) -> None:
+    pair.hand_over()
+
+
 def rest(dice: Dice, pair: QueuePair) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
 STEPS = (
     rest, enqueue, attach, sent, settle, enqueue, tick, grant, settle, sent, leave, withdraw, departed, configure,
-    enqueue, settle, attach, sent,
+    enqueue, settle, attach, sent, hand_over,
 )  # fmt: skip
 
 

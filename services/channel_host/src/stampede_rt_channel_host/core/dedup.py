@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
 from stampede_rt.errors import InvalidArgument
@@ -22,6 +22,16 @@ class _Put(NamedTuple, Generic[Outcome]):
     end: int
     time: int
     outcome: Outcome
+
+
+class KeptRun(NamedTuple, Generic[Outcome]):
+    """A run as the window knows it, for the host that takes over; `time` is when it was recorded."""
+
+    producer_id: int
+    first_number: int
+    items: int
+    outcome: Outcome
+    time: int
 
 
 class _Producer(Generic[Outcome]):
@@ -66,6 +76,13 @@ class RetryWindow(Generic[Outcome]):
     def __len__(self) -> int:
         """How many producers are known."""
         return len(self._producers)
+
+    def kept(self, now: int) -> Iterator[KeptRun[Outcome]]:
+        """Every run that is known, each producer's in the order of their coming: `record` them elsewhere, in order."""
+        for producer_id, producer in self._producers.items():
+            for put in producer.puts:
+                if put.time > now - KEPT_NANOS:
+                    yield KeptRun(producer_id, put.first, put.end - put.first, put.outcome, put.time)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> Outcome | None:
         """What became of this run when it came before; None if it is new, or older than what is kept.

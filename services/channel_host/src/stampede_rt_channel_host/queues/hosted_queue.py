@@ -58,6 +58,7 @@ class HostedQueue:
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
+        self._is_forgotten = False
 
     def update(self, record: queue_pb2.QueueRecord) -> None:
         """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable set-up."""
@@ -72,11 +73,13 @@ class HostedQueue:
         Raises InvalidArgument, Overloaded.
         """
         self._memory.claim(sum(run.lengths), len(run.lengths))
-        self.queue.enqueue(run, self._now())
-        done = None if run.is_through else asyncio.get_running_loop().create_future()
-        if done is not None:
-            self._waiting[run] = done
-        self._follow_up()
+        done: asyncio.Future[None] | None = None
+        try:
+            self.queue.enqueue(run, self._now())
+            if not run.is_through:
+                done = self._waiting[run] = asyncio.get_running_loop().create_future()
+        finally:
+            self._follow_up()  # what was due is looked after, even if the run is refused
         if done is None:
             return
         try:
@@ -138,12 +141,13 @@ class HostedQueue:
         waiting, self._waiting = self._waiting, {}
         for run, done in waiting.items():
             self.queue.withdraw(run, self._now())
-            run.error = error
+            run.error = None if run.is_through else error  # of one that is partly in, the rest was refused
             _finish(done)
         self._follow_up()
 
     def forget(self, error: StampedeError) -> None:
         """As `end`, for good."""
+        self._is_forgotten = True
         self.end(error)
         if self._timer is not None:
             self._timer.cancel()
@@ -156,6 +160,8 @@ class HostedQueue:
             done = self._waiting.pop(run, None)
             if done is not None:
                 _finish(done)
+        if self._is_forgotten:
+            return
         if self.queue.is_moving_out:
             self._on_departures(self)
         self._arm(self.queue.next_deadline())

@@ -2,6 +2,7 @@
 
 from stampede_rt_channel_host.core.queue.dealing import BATCH_BYTES_MAX, Taker
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue
+from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueState, SeqRange
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import (
     BLOCK,
@@ -40,12 +41,16 @@ __all__ = [
     "EnqueueOutcome",
     "Extend",
     "GiveBack",
+    "ItemState",
+    "LeaseState",
     "LeasedSlice",
     "Queue",
     "QueueCounters",
     "QueueLimits",
+    "QueueState",
     "QueuedRun",
     "Rejection",
+    "SeqRange",
     "Settlement",
     "SettlementResult",
     "Taker",

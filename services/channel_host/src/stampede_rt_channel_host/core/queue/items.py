@@ -37,19 +37,18 @@ class QueuedRun:
 class TouchedItem:
     """An item that was given to a taker, or held back, at least once.
 
-    `deliveries` counts them for each copy that was given out, `returned` lists those copies that nobody has, ascending.
-    `leases` maps takers to deliveries, `acknowledged` lists takers that are done. `due`: held back until then.
+    `returned` has the number of deliveries of each copy that was given out and that nobody has, ascending. `leases`
+    maps takers to delivery ids, `acknowledged` lists takers that are done. `due`: held back until then.
     """
 
     __slots__ = (
-        "acknowledged", "deliveries", "due", "is_available", "is_leaving", "is_unleased", "leases", "place",
-        "return_number", "returned", "run",
+        "acknowledged", "due", "is_available", "is_leaving", "is_unleased", "leases", "place", "return_number",
+        "returned", "run",
     )  # fmt: skip
 
     def __init__(self, run: QueuedRun, place: int) -> None:
         self.run = run
         self.place = place
-        self.deliveries: list[int] = []
         self.returned: list[int] = []
         self.leases: dict[int, int] = {}
         self.acknowledged: tuple[int, ...] = ()

@@ -24,14 +24,14 @@ from stampede_rt_channel_host.core.queue.values import (
 
 
 class Lease:
-    """One delivery: `copy` of `item` is the taker's until `due`."""
+    """One delivery: a copy of `item` is the taker's until `due`. `number`: which delivery of that copy it is."""
 
-    __slots__ = ("copy", "due", "item", "order", "taker_id")
+    __slots__ = ("due", "item", "number", "order", "taker_id")
 
-    def __init__(self, delivery_id: int, item: TouchedItem, copy: int, taker_id: int) -> None:
+    def __init__(self, delivery_id: int, item: TouchedItem, number: int, taker_id: int) -> None:
         self.order = delivery_id
         self.item = item
-        self.copy = copy
+        self.number = number
         self.taker_id = taker_id
         self.due: int | None = None
 
@@ -48,19 +48,17 @@ class Leasing:
         self.acknowledged = AcknowledgedDeliveries()
 
     def deliver(self, item: TouchedItem, taker_id: int, expires: int) -> tuple[int, int]:
-        """Lease a free copy of the item; gives the delivery's id and which delivery of that copy it is."""
-        if item.returned:
-            copy = item.returned.pop(0)
-        else:
-            copy = len(item.deliveries)
-            item.deliveries.append(0)
-        item.deliveries[copy] += 1
+        """Lease a free copy of the item; gives the delivery's id and which delivery of that copy it is.
+
+        The copy that came back most often goes first: an item that no taker can cope with is soon found out.
+        """
+        number = 1 + (item.returned.pop() if item.returned else 0)
         delivery_id = self.next_delivery_id
         self.next_delivery_id += 1
-        self.enter(Lease(delivery_id, item, copy, taker_id), expires)
+        self.enter(Lease(delivery_id, item, number, taker_id), expires)
         self._shelf.refresh(item)
         self._shelf.tally.delivered += 1
-        return delivery_id, item.deliveries[copy]
+        return delivery_id, number
 
     def enter(self, lease: Lease, expires: int) -> None:
         """The lease holds from now on."""
@@ -104,10 +102,10 @@ class Leasing:
             for delivery_id in one.delivery_ids:
                 lease = self.leases.get(delivery_id)
                 if lease is not None:
-                    lease.item.deliveries[lease.copy] -= 1
                     self._shelf.tally.delivered -= 1
                     self._end(lease)
-                    insort(lease.item.returned, lease.copy)
+                    if lease.number > 1:
+                        insort(lease.item.returned, lease.number - 1)
                     self._put_back(lease.item)
 
     def settle_copies(self, item: TouchedItem) -> bool:
@@ -141,8 +139,8 @@ class Leasing:
         """The delivery was in vain. After the last that is allowed the item leaves, and with it its other leases."""
         item, limits = lease.item, self._shelf.limits
         self._end(lease)
-        insort(item.returned, lease.copy)
-        if limits.max_deliveries is not None and item.deliveries[lease.copy] >= limits.max_deliveries:
+        insort(item.returned, lease.number)
+        if limits.max_deliveries is not None and lease.number >= limits.max_deliveries:
             if limits.dead_letters:
                 self._void(item)
                 self._shelf.set_leaving(item)

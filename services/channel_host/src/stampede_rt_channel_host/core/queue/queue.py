@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import islice
 
+from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dealing import Dealing, Taker
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
+from stampede_rt_channel_host.core.queue.handoff import QueueState
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.shelf import Shelf
@@ -38,6 +40,19 @@ class Queue:
         self._enqueuing = Enqueuing(self._shelf, self._name)
         self._dealing = Dealing(self._shelf, self._leasing)
         self._clock: int | None = None
+
+    def export(self, now: int) -> QueueState:
+        """The whole queue as values. Those who wait are not in it: withdraw them, and let them go, before."""
+        clock = self._tick(now)
+        return handoff.export(self._shelf, self._leasing, self._enqueuing.retries, clock)
+
+    @classmethod
+    def restore(cls, limits: QueueLimits, state: QueueState, now: int, *, incarnation: int, name: str = "") -> Queue:
+        """The queue that another host exported, with its seqs, leases and counters. Takes as long as it has items."""
+        queue = cls(limits, incarnation=incarnation, name=name)
+        handoff.restore(state, queue._shelf, queue._leasing, queue._enqueuing.retries, now)
+        queue._tick(now)
+        return queue
 
     def enqueue(self, run: Enqueue, now: int) -> None:
         """Judge a run: it is through when this returns, or it waits, and comes with `take_finished` later.
@@ -119,15 +134,17 @@ class Queue:
             self._shelf.leaving.move_to_end(seq)
 
     def configure(self, limits: QueueLimits, now: int) -> None:
-        """Set other limits. Looks at every touched item once; held items that exceed them stay."""
+        """Set other limits; held items that exceed them stay. Another number of copies looks at every touched item."""
         clock = self._tick(now)
-        self._shelf.limits = limits
-        for item in list(self._shelf.touched.values()):
-            if item.is_leaving and not limits.dead_letters:
+        before, self._shelf.limits = self._shelf.limits, limits
+        if not limits.dead_letters:
+            for item in list(self._shelf.leaving.values()):
                 self._leasing.expel(item)
-            elif not self._leasing.settle_copies(item):
-                self._shelf.refresh(item)
-                self._shelf.log_return(item)
+        if limits.copies != before.copies:
+            for item in list(self._shelf.touched.values()):
+                if not self._leasing.settle_copies(item):
+                    self._shelf.refresh(item)
+                    self._shelf.log_return(item)
         self._follow_up(clock)
 
     def tick(self, now: int) -> None:

@@ -83,6 +83,23 @@ class Shelf:
         self.tally.accepted += 1
         self.tally.accepted_bytes += length
 
+    def put_back(self, run: QueuedRun, place: int, *, is_fresh: bool) -> None:
+        """An item that another host held goes on here. Items come in the order of seqs, the touched ones first."""
+        if not run.held:
+            self.stored_bytes += len(run.body)
+        run.held += 1
+        self.items += 1
+        self.payload_bytes += run.lengths[place]
+        if not is_fresh:
+            item = TouchedItem(run, place)
+            self.touched[item.seq] = item
+            return
+        self.fresh_items += 1
+        if not self._fresh:
+            self._fresh_place = place
+        if not self._fresh or self._fresh[-1] is not run:
+            self._fresh.append(run)
+
     def seal(self, run: QueuedRun, body: bytes) -> None:
         """The run is complete."""
         run.lengths = tuple(run.lengths)

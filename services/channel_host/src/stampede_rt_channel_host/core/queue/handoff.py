@@ -1,0 +1,164 @@
+"""A whole queue as values, for the host that takes it over (paper, section 4.1: queues migrate). Pure.
+
+Seqs, delivery ids and counters go on where they were. Takers and runs that wait do not travel: their streams are told
+where to go. Durations stand for instants, since two hosts' clocks differ; they follow `HandoffRecord` of the contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, groupby
+from typing import NamedTuple
+
+from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
+from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
+from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
+from stampede_rt_channel_host.core.queue.shelf import Shelf, Tally
+from stampede_rt_channel_host.core.queue.values import EnqueueOutcome
+
+
+class LeaseState(NamedTuple):
+    """A lease, and how long it still holds."""
+
+    delivery_id: int
+    taker_id: int
+    lease_nanos: int
+
+
+class ItemState(NamedTuple):
+    """An item that is not as it came.
+
+    `deliveries`: of each copy that was given out and not acknowledged: first of the leased ones, as `leases` are, then
+    of those that nobody has. `delay_nanos`: held back for so long. `is_leaving`: on its way to the dead-letter queue.
+    """
+
+    seq: int
+    deliveries: Sequence[int]
+    acknowledged: Sequence[int]
+    leases: Sequence[LeaseState]
+    delay_nanos: int
+    is_leaving: bool
+
+
+class SeqRange(NamedTuple):
+    """Seqs from `first` to `last`, both included."""
+
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class QueueState:
+    """Everything. Runs ascend, and each has an item that is held. `held` ascends; held items without a state are as
+    they came. The runs' `accepted_at`, and the times of acknowledgements and recorded runs, are ages."""
+
+    next_seq: int
+    next_delivery_id: int
+    tally: Tally
+    runs: Sequence[QueuedRun]
+    held: Sequence[SeqRange]
+    items: Sequence[ItemState]
+    acknowledged: Sequence[Acknowledged]
+    producers: Sequence[KeptRun[EnqueueOutcome]]
+
+
+def export(shelf: Shelf, leasing: Leasing, retries: RetryWindow[EnqueueOutcome], now: int) -> QueueState:
+    """The queue as it is at `now`; it shares nothing that changes."""
+    held = [item.seq for item in shelf.touched.values()]
+    fresh = [seq for run, place in shelf.fresh() for seq in range(run.first_seq + place, run.end_seq)]
+    return QueueState(
+        next_seq=shelf.next_seq,
+        next_delivery_id=leasing.next_delivery_id,
+        tally=replace(shelf.tally),
+        runs=[QueuedRun(run.first_seq, run.lengths, now - run.accepted_at, run.body) for run in _runs(shelf)],
+        held=_ranges(chain(held, fresh)),
+        items=[_state(item, leasing, now) for item in chain(_not_leaving(shelf), shelf.leaving.values())],
+        acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now)],
+        producers=[kept._replace(time=now - kept.time) for kept in retries.kept(now)],
+    )
+
+
+def restore(state: QueueState, shelf: Shelf, leasing: Leasing, retries: RetryWindow[EnqueueOutcome], now: int) -> None:
+    """Fill an empty queue. Times that are over by now are looked after at the next tick."""
+    shelf.tally = replace(state.tally)
+    leasing.next_delivery_id = state.next_delivery_id
+    states = {one.seq: one for one in state.items}
+    fresh_from = _fresh_from(state)
+    runs = iter(state.runs)
+    run: QueuedRun | None = None
+    for seq in chain.from_iterable(range(first, last + 1) for first, last in state.held):
+        while run is None or seq >= run.end_seq:
+            old = next(runs)
+            run = QueuedRun(old.first_seq, old.lengths, now - old.accepted_at, old.body)
+            run.held = 0
+        shelf.put_back(run, seq - run.first_seq, is_fresh=seq >= fresh_from)
+        if seq in states:
+            _enter(shelf, leasing, states[seq], now)
+        elif seq < fresh_from:
+            shelf.refresh(shelf.touched[seq])
+    shelf.next_seq = state.next_seq
+    for seq in [one.seq for one in state.items if one.is_leaving]:  # in their own order
+        shelf.set_leaving(shelf.touched[seq])
+    for one in state.acknowledged:
+        leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
+    for kept in state.producers:
+        retries.record(kept.producer_id, kept.first_number, kept.items, kept.outcome, now - kept.time)
+
+
+def _fresh_from(state: QueueState) -> int:
+    """From this seq on nothing was touched: all is held up to the end. An older item may be as it came, too, having
+    come back or been passed over; it counts as touched all the same."""
+    if not state.held or state.held[-1].last != state.next_seq - 1:
+        return state.next_seq
+    return max(state.held[-1].first, max((one.seq for one in state.items), default=0) + 1)
+
+
+def _runs(shelf: Shelf) -> Iterator[QueuedRun]:
+    """Each run of which an item is held, once."""
+    last: QueuedRun | None = None
+    for run in chain((item.run for item in shelf.touched.values()), (run for run, _ in shelf.fresh())):
+        if run is not last:
+            last = run
+            yield run
+
+
+def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
+    """Ascending seqs as ranges."""
+    found = []
+    for _, group in groupby(enumerate(seqs), key=lambda pair: pair[1] - pair[0]):
+        members = [seq for _, seq in group]
+        found.append(SeqRange(members[0], members[-1]))
+    return found
+
+
+def _not_leaving(shelf: Shelf) -> Iterator[TouchedItem]:
+    """Those with something to tell."""
+    for item in shelf.touched.values():
+        told = item.returned or item.leases or item.acknowledged or item.due is not None
+        if told and not item.is_leaving:
+            yield item
+
+
+def _state(item: TouchedItem, leasing: Leasing, now: int) -> ItemState:
+    leases = [leasing.leases[delivery_id] for delivery_id in item.leases.values()]
+    return ItemState(
+        seq=item.seq,
+        deliveries=[*(lease.number for lease in leases), *item.returned],
+        acknowledged=item.acknowledged,
+        leases=[LeaseState(lease.order, lease.taker_id, (lease.due or now) - now) for lease in leases],
+        delay_nanos=0 if item.due is None else item.due - now,
+        is_leaving=item.is_leaving,
+    )
+
+
+def _enter(shelf: Shelf, leasing: Leasing, state: ItemState, now: int) -> None:
+    item = shelf.touched[state.seq]
+    item.acknowledged = tuple(state.acknowledged)
+    item.returned = sorted(state.deliveries[len(state.leases) :])
+    for lease, number in zip(state.leases, state.deliveries, strict=False):
+        leasing.enter(Lease(lease.delivery_id, item, number, lease.taker_id), now + lease.lease_nanos)
+    if state.delay_nanos > 0:
+        shelf.delays.arm(item, now + state.delay_nanos)
+    shelf.refresh(item)
