@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, rule
 
 from stampede_rt_supernode.core.commands import Refused, Result
-from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerRegistered, PeersExpired, RegisterPeer
+from stampede_rt_supernode.core.peers.commands import (
+    DeregisterPeer,
+    ExpirePeers,
+    PeerRegistered,
+    PeersExpired,
+    RegisterPeer,
+)
 from stampede_rt_supernode.core.records import Change, ChangeKind, Peer, Queue
 from tests.unit.supernode.deeds import begin_tenure, deregister, open_queue, register
 from tests.unit.supernode.drawn_peers import endings, queue_deeds, registrations
@@ -23,6 +29,7 @@ class Owners:
 
     def __init__(self) -> None:
         self.living: dict[bytes, RegisterPeer] = {}
+        self.registered: dict[bytes, int] = {}
 
     def register(self, deed: RegisterPeer, result: Result) -> None:
         displaced = [one for one in self.living.values() if one.peer_id == deed.peer_id or one.name == deed.name != ""]
@@ -32,8 +39,23 @@ class Owners:
             for one in displaced:
                 del self.living[one.peer_id]
             self.living[deed.peer_id] = deed
+            self.registered[deed.peer_id] = result.peer.registered_index
         elif isinstance(result, Refused):
             assert not (may and result.reason == "PEER_EXISTS"), "its own place was refused to a peer"
+
+    def end(self, deed: DeregisterPeer | ExpirePeers, tenure: int) -> set[bytes]:
+        """The ids of those that are out by `deed`."""
+        if isinstance(deed, DeregisterPeer):
+            boots = {(deed.peer_id, deed.boot_incarnation, self.registered.get(deed.peer_id))}
+        else:
+            boots = {(one.peer_id, one.boot_incarnation, one.registered_index) for one in deed.leases}
+        if isinstance(deed, ExpirePeers) and deed.tenure != tenure:
+            return set()
+        held = self.living.items()
+        gone = {one for one, entry in held if (one, entry.boot_incarnation, self.registered[one]) in boots}
+        for one in gone:
+            del self.living[one]
+        return gone
 
     @staticmethod
     def _may_displace(one: RegisterPeer, deed: RegisterPeer) -> bool:
@@ -74,18 +96,11 @@ class PeerMachine(ThreeDirectories):
     def end_peers(self, data: st.DataObject) -> None:
         deed = data.draw(endings(self.directory))
         before = dict(self.directory.tables.peers.by_id)
+        gone = self.owners.end(deed, self.directory.tenure)
         result = self.apply(deed, self.fresh_id())
-        asked = {one.peer_id for one in deed.leases} if isinstance(deed, ExpirePeers) else {deed.peer_id}
-        gone = {one for one in asked & set(self.owners.living) if self._has_ended(one)}
-        for one in gone:
-            del self.owners.living[one]
         if isinstance(result, PeersExpired):
             assert result.expired == len(gone)
             assert all(self.directory.tables.peers.by_id[one].name == before[one].name for one in gone)
-
-    def _has_ended(self, peer_id: bytes) -> bool:
-        held = self.directory.tables.peers.by_id.get(peer_id)
-        return held is None or not held.alive
 
     @rule(number=st.integers(1, 3), boot=st.integers(1, 2), leaves=st.booleans())
     def change_host(self, number: int, boot: int, leaves: bool) -> None:
