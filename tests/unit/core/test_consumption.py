@@ -149,6 +149,20 @@ def test_an_interval_stays_finished_when_the_item_behind_it_is_consumed() -> Non
     assert "consumed" in answer.reason.detail
 
 
+def test_a_long_delay_is_made_up_for_in_small_parts() -> None:
+    channel = a_channel(consumers=1)
+    for time in range(8000):
+        put(channel, time)
+    for first in (2, 4001):
+        channel.consume(ANN, range(first, min(first + 4000, 8001)), CLOCK)
+    channel.consume(ANN, [1], CLOCK)
+    assert channel.next_deadline(CLOCK) == CLOCK, "there is more to do at once"
+    assert 0 < channel.counters(CLOCK).held < 8000
+    while channel.next_deadline(CLOCK) == CLOCK:
+        channel.collect(CLOCK)
+    assert (channel.counters(CLOCK).held, channel.look(CLOCK)[0].backlog_bytes) == (0, 0)
+
+
 def test_fewer_consumers_end_the_places_whose_leases_end_first() -> None:
     channel = three_items(consumers=3)
     channel.consume(ANN, [1, 2, 3], CLOCK, lease_nanos=300)

@@ -200,7 +200,6 @@ class Channel:
             consumer_id, seqs, next_seq=self.next_seq, newest_seq=newest_seq, clock=clock, lease=lease_nanos
         )
         self._settle(clock)
-        self._held.free(len(seqs))
         return consumed
 
     def consumers(self, now: int) -> list[ConsumerPlace]:
@@ -219,12 +218,13 @@ class Channel:
     def collect(self, now: int, entries_max: int = 1024) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
-        return self._held.free(entries_max)
+        return self._held.free(entries_max) or self._retention.has_more
 
     def next_deadline(self, now: int) -> int | None:
         """When `collect` is next useful: now, if memory is left to free; else when time takes items; None: never."""
         clock = self._settle(self._tick(now))
-        return clock if self._held.has_backlog else self._retention.next_due()
+        more = self._held.has_backlog or self._retention.has_more
+        return clock if more else self._retention.next_due()
 
     def counters(self, now: int) -> Counters:
         """What became of all items, at this moment."""
@@ -292,8 +292,11 @@ class Channel:
     def _settle(self, clock: int) -> int:
         """Let go what time has outdated, and free a little."""
         self._puts_unsettled = 0
-        self._retention.settle(clock)
-        self._reading.consumed_up_to = self._held.newest_consumed
+        if self._retention.consumers is None:
+            self._retention.age_out(clock)
+        else:
+            self._retention.settle(clock)
+            self._reading.consumed_up_to = self._held.newest_consumed
         self._held.free(FREED_ENTRIES_PER_CALL)
         return clock
 

@@ -19,14 +19,18 @@ from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.seq_set import SeqSet
 
+SLICES_USED_UP_MAX = 1024
+"""What one call lets go of by consumption: a consumer that makes up for a long delay stalls nobody."""
+
 
 class Retention:
     """Applies limits to holdings. `consumers` is None where the limits count no consumption: nothing is kept then."""
 
-    __slots__ = ("_held", "consumers", "limits")
+    __slots__ = ("_held", "consumers", "has_more", "limits")
 
     def __init__(self, limits: Limits, held: Holdings) -> None:
         self._held = held
+        self.has_more = False
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
@@ -36,6 +40,7 @@ class Retention:
         places = limits.consumer_places
         if not places:
             self.consumers = self._held.on_gone = None
+            self.has_more = False
         elif self.consumers is None:
             self.consumers = Consumers(places, _gone(self._held))
             self._held.on_gone = self.consumers.let_go
@@ -127,15 +132,22 @@ class Retention:
         return instant if end is None else min(instant, end)
 
     def use_up(self, clock: int) -> None:
-        """Collect the oldest items that all consumers have consumed. Looks at what goes and one slice more.
+        """Collect the oldest items that all consumers have consumed, a bounded part; `has_more`: there may be others.
 
-        With no consumer left to hold anything back all go but the newest bucket: by it the next one finds in.
+        Looks at what goes and one slice more, and frees what went, so that it costs the same for each item however many
+        go together. With no consumer left to hold anything back all go but the newest bucket: by it the next one finds
+        in.
         """
+        self.has_more = False
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
             return
-        going = consumers.done_with if consumers.live else _before(held.newest)
-        held.outdate(held.front(going), CONSUMPTION, clock)
+        going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else _before(held.newest))
+        front = held.front(going)
+        self.has_more = going.held_back
+        if front.items:
+            held.outdate(front, CONSUMPTION, clock)
+            held.free(SLICES_USED_UP_MAX)
 
     @property
     def _nobody_holds(self) -> bool:
@@ -221,6 +233,22 @@ def _gone(held: Holdings) -> SeqSet:
         owed_from = part.end_seq
     gone.add(owed_from, held.next_seq)
     return gone
+
+
+class _AtMost:
+    """Takes what `going` takes, of so many slices; `held_back` if it was asked for more."""
+
+    __slots__ = ("_going", "_left", "held_back")
+
+    def __init__(self, slices: int, going: Going) -> None:
+        self._going = going
+        self._left = slices
+        self.held_back = False
+
+    def __call__(self, part: Slice) -> int:
+        self._left -= 1
+        self.held_back = self._left < 0
+        return 0 if self.held_back else self._going(part)
 
 
 def oldest_items(count: int) -> Going:
