@@ -9,8 +9,9 @@ from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.discovery import Discovery
 from stampede_rt._async.group import Group, GroupChannel, member_handles
+from stampede_rt._async.peer_place import PeerPlace
 from stampede_rt._async.presence import Mailbox, Presence
-from stampede_rt._async.queue import Queue, dead_letter_id
+from stampede_rt._async.queue import Queue, dead_letter_id, stats_at
 from stampede_rt._async.queue_place import QueueState, open_queue
 from stampede_rt._async.sending import Sending
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, left_s, request_id
@@ -26,7 +27,7 @@ from stampede_rt.grouping import (
     parse_reference,
 )
 from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.queueing import parse_queue_policy
+from stampede_rt.queueing import QueueStats, parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
@@ -234,3 +235,7 @@ class Connection(Discovery):
         if the mailbox's host cannot be reached.
         """
         return await self._sending.send(parse_name(peer, "peer"), payload, timeout, attributes, content_type)
+
+    async def mailbox_stats(self, peer: str) -> QueueStats:
+        """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""
+        return await stats_at(self._session, PeerPlace(self._session, parse_name(peer, "peer")))

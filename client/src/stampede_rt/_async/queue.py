@@ -79,14 +79,7 @@ class Taking:
 
     async def stats(self) -> QueueStats:
         """Counters and waiters, taken at one moment."""
-
-        async def status_at(binding: Binding) -> QueueStats:
-            port = self._session.ports.to(binding.target)
-            request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
-            response = await port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
-            return queue_stats(response.status)
-
-        return await attempt(self._place, status_at, CALL_TIMEOUT_S)
+        return await stats_at(self._session, self._place)
 
     async def aclose(self) -> None:
         """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
@@ -181,6 +174,18 @@ class Queue(Taking):
         await self._session.supernodes.call("DeleteQueue", request, CALL_TIMEOUT_S)
         await self.aclose()
         self._session.cache.forget(self.info.queue_id)
+
+
+async def stats_at(session: Session, place: Place) -> QueueStats:
+    """Counters and waiters of the queue at a place."""
+
+    async def status_at(binding: Binding) -> QueueStats:
+        port = session.ports.to(binding.target)
+        request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
+        response = await port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+        return queue_stats(response.status)
+
+    return await attempt(place, status_at, CALL_TIMEOUT_S)
 
 
 async def dead_letter_id(session: Session, queue: Queue | str | None) -> bytes | None:

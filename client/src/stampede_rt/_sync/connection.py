@@ -10,8 +10,9 @@ from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cross_section import cross_section
 from stampede_rt._sync.discovery import Discovery
 from stampede_rt._sync.group import Group, GroupChannel, member_handles
+from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.presence import Mailbox, Presence
-from stampede_rt._sync.queue import Queue, dead_letter_id
+from stampede_rt._sync.queue import Queue, dead_letter_id, stats_at
 from stampede_rt._sync.queue_place import QueueState, open_queue
 from stampede_rt._sync.sending import Sending
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, left_s, request_id
@@ -27,7 +28,7 @@ from stampede_rt.grouping import (
     parse_reference,
 )
 from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.queueing import parse_queue_policy
+from stampede_rt.queueing import QueueStats, parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
@@ -233,3 +234,7 @@ class Connection(Discovery):
         if the mailbox's host cannot be reached.
         """
         return self._sending.send(parse_name(peer, "peer"), payload, timeout, attributes, content_type)
+
+    def mailbox_stats(self, peer: str) -> QueueStats:
+        """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""
+        return stats_at(self._session, PeerPlace(self._session, parse_name(peer, "peer")))

@@ -80,14 +80,7 @@ class Taking:
 
     def stats(self) -> QueueStats:
         """Counters and waiters, taken at one moment."""
-
-        def status_at(binding: Binding) -> QueueStats:
-            port = self._session.ports.to(binding.target)
-            request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
-            response = port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
-            return queue_stats(response.status)
-
-        return attempt(self._place, status_at, CALL_TIMEOUT_S)
+        return stats_at(self._session, self._place)
 
     def close(self) -> None:
         """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
@@ -182,6 +175,18 @@ class Queue(Taking):
         self._session.supernodes.call("DeleteQueue", request, CALL_TIMEOUT_S)
         self.close()
         self._session.cache.forget(self.info.queue_id)
+
+
+def stats_at(session: Session, place: Place) -> QueueStats:
+    """Counters and waiters of the queue at a place."""
+
+    def status_at(binding: Binding) -> QueueStats:
+        port = session.ports.to(binding.target)
+        request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
+        response = port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+        return queue_stats(response.status)
+
+    return attempt(place, status_at, CALL_TIMEOUT_S)
 
 
 def dead_letter_id(session: Session, queue: Queue | str | None) -> bytes | None:

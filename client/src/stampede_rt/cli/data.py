@@ -21,13 +21,13 @@ from stampede_rt.cli.arguments import (
     parse_time,
     policy_of,
 )
+from stampede_rt.cli.messages import add_payload, payload_of
 from stampede_rt.cli.output import item_line, item_row
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Item, Items, Reason
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, format_instant
 
 NOTHING = 3
-STDIN_BYTES_MAX = 16 * 1024 * 1024
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -45,7 +45,7 @@ def add_verbs(subparsers: Any) -> None:
 def _add_put(subparsers: Any) -> None:
     put = add_verb(subparsers, "put", "put one item; the channel is created if it is absent", run_put)
     put.add_argument("channel")
-    put.add_argument("payload", nargs="?", help="the payload as text; without it, standard input is read")
+    add_payload(put)
     put.add_argument("--time", type=checked(parse_time), metavar="TIME", help="the item's time; default: on arrival")
     put.add_argument("--duration", metavar="DURATION", help='how long it holds, such as "33ms"')
     put.add_argument(
@@ -87,7 +87,7 @@ def _add_get(subparsers: Any) -> None:
 
 def run_put(arguments: argparse.Namespace) -> int:
     """Put one item and say where it went."""
-    payload = arguments.payload.encode() if arguments.payload is not None else _standard_input()
+    payload = payload_of(arguments)
     with connected(arguments) as rt:
         channel = rt.channel(arguments.channel, **policy_of(arguments))
         item = channel.put(
@@ -101,13 +101,6 @@ def run_put(arguments: argparse.Namespace) -> int:
     else:
         print(json.dumps({"channel": arguments.channel, "seq": item.seq, "time": item.time}))
     return 0
-
-
-def _standard_input() -> bytes:
-    payload = sys.stdin.buffer.read(STDIN_BYTES_MAX + 1)
-    if len(payload) > STDIN_BYTES_MAX:
-        raise InvalidArgument(f"standard input has more than {STDIN_BYTES_MAX} bytes, the most of one item; split it")
-    return payload
 
 
 def run_get(arguments: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from stampede_rt.cli import data, discovery, doctor, group, rates
+from stampede_rt.cli import data, discovery, doctor, group, mailbox, queue, rates
 from stampede_rt.cli.arguments import VerbParser
 from stampede_rt.errors import StampedeError
 from stampede_rt.version import VERSION
@@ -81,6 +81,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"stampede {VERSION}")
     subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
-    for module in (discovery, data, group, rates, doctor):
+    for module in (discovery, data, group, queue, mailbox, rates, doctor):
         module.add_verbs(subparsers)
     return parser

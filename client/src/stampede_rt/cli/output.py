@@ -67,24 +67,29 @@ def item_row(item: Item) -> dict[str, Any]:
         "content_type": item.content_type,
         "attributes": dict(item.attributes),
     }
-    if item.payload is not None:
-        text = _text(item.payload)
-        row |= {"payload_base64": base64.b64encode(item.payload).decode()} if text is None else {"payload": text}
-    return row
+    return row if item.payload is None else row | payload_fields(item.payload)
+
+
+def payload_fields(payload: bytes) -> dict[str, str]:
+    """A payload for JSON: text as text, others in base64."""
+    text = _text(payload)
+    return {"payload_base64": base64.b64encode(payload).decode()} if text is None else {"payload": text}
 
 
 def item_line(item: Item) -> str:
     """An item for people, on one line."""
     duration = f" for {format_duration(item.duration)}" if item.duration is not None else ""
     attributes = "".join(f" {key}={value}" for key, value in item.attributes.items())
-    return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes}  {_preview(item)}"
+    shown = preview(item.payload, item.payload_length_bytes, item.content_type)
+    return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes}  {shown}"
 
 
-def _preview(item: Item) -> str:
-    kind = f" {item.content_type}" if item.content_type else ""
-    text = None if item.payload is None else _text(item.payload)
+def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
+    """A payload for people: short text as it is, what else it is in brackets."""
+    kind = f" {content_type}" if content_type else ""
+    text = None if payload is None else _text(payload)
     if text is None or not text.isprintable():
-        return f"[{item.payload_length_bytes} bytes{kind}]"
+        return f"[{length_bytes} bytes{kind}]"
     return (
         text if len(text) <= PREVIEW_CHARACTERS_MAX else f"{text[:PREVIEW_CHARACTERS_MAX]}... [{len(text)} characters]"
     )

@@ -1,0 +1,93 @@
+"""`stampede mailbox ...` and `stampede peers`: participants, and what is sent to them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import Any
+
+from stampede_rt import PeerInfo, connect
+from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute
+from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
+from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.errors import PeerNotFound
+from stampede_rt.timeline import format_instant
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verbs, and `peers`."""
+    peers = add_verb(subparsers, "peers", "list participants", run_peers)
+    peers.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "robot/*"')
+    peers.add_argument("--all", action="store_true", help="those whose leases have ended, too")
+    text = "what is sent to participants by their names"
+    noun = subparsers.add_parser("mailbox", help=text, description=text)
+    verbs = noun.add_subparsers(dest="mailbox_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    send = add_verb(verbs, "send", "send one message to a participant", run_send)
+    send.add_argument("peer")
+    add_payload(send)
+    send.add_argument(
+        "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
+    )
+    send.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for room; default 1")
+    get = add_verb(verbs, "get", "be a participant of that name for a while, and take what is sent to it", run_get)
+    get.add_argument("name", help="which no live participant may have")
+    add_taking(get)
+    info = add_verb(verbs, "info", "tell the counters of a participant's mailbox", run_info)
+    info.add_argument("peer")
+
+
+def run_peers(arguments: argparse.Namespace) -> int:
+    """List participants from the directory."""
+    with connected(arguments) as rt:
+        peers = rt.peers(arguments.glob, include_dead=arguments.all)
+        hosts = {host.host_id: host.name for host in rt.hosts()}
+    rows = [_row(peer, hosts, arguments.output) for peer in peers]
+    print_rows(rows, arguments.output, none=f"no participant matches {arguments.glob!r}")
+    return 0
+
+
+def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
+    people = form == "table"
+    return {
+        "peer": peer.name or peer.peer_id.hex(),
+        "alive": ("yes" if peer.alive else "no") if people else peer.alive,
+        "since": format_instant(peer.registered) if people else peer.registered,
+        "mailbox": ("yes" if peer.mailbox_queue_id else "no") if people else peer.mailbox_queue_id is not None,
+        "host": hosts.get(peer.host_id) if peer.host_id is not None else None,
+        "zone": peer.zone or None,
+        "version": peer.version,
+    }
+
+
+def run_send(arguments: argparse.Namespace) -> int:
+    """Send one message and say where it went."""
+    payload = payload_of(arguments)
+    with connected(arguments) as rt:
+        try:
+            seq = rt.send(arguments.peer, payload, arguments.timeout, attributes=dict(arguments.attribute or ()))
+        except PeerNotFound as error:
+            raise _nobody(arguments.peer) from error
+    print_sent({"peer": arguments.peer}, seq, arguments.output)
+    return 0
+
+
+def run_get(arguments: argparse.Namespace) -> int:
+    """Take messages under a name and print them."""
+    with connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=arguments.name) as rt:
+        return take(rt.mailbox, arguments)
+
+
+def run_info(arguments: argparse.Namespace) -> int:
+    """Tell the counters of a mailbox."""
+    with connected(arguments) as rt:
+        try:
+            stats = rt.mailbox_stats(arguments.peer)
+        except PeerNotFound as error:
+            raise _nobody(arguments.peer) from error
+    facts: dict[str, Any] = {"peer": arguments.peer, "incarnation": f"{stats.incarnation:016x}"}
+    print_facts(facts | counted(stats, arguments.output), arguments.output)
+    return 0
+
+
+def _nobody(name: str) -> PeerNotFound:
+    return PeerNotFound(f"no live participant is named {name}; `stampede peers` lists those there are")

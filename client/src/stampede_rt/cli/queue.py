@@ -1,0 +1,146 @@
+"""`stampede queue ...`: queues by name."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy
+from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute, parse_count
+from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
+from stampede_rt.cli.output import bytes_text, print_facts, print_rows
+from stampede_rt.errors import QueueNotFound
+from stampede_rt.queueing import ON_FULL
+from stampede_rt.timeline import format_duration
+
+STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verbs."""
+    text = "first in, first out, each item to one taker"
+    noun = subparsers.add_parser("queue", help=text, description=text)
+    verbs = noun.add_subparsers(dest="queue_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    ls = add_verb(verbs, "ls", "list queues", run_ls)
+    ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "work/*"')
+    ls.add_argument("-l", "--long", action="store_true", help="with counters, which the hosts are asked for")
+    info = add_verb(verbs, "info", "tell everything about one queue", run_info)
+    info.add_argument("queue")
+    put = add_verb(verbs, "put", "put one item; the queue is created if it is absent", run_put)
+    put.add_argument("queue")
+    add_payload(put)
+    put.add_argument(
+        "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
+    )
+    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for room; default 1")
+    _add_policy(put)
+    get = add_verb(verbs, "get", "take items and acknowledge them", run_get)
+    get.add_argument("queue")
+    add_taking(get)
+    delete = add_verb(verbs, "delete", "forget a queue with all that it holds", run_delete, output=False)
+    delete.add_argument("queue")
+
+
+def _add_policy(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--max-items", type=parse_count, metavar="N", help="hold so many items at the most")
+    parser.add_argument("--max-bytes", type=parse_count, metavar="N", help="hold so many bytes at the most")
+    parser.add_argument("--copies", type=parse_count, metavar="K", help="each item to K distinct takers")
+    parser.add_argument("--on-full", choices=ON_FULL, help="what a put into a full queue does")
+    parser.add_argument("--lease", metavar="DURATION", help='how long a taker has to acknowledge, such as "30s"')
+    parser.add_argument("--max-deliveries", type=parse_count, metavar="N", help="then an item leaves the queue")
+    parser.add_argument("--dead-letter", metavar="QUEUE", help="where it goes then")
+
+
+def _existing(rt: Connection, name: str) -> Queue:
+    try:
+        return rt.queue(name, create=False)
+    except QueueNotFound as error:
+        raise QueueNotFound(
+            f"there is no queue {name}; `stampede queue ls` lists those there are, `stampede queue put {name}` makes it"
+        ) from error
+
+
+def run_ls(arguments: argparse.Namespace) -> int:
+    """List queues from the directory."""
+    with connected(arguments) as rt:
+        found = rt.queues(arguments.glob)
+        names = _names(rt) if any(info.policy.dead_letter_queue_id for info in found) else {}
+        rows = [_row(rt, info, names, arguments) for info in found]
+    print_rows(rows, arguments.output, none=f"no queue matches {arguments.glob!r}")
+    return 0
+
+
+def _names(rt: Connection) -> dict[bytes, str]:
+    return {info.queue_id: info.name for info in rt.queues()}
+
+
+def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments: argparse.Namespace) -> dict[str, Any]:
+    lost = arguments.output == "table" and not info.host_alive
+    row: dict[str, Any] = {
+        "queue": info.name,
+        "host": f"{info.host} (lost)" if lost else info.host,
+        "set_up": policy_text(info.policy, names),
+        "epoch": info.epoch,
+    }
+    if arguments.long:
+        stats = rt.queue(info.name, create=False).stats() if info.host_alive else None
+        for name in ("held", "leased", "accepted", "consumed"):
+            row[name] = getattr(stats, name) if stats else None
+    return row
+
+
+def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
+    """A set-up in a few words; `names` are those of queues by their ids."""
+    dead = policy.dead_letter_queue_id
+    lease = f"lease {format_duration(policy.lease_nanos)}" if policy.lease_nanos is not None else "lease 30s"
+    parts = [
+        f"{policy.max_items} items" if policy.max_items is not None else "",
+        bytes_text(policy.max_bytes) if policy.max_bytes is not None else "",
+        f"{policy.copies} copies" if policy.copies is not None else "",
+        policy.on_full or "",
+        lease,
+        f"{policy.max_deliveries} deliveries" if policy.max_deliveries is not None else "",
+        f"dead letters to {names.get(dead, dead.hex())}" if dead is not None else "",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def run_info(arguments: argparse.Namespace) -> int:
+    """Tell a queue's counters."""
+    with connected(arguments) as rt:
+        queue = _existing(rt, arguments.queue)
+        stats, info = queue.stats(), queue.info
+        names = _names(rt) if stats.policy.dead_letter_queue_id else {}
+    facts = {
+        "queue": info.name,
+        "host": info.host,
+        "epoch": info.epoch,
+        "incarnation": f"{stats.incarnation:016x}",
+        "set_up": policy_text(stats.policy, names),
+    }
+    print_facts(facts | counted(stats, arguments.output), arguments.output)
+    return 0
+
+
+def run_put(arguments: argparse.Namespace) -> int:
+    """Put one item and say where it went."""
+    payload = payload_of(arguments)
+    with connected(arguments) as rt:
+        queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in STATED})
+        seq = queue.put(payload, arguments.timeout, attributes=dict(arguments.attribute or ()))
+    print_sent({"queue": arguments.queue}, seq, arguments.output)
+    return 0
+
+
+def run_get(arguments: argparse.Namespace) -> int:
+    """Take items and print them."""
+    with connected(arguments) as rt, _existing(rt, arguments.queue) as queue:
+        return take(queue, arguments)
+
+
+def run_delete(arguments: argparse.Namespace) -> int:
+    """Forget a queue."""
+    with connected(arguments) as rt:
+        _existing(rt, arguments.queue).delete()
+    return 0

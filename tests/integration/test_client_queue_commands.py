@@ -1,0 +1,127 @@
+"""`stampede queue`, `stampede mailbox` and `stampede peers`, as their users read them."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Callable
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt.cli.main import main
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+Run = Callable[..., tuple[str, str]]
+
+
+@pytest.fixture
+def stampede(cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs a command; what it printed, and what it said beside that."""
+    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
+
+    def run(*arguments: str, status: int = 0) -> tuple[str, str]:
+        found = main(arguments)
+        printed = capsys.readouterr()
+        assert found == status, printed
+        return printed.out, printed.err
+
+    return run
+
+
+def test_an_item_goes_in_and_comes_out_once(stampede: Run) -> None:
+    assert stampede("queue", "put", "cli/jobs", "do it", "--attribute", "by=me") == ("cli/jobs #1\n", "")
+    shown, _ = stampede("queue", "get", "cli/jobs", "--keep")
+    assert shown.endswith("#1 by=me  do it\n")
+    shown, _ = stampede("queue", "get", "cli/jobs", "-n", "5", "--timeout", "0.1")
+    assert shown.endswith("#1 (delivery 2) by=me  do it\n")
+    assert stampede("queue", "get", "cli/jobs", "--timeout", "0", status=3) == ("", "stampede: nothing is there\n")
+    _, said = stampede("queue", "get", "cli/jobs", "--timeout", "0.1", status=3)
+    assert said == "stampede: nothing came within 0.1 s\n"
+
+
+def test_programs_read_and_write_json(stampede: Run) -> None:
+    printed, _ = stampede("queue", "put", "cli/json", "x", "-o", "json")
+    assert json.loads(printed) == {"queue": "cli/json", "seq": 1}
+    printed, _ = stampede("queue", "get", "cli/json", "-o", "jsonl")
+    row = json.loads(printed)
+    assert (row["seq"], row["payload"], row["deliveries"], row["length_bytes"]) == (1, "x", 1, 1)
+    printed, _ = stampede("queue", "info", "cli/json", "-o", "json")
+    facts = json.loads(printed)
+    assert (facts["consumed"], facts["held"], facts["oldest_age"], facts["rejected"]["full"]) == (1, 0, None, 0)
+
+
+def test_standard_input_is_put_and_payloads_come_raw(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    class Stdin:
+        buffer = io.BytesIO(b"\x00\xff")
+
+    monkeypatch.setenv("STAMPEDE_URL", cluster.address)
+    monkeypatch.setattr(sys, "stdin", Stdin)
+    assert main(["queue", "put", "cli/raw"]) == 0
+    capfdbinary.readouterr()
+    assert main(["queue", "get", "cli/raw", "--raw"]) == 0
+    assert capfdbinary.readouterr().out == b"\x00\xff"
+
+
+def test_queues_are_listed_with_their_set_up_and_counters(stampede: Run) -> None:
+    stampede("queue", "put", "cli/list/failed", "x")
+    stated = ("--lease", "10s", "--max-items", "9", "--max-deliveries", "3", "--dead-letter", "cli/list/failed")
+    stampede("queue", "put", "cli/list/jobs", "x", *stated)
+    table, _ = stampede("queue", "ls", "cli/list/*", "-l")
+    heads, failed, jobs = table.splitlines()
+    assert heads.split() == ["QUEUE", "HOST", "SET", "UP", "EPOCH", "HELD", "LEASED", "ACCEPTED", "CONSUMED"]
+    assert failed.split()[:2] == ["cli/list/failed", "h1"]
+    assert "9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed" in jobs
+    rows = json.loads(stampede("queue", "ls", "cli/list/*", "-o", "json")[0])
+    assert [row["queue"] for row in rows] == ["cli/list/failed", "cli/list/jobs"]
+    assert stampede("queue", "ls", "nothing/*")[0] == "no queue matches 'nothing/*'\n"
+    info, _ = stampede("queue", "info", "cli/list/jobs")
+    assert "set up          9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed\n" in info
+
+
+def test_a_queue_is_deleted(stampede: Run) -> None:
+    stampede("queue", "put", "cli/gone", "x")
+    assert stampede("queue", "delete", "cli/gone") == ("", "")
+    for verb in ("get", "info", "delete"):
+        _, said = stampede("queue", verb, "cli/gone", status=1)
+        assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists those there are")
+
+
+def test_a_stated_set_up_that_contradicts_is_refused(stampede: Run) -> None:
+    stampede("queue", "put", "cli/stated", "x", "--max-items", "5")
+    _, said = stampede("queue", "put", "cli/stated", "x", "--max-items", "6", status=1)
+    assert "max_items 5" in said
+
+
+def test_a_message_is_sent_to_a_participant_who_takes_it(stampede: Run, cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, name="cli/robot", zone="lab") as rt:
+        assert stampede("mailbox", "send", "cli/robot", "go") == ("cli/robot #1\n", "")
+        info, _ = stampede("mailbox", "info", "cli/robot")
+        assert "held            1\n" in info
+        message = rt.mailbox.get(timeout=10)
+        assert message is not None
+        assert message.payload == b"go"
+        table, _ = stampede("peers", "cli/*")
+        assert table.splitlines()[0].split() == ["PEER", "ALIVE", "SINCE", "MAILBOX", "HOST", "ZONE", "VERSION"]
+        assert table.splitlines()[1].split()[:2] == ["cli/robot", "yes"]
+        (row,) = json.loads(stampede("peers", "cli/*", "-o", "json")[0])
+        assert (row["peer"], row["alive"], row["mailbox"], row["zone"]) == ("cli/robot", True, True, "lab")
+        _, said = stampede("mailbox", "get", "cli/robot", status=1)
+        assert "is taken by another live peer" in said
+
+
+def test_nobody_is_sent_to_who_is_not_there(stampede: Run) -> None:
+    for verb in (("send", "cli/nobody", "x"), ("info", "cli/nobody")):
+        _, said = stampede("mailbox", *verb, status=1)
+        assert said == "stampede: no live participant is named cli/nobody; `stampede peers` lists those there are\n"
+    assert stampede("peers", "nothing/*")[0] == "no participant matches 'nothing/*'\n"
+
+
+def test_a_command_is_a_participant_for_a_while(stampede: Run) -> None:
+    _, said = stampede("mailbox", "get", "cli/short", "--timeout", "0.1", status=3)
+    assert said == "stampede: nothing came within 0.1 s\n"
