@@ -218,7 +218,8 @@ async def test_a_group_that_is_deleted_ends_its_streams(host: Host) -> None:
     one = await host.open("one")
     group = host.directory.add_group("alone", [one])
     reading = await one.subscribe(group).opened()
-    del host.directory.groups[group.group_id]
+    await host.directory.called("Watch", times=1)
+    host.directory.delete_group(group.group_id)
     with pytest.raises(grpc.aio.AioRpcError) as caught:
         await reading.take(1)
     assert caught.value.code() is grpc.StatusCode.NOT_FOUND
@@ -229,8 +230,7 @@ async def test_a_member_that_is_removed_releases_the_cut(host: Host) -> None:
     group = host.directory.add_group("pair", [left, right])
     await left.put(t, t + 1)
     assert (await left.get(group))[0] == []
-    record = host.directory.groups[group.group_id]
-    record.spec.channel_ids.remove(right.channel_id)
-    record.spec_version += 1
+    await host.directory.called("Watch", times=1)
+    host.directory.change_members(group.group_id, [left])
     status = await host.until_cut(group, t + 1)
     assert [member.times.channel_id for member in status.members] == [left.channel_id]

@@ -152,8 +152,7 @@ async def test_a_lost_host_holds_the_cut_until_its_channel_has_another_owner(pai
     status = await pair.left.host.until(pair.group, lambda status: status.members[0].heard_ago_nanos >= 0)
     assert (status.cut_unix_nano, list(status.waiting_on_channel_ids)) == (t + 3, [pair.right.channel_id])
     third = await pair.cluster.start("h3", b"c-another-host!!")
-    record = pair.cluster.directory.channels[pair.right.channel_id]
-    record.host_id, record.epoch, record.incarnation = third.host.identity.host_id, 2, record.incarnation + 1
+    record = pair.cluster.directory.give_to(pair.right.channel_id, third.host.identity.host_id)
     channel = await third.bound(record)
     assert (await pair.left.get(pair.group))[1].cut_unix_nano == t + 3  # still, though the new owner has no item
     await channel.put(t + 8)
@@ -191,15 +190,14 @@ async def test_a_host_shows_nothing_before_it_knows_how_far_the_others_have_show
     await pair.left.host.until_cut(pair.group, t + 5)
 
 
-async def test_a_member_that_others_know_of_is_asked_for_when_they_tell_a_newer_version(pair: Pair) -> None:
+async def test_a_member_that_is_added_holds_the_cut_at_every_host(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)
     await pair.right.put(t + 3)
     await pair.synced(t + 3)
     third = await pair.left.host.open("third")
-    record = pair.cluster.directory.groups[pair.group.group_id]
-    record.spec.channel_ids.append(third.channel_id)
-    record.spec_version += 1
+    await pair.cluster.directory.called("Watch", times=2)
+    pair.cluster.directory.change_members(pair.group.group_id, [pair.left, pair.right, third])
     for host in (pair.left.host, pair.right.host):
         await host.until(pair.group, lambda status: len(status.members) == 3)
     await pair.right.put(t + 9)

@@ -15,6 +15,8 @@ from stampede_rt.status import abort
 from stampede_rt.v1 import (
     channel_pb2,
     channel_service_pb2,
+    directory_pb2,
+    directory_service_pb2,
     group_directory_service_pb2,
     group_directory_service_pb2_grpc,
     group_pb2,
@@ -43,6 +45,7 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
     def __init__(self) -> None:
         super().__init__(lease_ttl_nanos=600 * S)
         self.groups: dict[bytes, group_pb2.GroupRecord] = {}
+        self._watchers: set[asyncio.Queue[directory_pb2.DirectoryChange]] = set()
 
     def register(self, server: grpc.aio.Server) -> None:
         super().register(server)
@@ -58,6 +61,40 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
         )
         self.groups[record.group_id] = record
         return record
+
+    def change_members(self, group_id: bytes, channels: Sequence[GroupedChannel]) -> None:
+        """The group has these members from now on, and watchers hear of it."""
+        record = self.groups[group_id]
+        record.spec.channel_ids[:] = [one.channel_id for one in channels]
+        record.spec_version += 1
+        self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, group=record))
+
+    def delete_group(self, group_id: bytes) -> None:
+        """There is no such group any more, and watchers hear of it."""
+        record = self.groups.pop(group_id)
+        self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_REMOVED, group=record))
+
+    def give_to(self, channel_id: bytes, host_id: bytes) -> channel_pb2.ChannelRecord:
+        """The channel's host was lost and another owns it, without its items; watchers hear of it."""
+        record = self.channels[channel_id]
+        record.host_id, record.epoch, record.incarnation = host_id, record.epoch + 1, record.incarnation + 1
+        self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, channel=record))
+        return record
+
+    def _tell(self, change: directory_pb2.DirectoryChange) -> None:
+        for watcher in self._watchers:
+            watcher.put_nowait(change)
+
+    async def Watch(  # noqa: N802
+        self, request: Any, context: Any
+    ) -> AsyncIterator[directory_service_pb2.WatchResponse]:
+        assert request.include_groups or request.include_queues
+        changes: asyncio.Queue[directory_pb2.DirectoryChange] = asyncio.Queue()
+        self._watchers.add(changes)
+        await self._begin("Watch", context)
+        yield directory_service_pb2.WatchResponse(applied_index=1)
+        while True:
+            yield directory_service_pb2.WatchResponse(changes=[await changes.get()])
 
     async def ResolveGroup(self, request: Any, context: Any) -> Any:  # noqa: N802
         await self._begin("ResolveGroup", context)

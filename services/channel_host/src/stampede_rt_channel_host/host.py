@@ -26,6 +26,7 @@ from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Reg
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.group_servicer import GroupServicer
+from stampede_rt_channel_host.groups.group_watch import watch_groups_forever
 from stampede_rt_channel_host.groups.reading import GroupReads
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.queues.dead_letters import DeadLetterMover
@@ -111,6 +112,7 @@ class ChannelHost:
         self._start(self._registration.keep(), "lease")
         self._start(sweep_forever(self.store), "sweep")
         self._start(self.groups.keep(), "groups")
+        self._start(watch_groups_forever(self._supernodes, self.groups), "group watch")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
         self._start(watch_queues_forever(self._supernodes, self.queues), "queue watch")
 

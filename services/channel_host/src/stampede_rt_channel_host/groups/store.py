@@ -8,7 +8,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, NoReturn
 
 from stampede_rt.errors import HostNotFound, Overloaded, StampedeError, error_for
-from stampede_rt.v1 import group_directory_service_pb2, group_pb2
+from stampede_rt.v1 import directory_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 GROUPS_MAX = 10_000
 LEARNING_MAX = 1_000
 ROUND_SECONDS = 0.5
-LOOK_UP_SECONDS = 5.0
+LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this is for what goes missing
 LOOK_UP_SECONDS_IN_TROUBLE = 0.5
 IN_USE_SECONDS = 60.0
 
@@ -54,6 +54,7 @@ class GroupStore:
         self._asking: dict[bytes, asyncio.Lock] = {}
         self._learning: set[asyncio.Task[None]] = set()
         self._closed = False
+        self.in_use = asyncio.Event()
 
     def known(self, group_id: bytes) -> HostedGroup | None:
         """The group, if this host has learned of it."""
@@ -105,6 +106,22 @@ class GroupStore:
         """Whoever waits for a group or listens to it hears `error`."""
         for group in self._groups.values():
             group.end(error)
+
+    # What the directory tells by itself.
+
+    def missed(self) -> None:
+        """See `WatchedGroups`: they are looked up in the next round."""
+        for group in self._groups.values():
+            group.looked_up_s = 0.0
+
+    def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
+        """See `WatchedGroups`."""
+        if change.HasField("group") and change.group.group_id in self._groups:
+            self._spawn(self._try_to_look_up(change.group.group_id))
+        elif change.HasField("channel"):
+            for group_id in list(self._groups_of.get(change.channel.channel_id, ())):
+                if change.channel.host_id != self._groups[group_id].owners.get(change.channel.channel_id):
+                    self._spawn(self._try_to_look_up(group_id))
 
     # What links tell from and to.
 
@@ -241,6 +258,7 @@ class GroupStore:
             group = HostedGroup(told, self._board, self.channels.now, self.peers.tell_floor)
             group.named_s = _now_s()
             self._groups[group_id] = group
+            self.in_use.set()
         elif (told.group.spec_version, told.group.incarnation) != (group.record.spec_version, group.record.incarnation):
             for channel_id in group.record.spec.channel_ids:
                 self._groups_of.get(channel_id, set()).discard(group_id)
