@@ -24,10 +24,10 @@ from stampede_rt_supernode.replication.links import Dial, Links
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.member_changes import ChangeOutcome, HandOver, MemberChange
 from stampede_rt_supernode.replication.proposals import Outcome, Proposal
-from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica
 from stampede_rt_supernode.replication.servicer import RaftServicer
 from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.snapshots import RunAside
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore
@@ -41,13 +41,21 @@ class PySyncObjLog:
     """A ReplicatedLog over PySyncObj. Made by `open_replicated_log`; used on that loop only."""
 
     def __init__(
-        self, replica: Replica, thread: TickThread, bridge: LoopBridge, links: Links, encoder: ThreadPoolExecutor
+        self,
+        replica: Replica,
+        thread: TickThread,
+        bridge: LoopBridge,
+        links: Links,
+        encoder: ThreadPoolExecutor,
+        *,
+        reads_max: int,
     ) -> None:
         self._encoder = encoder
         self._replica = replica
         self._thread = thread
         self._bridge = bridge
         self._links = links
+        self._reads = SharedReads(replica.read, bridge, waiting_max=reads_max)
         self._servicer: RaftServicer | None = None
         self._closed = False
 
@@ -80,15 +88,9 @@ class PySyncObjLog:
         raise outcome
 
     async def confirm_read(self, *, timeout: float) -> int:
-        """See ReplicatedLog. Writes nothing; a follower asks the leader once for all reads that wait."""
+        """See ReplicatedLog. Writes nothing; all that wait share a read, and a follower asks the leader once."""
         self._refuse_when_closed()
-        answer: asyncio.Future[int | None] = asyncio.get_running_loop().create_future()
-        self._replica.read(Read(time.monotonic() + timeout, self._into(answer)))
-        try:
-            async with asyncio.timeout(timeout):
-                index = await answer
-        except TimeoutError:
-            index = None
+        index = await self._reads.confirm(timeout)
         if index is None:
             raise Unavailable(f"no majority confirmed the read within {timeout} s")
         return index
@@ -149,6 +151,7 @@ class PySyncObjLog:
         if self._closed:
             return
         self._closed = True
+        self._reads.close()
         if self._servicer is not None:
             self._servicer.close()
         await self._links.close()
@@ -190,7 +193,7 @@ async def open_replicated_log(
     # Its thread ends with the process: what it encodes for a closed log is thrown away.
     encoder = ThreadPoolExecutor(1, thread_name_prefix="snapshot")
     replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, encoder.submit)
-    log = PySyncObjLog(replica, thread, bridge, links, encoder)
+    log = PySyncObjLog(replica, thread, bridge, links, encoder, reads_max=settings.reads_max)
     log.start(settings, server)
     return log
 

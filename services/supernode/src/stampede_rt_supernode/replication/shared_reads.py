@@ -1,0 +1,73 @@
+"""Confirmed reads of one event loop: those that come while one is under way share the next.
+
+A read costs the log's thread a step and the members a round of messages, however many callers wait for it; a position
+that is confirmed for one that began later holds for all that began before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from stampede_rt_supernode.replication.interface import Unavailable
+from stampede_rt_supernode.replication.loop_bridge import LoopBridge
+from stampede_rt_supernode.replication.reads import Read
+
+_Waiting = tuple[float, asyncio.Future[int | None]]  # with its deadline, by time.monotonic
+
+
+class SharedReads:
+    """Used on one loop. `start` hands a read to the log's thread.
+
+    Invariant: a caller is in `_waiting` or in the read that is under way until it is answered.
+    """
+
+    def __init__(self, start: Callable[[Read], None], bridge: LoopBridge, *, waiting_max: int) -> None:
+        self._start = start
+        self._bridge = bridge
+        self._waiting_max = waiting_max
+        self._waiting: list[_Waiting] = []
+        self._under_way = False
+        self._closed = False
+
+    async def confirm(self, timeout: float) -> int | None:
+        """An applied index that holds every write acknowledged before this call; None if the time is up.
+
+        Raises Unavailable when too many wait.
+        """
+        if len(self._waiting) >= self._waiting_max:
+            raise Unavailable(f"{self._waiting_max} reads wait already: slow down and try again")
+        answer: asyncio.Future[int | None] = asyncio.get_running_loop().create_future()
+        self._waiting.append((time.monotonic() + timeout, answer))
+        self._begin()
+        try:
+            async with asyncio.timeout(timeout):
+                return await answer
+        except TimeoutError:
+            return None
+
+    def close(self) -> None:
+        """Answer those who wait with None; no other read begins."""
+        self._closed = True
+        _settle(self._waiting, None)
+        self._waiting = []
+
+    def _begin(self) -> None:
+        if self._under_way or self._closed or not self._waiting:
+            return
+        callers, self._waiting = self._waiting, []
+        self._under_way = True
+        deadline = max(deadline for deadline, _ in callers)
+        self._start(Read(deadline, lambda index: self._bridge.post(lambda: self._finish(callers, index))))
+
+    def _finish(self, callers: list[_Waiting], index: int | None) -> None:
+        self._under_way = False
+        _settle(callers, index)
+        self._begin()
+
+
+def _settle(callers: list[_Waiting], index: int | None) -> None:
+    for _, answer in callers:
+        if not answer.done():
+            answer.set_result(index)
