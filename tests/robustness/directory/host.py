@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from typing import Any
 
 from stampede_rt.errors import LeaseExpired, StampedeError
@@ -12,6 +11,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
+from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
 from tests.robustness.replication.machine import PromiseBroken
@@ -107,28 +107,8 @@ class SimHost:
 
     async def resolve(self, channel_id: bytes) -> Any:
         """As `stampede_rt_channel_host.cluster.directory.Directory.resolve`."""
-        response = await self._ask("ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0)
+        response = await ask(self.world, "ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0)
         return response.channel
-
-    async def _ask(self, method: str, request: Any, seconds: float) -> Any:
-        """At one supernode after the other. Raises what the directory refuses, or the last failure."""
-        deadline = self.world.now + seconds
-        for member in self._members():
-            left = deadline - self.world.now
-            if left <= 0:
-                break
-            outcome = await self.world.call(member, method, request, min(left, 1.5))
-            if not isinstance(outcome, (StampedeError, type(None))):
-                return outcome
-            if isinstance(outcome, StampedeError) and not outcome.retryable:
-                raise outcome
-            await self.world.sleep(0.02 + self.world.dice.random() * 0.1)
-        raise _Unanswered("nobody answered in time")
-
-    def _members(self) -> Iterator[Any]:
-        members = list(self.world.members.values())
-        start = self.world.dice.randrange(len(members))
-        return itertools.islice(itertools.cycle(members), start, start + 6 * len(members))
 
     async def _keep(self) -> None:
         while True:
@@ -149,7 +129,7 @@ class SimHost:
             boot_incarnation=self.identity.boot_incarnation,
         )
         sent = self.clock.boottime_nanos()
-        entered = await self._ask("RegisterHost", request, 4.0)
+        entered = await ask(self.world, "RegisterHost", request, 4.0)
         self.store.registered(entered.channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX)
         self._granted(sent, entered.lease_ttl_nanos)
 
@@ -158,17 +138,10 @@ class SimHost:
             host_id=self.identity.host_id, boot_incarnation=self.identity.boot_incarnation
         )
         sent = self.clock.boottime_nanos()
-        renewed = await self._ask("RenewHostLease", request, 0.7)
+        renewed = await ask(self.world, "RenewHostLease", request, 0.7)
         self._granted(sent, renewed.lease_ttl_nanos)
 
     def _granted(self, sent: int, ttl_nanos: int) -> None:
         self.lease.granted(sent_nanos=sent, ttl_nanos=ttl_nanos)
         for one in self.store.all():
             self._ownership.check(one.record.channel_id)
-
-
-class _Unanswered(StampedeError):
-    """Nobody answered."""
-
-    reason = "NO_QUORUM"
-    retryable = True

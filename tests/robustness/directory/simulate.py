@@ -18,18 +18,16 @@ from typing import Any
 from unittest import mock
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import channel_pb2
-from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
-from tests.robustness.callers import FINAL_REASONS, seen_in
+from tests.robustness.directory.calls import FINAL, QUEUES, host_id_of, refusal_of, request_of, shown
 from tests.robustness.directory.host import Ownership, SimHost
+from tests.robustness.directory.peer import NameOwnership, SimPeer
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import DirectoryWorld, _Leases
 from tests.robustness.histories.channel_model import (
     Delete,
     Deleted,
     Open,
-    Refusal,
     Resolve,
     Seen,
     Update,
@@ -43,7 +41,7 @@ from tests.robustness.replication.world import Weather
 from tests.robustness.report import Simulated
 
 STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
-CALLERS, HOSTS, NAMES = 8, 3, 4
+CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4
 NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
 
 
@@ -53,13 +51,14 @@ class Caller:
     def __init__(self, number: int, storm: DirectoryStorm) -> None:
         self._storm, self._world = storm, storm.world
         self._value = 1_000_000 * (number + 1)
+        self._prefix = "sim/" if number < CALLERS else QUEUES
         self._seen: dict[str, Seen] = {}
         self._host_of: dict[str, bytes] = {}
 
     async def run(self) -> None:
         self._storm.calling += 1
         while not self._storm.over:
-            name = f"sim/{int(self._world.now / 3)}-{self._world.dice.randrange(NAMES)}"
+            name = f"{self._prefix}{int(self._world.now / 3)}-{self._world.dice.randrange(NAMES)}"
             await self._once(name)
             await self._world.sleep(self._world.dice.expovariate(1 / 0.04))
         self._storm.calling -= 1
@@ -73,7 +72,8 @@ class Caller:
             recorder.done(name, call, invoked, answer)
         if isinstance(answer, Seen):
             self._seen[name] = answer
-            self._storm.put(self._host_of[name], answer)
+            if not name.startswith(QUEUES):
+                self._storm.put(self._host_of[name], answer)
         elif not isinstance(answer, StampedeError):
             self._seen.pop(name, None)
 
@@ -90,16 +90,16 @@ class Caller:
 
     async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> object:
         """What the history gets; None: unknown; a StampedeError: certainly not done."""
-        method, request = _request(name, call, self._world.dice)
+        method, request = request_of(name, call, self._world.dice)
         outcome = await self._persist(method, request)
-        if isinstance(outcome, StampedeError) and outcome.reason in FINAL_REASONS:
-            return Refusal(outcome.reason)
+        if isinstance(outcome, StampedeError) and outcome.reason in FINAL:
+            return refusal_of(outcome.reason)
         if outcome is None or isinstance(outcome, StampedeError):
             return outcome
         if isinstance(call, Delete):
             return Deleted()
-        self._host_of[name] = outcome.channel.host_id
-        return seen_in(outcome.channel, created=getattr(outcome, "created", False))
+        self._host_of[name] = host_id_of(name, outcome)
+        return shown(name, outcome)
 
     async def _persist(self, method: str, request: Any) -> Any:
         deadline, unknown = self._world.now + self._world.dice.uniform(1, 6), False
@@ -109,28 +109,12 @@ class Caller:
             outcome = await self._world.call(member, method, request, min(left, 1.5))
             if outcome is None:
                 unknown = True
-            elif not isinstance(outcome, StampedeError) or outcome.reason in FINAL_REASONS:
+            elif not isinstance(outcome, StampedeError) or outcome.reason in FINAL:
                 return outcome
             else:
                 unknown |= outcome.reason not in NOT_DONE_REASONS
             await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
         return None if unknown else outcome
-
-
-def _request(name: str, call: Open | Resolve | Update | Delete, dice: random.Random) -> tuple[str, Any]:
-    identity = dice.randbytes(16)
-    match call:
-        case Open():
-            return "OpenChannel", pb.OpenChannelRequest(request_id=identity, name=name, create=True)
-        case Resolve():
-            return "ResolveChannel", pb.ResolveChannelRequest(name=name)
-        case Update(channel_id=channel_id, epoch=epoch, value=value):
-            spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=value))
-            return "UpdateChannel", pb.UpdateChannelRequest(
-                request_id=identity, channel_id=channel_id, epoch=epoch, spec=spec
-            )
-        case Delete(channel_id=channel_id):
-            return "DeleteChannel", pb.DeleteChannelRequest(request_id=identity, channel_id=channel_id)
 
 
 class DirectoryStorm:
@@ -142,7 +126,9 @@ class DirectoryStorm:
         self.recorder = Recorder(lambda: world.now)
         self.ownership = Ownership()
         self._hosts = [SimHost(world, number, self.ownership) for number in range(HOSTS)]
-        for number in range(CALLERS):
+        self.name_ownership = NameOwnership(world)
+        self._peers = [SimPeer(world, number, self.name_ownership) for number in range(PEERS)]
+        for number in range(CALLERS + QUEUE_CALLERS):
             drive(Caller(number, self).run)
         weather = world.weather
         for rate, happen in (
@@ -153,6 +139,7 @@ class DirectoryStorm:
             (0.3, self._set_wall_clock),
             (0.15, lambda: world.dice.choice(self._hosts).restart()),
             (0.3, self._freeze_host),
+            (0.15, lambda: world.dice.choice(self._peers).restart()),
         ):
             if rate > 0:
                 self._repeat(rate, happen)
@@ -184,10 +171,11 @@ class DirectoryStorm:
             self.world.dice.choice(alive).frozen_until = self.world.now + self.world.dice.uniform(0.2, 4.0)
 
     def _freeze_host(self) -> None:
-        self.world.dice.choice(self._hosts).frozen_until = self.world.now + self.world.dice.uniform(0.2, 5.0)
+        frozen: Any = self.world.dice.choice([*self._hosts, *self._peers])
+        frozen.frozen_until = self.world.now + self.world.dice.uniform(0.2, 5.0)
 
     def _set_wall_clock(self) -> None:
-        machine: Any = self.world.dice.choice([*self.world.members.values(), *self._hosts])
+        machine: Any = self.world.dice.choice([*self.world.members.values(), *self._hosts, *self._peers])
         machine.clock.wall_offset_nanos = int(self.world.dice.uniform(-1e18, 1e18))
 
     def _partition(self) -> None:
@@ -256,10 +244,11 @@ async def _read_until_answered(storm: DirectoryStorm, member: Any, name: str, wa
     world = storm.world
     while True:
         invoked = world.now
-        outcome = await world.call(member, "ResolveChannel", pb.ResolveChannelRequest(name=name), 2.0)
+        method, request = request_of(name, Resolve(), world.dice)
+        outcome = await world.call(member, method, request, 2.0)
         refused = isinstance(outcome, StampedeError)
-        if outcome is not None and (not refused or outcome.reason in FINAL_REASONS):
-            answer = Refusal(outcome.reason) if refused else seen_in(outcome.channel)
+        if outcome is not None and (not refused or outcome.reason in FINAL):
+            answer = refusal_of(outcome.reason) if refused else shown(name, outcome)
             storm.recorder.done(name, Resolve(), invoked, answer)
             waiting.discard((member.member.member_id, name))
             return

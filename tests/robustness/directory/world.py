@@ -12,8 +12,11 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
 from stampede_rt_supernode.replication.proposals import Proposal
 from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
 from stampede_rt_supernode.servicers.lease_keeper import TICK_SECONDS, LeaseKeeper
+from stampede_rt_supernode.servicers.peer_servicer import PeerServicer
+from stampede_rt_supernode.servicers.queue_servicer import QueueDirectoryServicer
 from tests.robustness.directory.tasks import Resume, drive, wait
 from tests.robustness.replication.world import SimMember, Weather, World
 
@@ -141,7 +144,12 @@ class DirectoryMember(SimMember):
             clock=self.clock,
             founding_ttl_nanos=LEASE_TTL_NANOS,
         )
-        self.service = DirectoryServicer(self._directory, submission, leases, None, None, self.clock)  # type: ignore[arg-type]
+        calls = DirectoryCalls(self._directory, submission)  # type: ignore[arg-type]
+        self.services = (
+            DirectoryServicer(self._directory, submission, leases, None, None, self.clock),  # type: ignore[arg-type]
+            QueueDirectoryServicer(calls),
+            PeerServicer(calls, leases, None),  # type: ignore[arg-type]  # nobody watches here
+        )
         self.run(lambda: self._tick(leases))
 
     def run(self, make: Callable[[], Coroutine[Any, Any, None]]) -> None:
@@ -197,7 +205,7 @@ class DirectoryWorld(World):
 
         def arrive() -> None:
             if member.replica is not None:
-                service = member.service
+                service = next(one for one in member.services if hasattr(one, method))
                 member.run(lambda: _served(service, method, request, _Context(self, deadline), answer))
 
         if (delay := self.trip()) is not None:
@@ -235,7 +243,7 @@ class _Aborted(Exception):
 
 
 async def _served(
-    service: DirectoryServicer, method: str, request: Any, context: _Context, answer: Callable[[object], None]
+    service: object, method: str, request: Any, context: _Context, answer: Callable[[object], None]
 ) -> None:
     from stampede_rt.status import from_rpc_error
 

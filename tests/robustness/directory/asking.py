@@ -1,0 +1,39 @@
+"""How hosts and peers in simulated time ask the directory: at one supernode after the other."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any
+
+from stampede_rt.errors import StampedeError
+from tests.robustness.directory.world import DirectoryWorld
+
+
+async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float) -> Any:
+    """The answer. Raises what the directory refuses, or the last failure."""
+    deadline = world.now + seconds
+    for member in _members(world):
+        left = deadline - world.now
+        if left <= 0:
+            break
+        outcome = await world.call(member, method, request, min(left, 1.5))
+        if not isinstance(outcome, (StampedeError, type(None))):
+            return outcome
+        if isinstance(outcome, StampedeError) and not outcome.retryable:
+            raise outcome
+        await world.sleep(0.02 + world.dice.random() * 0.1)
+    raise _Unanswered("nobody answered in time")
+
+
+def _members(world: DirectoryWorld) -> Iterator[Any]:
+    members = list(world.members.values())
+    start = world.dice.randrange(len(members))
+    return itertools.islice(itertools.cycle(members), start, start + 6 * len(members))
+
+
+class _Unanswered(StampedeError):
+    """Nobody answered."""
+
+    reason = "NO_QUORUM"
+    retryable = True
