@@ -56,7 +56,18 @@ from stampede_rt.errors import (
     WatchRestart,
 )
 from stampede_rt.grouping import ByChannel, CrossSection, Cut, GroupInfo, GroupStatus, Matched, MemberStatus
-from stampede_rt.model import Change, ChannelInfo, ChannelStats, HostInfo, Item, Items, Policy, Reason, SupernodeInfo
+from stampede_rt.model import (
+    Change,
+    ChannelInfo,
+    ChannelStats,
+    ConsumerStats,
+    HostInfo,
+    Item,
+    Items,
+    Policy,
+    Reason,
+    SupernodeInfo,
+)
 from stampede_rt.peering import PeerChange, PeerInfo
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
@@ -79,6 +90,7 @@ __all__ = [
     "Codec",
     "CodecError",
     "Connection",
+    "ConsumerStats",
     "CrossSection",
     "Cut",
     "CutSubscription",

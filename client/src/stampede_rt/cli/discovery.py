@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from typing import Any
 
 from stampede_rt import Connection
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
-from stampede_rt.model import ChannelInfo
+from stampede_rt.model import ChannelInfo, ChannelStats
 from stampede_rt.timeline import format_duration, format_instant
 
 
@@ -78,9 +79,11 @@ def run_info(arguments: argparse.Namespace) -> int:
         "newest": None if stats.newest is None else instant(stats.newest),
         "age": _age(stats.newest, stats.host_time, people),
         "frontier": None if stats.frontier is None else instant(stats.frontier),
+        "consumers": _consumers(stats) if people else [asdict(one) for one in stats.consumers],
         "subscriptions": stats.subscriptions,
         "waiting_gets": stats.waiting_gets,
         "waiting_puts": stats.waiting_puts,
+        "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,
     }
     print_facts(facts, arguments.output)
     return 0
@@ -89,6 +92,15 @@ def run_info(arguments: argparse.Namespace) -> int:
 def _counts(counts: Any) -> str:
     shown = [f"{count} by {cause.replace('_', ' ')}" for cause, count in counts.items() if count]
     return ", ".join(shown) or "none"
+
+
+def _consumers(stats: ChannelStats) -> str:
+    """The places of consumers, as people read it; the identities are for programs."""
+    if not stats.consumers and stats.policy.consumers is None:
+        return "none"
+    held = [f"{one.waiting} waiting" if one.lease_nanos else "lease ended" for one in stats.consumers]
+    of = "" if stats.policy.consumers is None else f" of {stats.policy.consumers}"
+    return f"{len(stats.consumers)}{of} taken" + (f" ({', '.join(held)})" if held else "")
 
 
 def _age(newest: int | None, host_time: int, people: bool) -> str | int | None:
