@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from stampede_rt_supernode.replication.elections import TrialElections
@@ -56,6 +56,17 @@ class InboxFull(RuntimeError):
     """More network events wait than are allowed: the sender's link must be dropped."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Arrivals:
+    """What other threads have brought since the last step."""
+
+    events: deque[NetworkEvent] = field(default_factory=deque)
+    proposals: deque[Proposal] = field(default_factory=deque)
+    reads: deque[Read] = field(default_factory=deque)
+    changes: deque[MemberChange | HandOver] = field(default_factory=deque)
+    snapshots: deque[SnapshotRequest] = field(default_factory=deque)
+
+
 class Replica:
     """The synchronous heart of a replica.
 
@@ -84,25 +95,11 @@ class Replica:
         self._network = network
         self._clock = clock
         self._wake = wake
-        self._inbox: deque[NetworkEvent] = deque()
-        self._new_proposals: deque[Proposal] = deque()
-        self._new_reads: deque[Read] = deque()
-        self._new_changes: deque[MemberChange | HandOver] = deque()
-        self._new_snapshots: deque[SnapshotRequest] = deque()
+        self._new = _Arrivals()
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._journal = Journal(store)
-        self._node = build_node(
-            settings,
-            state_machine,
-            journal=self._journal,
-            has_room=network.has_room,
-            clock=clock,
-            dice=dice,
-            rules=rules,
-            run_aside=run_aside,
-        )
-        self._node.open_snapshot()
+        self._node = self._open_node(state_machine, dice, rules, run_aside)
         self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
         self._changes = self._make_changes()
         self._snapshots = SnapshotRequests(self._node, self._journal, self._completions.append)
@@ -110,6 +107,20 @@ class Replica:
         self.roster = Roster((), {}, frozenset())
         self._publish_roster()
         self._status = self._observe()
+
+    def _open_node(self, state_machine: StateMachine, dice: Dice, rules: type, run_aside: RunAside) -> Any:
+        node = build_node(
+            self._settings,
+            state_machine,
+            journal=self._journal,
+            has_room=self._network.has_room,
+            clock=self._clock,
+            dice=dice,
+            rules=rules,
+            run_aside=run_aside,
+        )
+        node.open_snapshot()
+        return node
 
     def _make_changes(self) -> MemberChanges:
         timing = self._settings.timing
@@ -125,44 +136,44 @@ class Replica:
 
     def deliver(self, event: NetworkEvent) -> None:
         """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
-        if isinstance(event, Received) and len(self._inbox) >= self._settings.inbox_items_max:
-            raise InboxFull(f"{len(self._inbox)} network events wait for the log's thread")
-        self._inbox.append(event)
+        if isinstance(event, Received) and len(self._new.events) >= self._settings.inbox_items_max:
+            raise InboxFull(f"{len(self._new.events)} network events wait for the log's thread")
+        self._new.events.append(event)
         self._wake()
 
     def propose(self, proposal: Proposal) -> None:
         """Queue a command. Raises Unavailable when too many wait, ValueError when it is too large."""
         if len(proposal.command) > COMMAND_BYTES_MAX:
             raise ValueError(f"a command of {len(proposal.command)} bytes is over the limit of {COMMAND_BYTES_MAX}")
-        if len(self._new_proposals) >= self._settings.proposals_max:
+        if len(self._new.proposals) >= self._settings.proposals_max:
             raise Unavailable(f"{self._settings.proposals_max} commands wait already: slow down and try again")
-        self._new_proposals.append(proposal)
+        self._new.proposals.append(proposal)
         self._wake()
 
     def read(self, read: Read) -> None:
         """Queue a confirmed read. Raises Unavailable when too many wait."""
-        if len(self._new_reads) >= self._settings.reads_max:
+        if len(self._new.reads) >= self._settings.reads_max:
             raise Unavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
-        self._new_reads.append(read)
+        self._new.reads.append(read)
         self._wake()
 
     def change_members(self, change: MemberChange | HandOver) -> None:
         """Queue a change of the members, or a hand-over. Raises Unavailable when too many wait."""
-        if len(self._new_changes) >= CHANGES_MAX:
+        if len(self._new.changes) >= CHANGES_MAX:
             raise Unavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
-        self._new_changes.append(change)
+        self._new.changes.append(change)
         self._wake()
 
     def take_snapshot(self, request: SnapshotRequest) -> None:
         """Queue a wish for a snapshot. Raises Unavailable when too many wait."""
-        if len(self._new_snapshots) >= SNAPSHOTS_MAX:
+        if len(self._new.snapshots) >= SNAPSHOTS_MAX:
             raise Unavailable(f"{SNAPSHOTS_MAX} wait for a snapshot already: try again in a while")
-        self._new_snapshots.append(request)
+        self._new.snapshots.append(request)
         self._wake()
 
     def changes_are_settled(self) -> bool:
         """Whether this replica leads and no change of the members is on its way; after the last step."""
-        return bool(self._node.may_change_members()) and self._changes.is_idle and not self._new_changes
+        return bool(self._node.may_change_members()) and self._changes.is_idle and not self._new.changes
 
     def status(self) -> ReplicationStatus:
         """The view after the last step."""
@@ -175,8 +186,8 @@ class Replica:
 
         True when another step is due at once. Whatever it raises, the replica must not go on.
         """
-        for _ in range(len(self._inbox)):
-            self._node.mailroom.deliver(self._inbox.popleft())
+        for _ in range(len(self._new.events)):
+            self._node.mailroom.deliver(self._new.events.popleft())
         self._journal.sync()
         self._take_in()
         self._node.keeper.begin_step()
@@ -190,36 +201,36 @@ class Replica:
         self._snapshots.advance()
         self._journal.sync()
         self._release()
-        return bool(self._inbox) or self._commits_alone()
+        return bool(self._new.events) or self._commits_alone()
 
     def close(self) -> None:
         """End everything that waits, write everything down and let go of the store."""
-        for proposal in self._new_proposals:
+        for proposal in self._new.proposals:
             self._proposals.add(proposal)
-        for request in self._new_snapshots:
+        for request in self._new.snapshots:
             self._snapshots.add(request)
         self._proposals.close()
         self._changes.close()
         self._snapshots.close()
-        for read in self._new_reads:
+        for read in self._new.reads:
             self._node.reads.add(self._later(read))
         self._node.reads.close()
         self._journal.close()
         self._run_completions()
 
     def _take_in(self) -> None:
-        for _ in range(len(self._new_proposals)):
-            self._proposals.add(self._new_proposals.popleft())
-        for _ in range(len(self._new_reads)):
-            self._node.reads.add(self._later(self._new_reads.popleft()))
-        for _ in range(len(self._new_changes)):
-            change = self._new_changes.popleft()
+        for _ in range(len(self._new.proposals)):
+            self._proposals.add(self._new.proposals.popleft())
+        for _ in range(len(self._new.reads)):
+            self._node.reads.add(self._later(self._new.reads.popleft()))
+        for _ in range(len(self._new.changes)):
+            change = self._new.changes.popleft()
             if isinstance(change, HandOver):
                 self._changes.hand_over(change)
             else:
                 self._changes.add(change)
-        for _ in range(len(self._new_snapshots)):
-            self._snapshots.add(self._new_snapshots.popleft())
+        for _ in range(len(self._new.snapshots)):
+            self._snapshots.add(self._new.snapshots.popleft())
         takes = self._leader_reachable() and not self._changes.hands_over
         self._proposals.advance(leader_reachable=takes, now=self._clock())
 
