@@ -96,6 +96,23 @@ async def test_one_cut_serves_a_read_over_both_hosts(pair: Pair) -> None:
     assert (await pair.right.get(pair.group, cut_unix_nano=cut))[0] == [t + 1, t + 3]
 
 
+async def test_cut_events_begin_before_anything_is_visible(pair: Pair) -> None:
+    t = pair.start
+    decider = CutReader(pair.left.host, pair.group, decides=True)
+    begun = await decider.opened()
+    other = CutReader(pair.right.host, pair.group, after=begun)
+    await other.opened()
+    await pair.left.put(t, t + 2)
+    await pair.right.put(t + 1, t + 3)
+    left: list[int] = []
+    right: list[int] = []
+    while left + right != [t, t + 1]:
+        event = await decider.event()
+        await other.hand(event.boundary)
+        left += event.times(pair.left)
+        right += (await other.event()).times(pair.right)
+
+
 async def test_cut_events_over_two_hosts_fit_together(pair: Pair) -> None:
     t = pair.start
     decider = CutReader(pair.left.host, pair.group, decides=True)

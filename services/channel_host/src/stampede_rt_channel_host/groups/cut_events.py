@@ -11,6 +11,7 @@ from collections import deque
 from typing import Any
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument, Overloaded, Unavailable
+from stampede_rt.timeline import MIN_INSTANT
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
@@ -26,6 +27,7 @@ from stampede_rt_channel_host.groups.waiting import Waiter
 
 LIFE_SECONDS = 4.0  # the contract says after 5 s
 BOUNDARIES_MAX = 256
+NOTHING_VISIBLE = MIN_INSTANT  # the cut of a place from before the group had one
 _TIMER_SECONDS_MIN = 0.0001
 
 
@@ -76,8 +78,10 @@ class CutEvents:
 
     async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
         """Where the subscription begins: at the cut of the moment, or at the place that it is to go on from."""
-        floor = begun.after.cut_unix_nano if begun.HasField("after") else None
-        if floor is not None and begun.after.incarnation != group.record.incarnation:
+        resumes = begun.HasField("after")
+        kept = begun.after.cut_unix_nano if resumes else NOTHING_VISIBLE
+        floor = None if kept == NOTHING_VISIBLE else kept
+        if resumes and begun.after.incarnation != group.record.incarnation:
             raise IncarnationLost(
                 f"the place comes from another incarnation of group {group.record.name}, whose cut began anew since "
                 "all hosts of its members were restarted; subscribe from now on"
@@ -86,15 +90,14 @@ class CutEvents:
             raise Unavailable(
                 f"group {group.record.name} is not as far as the reader was, {group.held_by()}; try again"
             )
-        self._cut = group.cut.cut if floor is None else floor
+        self._cut = floor if resumes else group.cut.cut
         self._kept = {one.channel_id: one for one in begun.after.channels}
         self._follow(group)
 
     def _opened(self, group: HostedGroup) -> pb.CutCursor:
-        cut = 0 if self._cut is None else self._cut
         return pb.CutCursor(
             incarnation=group.record.incarnation,
-            cut_unix_nano=cut,
+            cut_unix_nano=NOTHING_VISIBLE if self._cut is None else self._cut,
             channels=[one.cursor() for one in self._followed.values()],
         )
 
