@@ -6,14 +6,17 @@ import asyncio
 import itertools
 import random
 import time
+import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import grpc
+
 from stampede_rt.errors import StampedeError
 from tests.robustness import faults, hostility, hosts, membership, noise, strangers
-from tests.robustness.callers import Caller, HostActor, TwoOwners
+from tests.robustness.callers import Caller, HostActor
 from tests.robustness.cluster import Cluster, running_cluster
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
 from tests.robustness.histories.operations import Operation, Recorder
@@ -54,6 +57,7 @@ class Findings:
     names: int
     violations: tuple[str, ...]  # histories that nothing explains, and promises that were seen broken
     items: Judged | None  # of the channel hosts, where there were any
+    item_calls_failed: int
     not_done: int
     renewals: int
     registrations: int
@@ -157,7 +161,7 @@ class _Campaign:
                 if not one.running:
                     raise TimeoutError(f"{one.name} has ended: {one.last_words()!r}")
             await self._cluster.all_serve()
-        except (TimeoutError, DidNotBite, StampedeError) as error:
+        except (TimeoutError, OSError, DidNotBite, StampedeError, grpc.aio.AioRpcError) as error:
             what = "did not bite" if isinstance(error, DidNotBite) else "did not come back in time"
             self._scene.ended(name, began, majority=False, bite="-", note=f"{what}: {error}", failed=True)
             await asyncio.gather(*(one.start() for one in self._cluster.processes() if not one.running))
@@ -169,8 +173,9 @@ class _Campaign:
         try:
             async with self._background(began) as work:
                 await with_background(work, body)
-        except (TwoOwners, AssertionError) as error:
+        except Exception as error:  # noqa: BLE001 - what was found until then is judged and shown all the same
             self._broken.append(f"{type(error).__name__}: {error}")
+            traceback.print_exc()
         return await asyncio.to_thread(self._judged, title, began)
 
     @asynccontextmanager
@@ -197,6 +202,7 @@ class _Campaign:
             names=names,
             violations=(*self._broken, *wrong, *(items.violations if items is not None else ())),
             items=items,
+            item_calls_failed=0 if self._traffic is None else self._traffic.failed,
             not_done=sum(caller.not_done for caller in self._callers),
             renewals=sum(actor.renewals for actor in self._actors),
             registrations=sum(actor.registrations for actor in self._actors),

@@ -7,6 +7,7 @@ import contextlib
 import os
 import shutil
 import socket
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -58,8 +59,14 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     _, victim, _ = await scene.leader_and_other()
     began = time.monotonic()
     await victim.kill()
-    spare = scene.folder / "spare"
-    shutil.copytree(victim.data_dir, spare)
+    with tempfile.TemporaryDirectory(dir=scene.folder) as place:
+        spare = Path(shutil.copytree(victim.data_dir, Path(place, "spare")))
+        note = await _damaged(scene, victim, spare, harm)
+    scene.ended(kind, began, await scene.recovery(began), bite="the file differs from its copy", note=note)
+
+
+async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[[Path], str]) -> str:
+    """Damage a file and start on it; afterwards the store is as in `spare` if it was refused. Gives what came of it."""
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
     # Half of the time the largest, which holds the log; else any, the small ones being the strange ones.
     chosen = scene.dice.choice([max(files, key=lambda file: file.stat().st_size), scene.dice.choice(files)])
@@ -75,8 +82,7 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
             file.unlink() if file.is_file() else shutil.rmtree(file)
         shutil.copytree(spare, victim.data_dir, dirs_exist_ok=True)
         await victim.start()
-    shutil.rmtree(spare)
-    scene.ended(kind, began, await scene.recovery(began), bite="the file differs from its copy", note=note)
+    return note
 
 
 async def flip_bit(scene: Scene) -> None:

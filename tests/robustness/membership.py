@@ -78,11 +78,15 @@ async def _join(scene: Scene) -> Supernode:
     """A newcomer is prepared, started, and let in. Raises TimeoutError."""
     newcomer = scene.cluster.newcomer()
     listen = ["--data-dir", str(newcomer.data_dir), "--listen", newcomer.address, "--id", newcomer.name]
-    await _command(scene, "join", *listen)
-    if not await newcomer.start():
-        raise TimeoutError(f"{newcomer.name} ended instead of joining: {newcomer.last_words()!r}")
-    scene.cluster.supernodes.append(newcomer)
-    await serves(newcomer, time.monotonic() + PATIENCE_SECONDS)
+    try:
+        await _command(scene, "join", *listen)
+        if not await newcomer.start():
+            raise TimeoutError(f"{newcomer.name} ended instead of joining: {newcomer.last_words()!r}")
+        scene.cluster.supernodes.append(newcomer)
+        await serves(newcomer, time.monotonic() + PATIENCE_SECONDS)
+    except BaseException:
+        await scene.cluster.forget(newcomer)
+        raise
     return newcomer
 
 
@@ -95,7 +99,8 @@ async def _remove(scene: Scene, one: Supernode) -> None:
             await one.ended()
     except TimeoutError:
         raise DidNotBite(f"{one.name} was removed {REMOVED_SECONDS} s ago and still runs") from None
-    await scene.cluster.forget(one)
+    finally:
+        await scene.cluster.forget(one)
 
 
 async def _command(scene: Scene, verb: str, *words: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import resource
 import signal
@@ -98,7 +99,8 @@ class PlacedProcess:
     def signal(self, number: signal.Signals) -> None:
         """Send it a signal, if it still runs. Process.send_signal may reap the child, whose exit code is lost then."""
         if self.running:
-            os.kill(self.pid, number)
+            with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio has yet to hear of it
+                os.kill(self.pid, number)
 
     async def ended(self) -> int:
         """Wait for its end; returns the exit code."""

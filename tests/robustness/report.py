@@ -93,7 +93,7 @@ def _summary(run: Run) -> str:
     return "## Summary\n\n" + _table(("what", "figure"), rows)
 
 
-def _item_rows(findings: Iterable[Findings]) -> list[tuple[str, object]]:
+def _item_rows(findings: Sequence[Findings]) -> list[tuple[str, object]]:
     judged = [one.items for one in findings if one.items is not None]
     if not judged:
         return []
@@ -104,6 +104,7 @@ def _item_rows(findings: Iterable[Findings]) -> list[tuple[str, object]]:
             f"**{_sum(judged, 'lost')} / {_sum(judged, 'doubled')}**",
         ),
         ("items gone with a killed or fenced host, readers being told", _sum(judged, "gone_with_host")),
+        ("puts and reads that ended with an error, told to their caller", _sum(findings, "item_calls_failed")),
     ]
 
 

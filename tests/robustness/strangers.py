@@ -6,6 +6,7 @@ import asyncio
 import shutil
 import socket
 import ssl
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,20 +27,25 @@ async def rotate(scene: Scene) -> None:
     certificates = _certificates(scene)
     victims = scene.cluster.processes()
     began = time.monotonic()
-    former = _copied(certificates.files(Role.CLIENT, "stranger"), scene.folder / "former")
+    with tempfile.TemporaryDirectory(dir=scene.folder) as place:
+        former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(place))
+        await _rotated(certificates, victims, former)
+    recovery = await scene.recovery(time.monotonic())
+    bite = f"all {len(victims)} services show new certificates and refuse the former"
+    kind = "rotation of all certificates and of the authority"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+
+
+async def _rotated(certificates: Certificates, victims: list[PlacedProcess], former: TlsFiles) -> None:
+    """Each step waits until every service has taken it. Raises DidNotBite."""
     certificates.take_over()
-    newcomer = certificates.files(Role.CLIENT, f"newcomer-{int(began)}")
+    newcomer = certificates.files(Role.CLIENT, f"newcomer-{time.monotonic_ns()}")
     await _each(victims, lambda one: accepts(one, newcomer), "trusts the new authority")
     certificates.renew()
     await _each(victims, lambda one: _shows_own(one, newcomer), "shows its new certificate")
     certificates.forget_former()
     late = TlsFiles(ca=certificates.ca, certificate=former.certificate, key=former.key)
     await _each(victims, lambda one: not accepts(one, late), "refuses the former authority's")
-    recovery = await scene.recovery(time.monotonic())
-    bite = f"all {len(victims)} services show new certificates and refuse the former"
-    kind = "rotation of all certificates and of the authority"
-    shutil.rmtree(scene.folder / "former")
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
 
 
 async def strangers(scene: Scene) -> None:
@@ -47,21 +53,20 @@ async def strangers(scene: Scene) -> None:
     certificates = _certificates(scene)
     began = time.monotonic()
     right = certificates.files(Role.CLIENT, "stranger")
-    elsewhere = scene.folder / "foreign"
-    wrong = {
-        "foreign": certificates.foreign(Role.CLIENT, "stranger", elsewhere),
-        "expired": certificates.expired(Role.CLIENT, "stranger"),
-        "no": None,
-    }
     refused = 0
-    for one in scene.cluster.processes():
-        if not await asyncio.to_thread(accepts, one, right):
-            raise DidNotBite(f"{one.name} refuses the right certificate, so that a refusal says nothing")
-        for kind, files in wrong.items():
-            if await asyncio.to_thread(accepts, one, files, certificates.ca):
-                raise AssertionError(f"{one.name} lets in a caller with {kind} certificate")
-            refused += 1
-    shutil.rmtree(elsewhere)
+    with tempfile.TemporaryDirectory(dir=scene.folder) as place:
+        wrong = {
+            "foreign": certificates.foreign(Role.CLIENT, "stranger", Path(place, "foreign")),
+            "expired": certificates.expired(Role.CLIENT, "stranger"),
+            "no": None,
+        }
+        for one in scene.cluster.processes():
+            if not await asyncio.to_thread(accepts, one, right):
+                raise DidNotBite(f"{one.name} refuses the right certificate, so that a refusal says nothing")
+            for kind, files in wrong.items():
+                if await asyncio.to_thread(accepts, one, files, certificates.ca):
+                    raise AssertionError(f"{one.name} lets in a caller with {kind} certificate")
+                refused += 1
     recovery = await scene.recovery(began)
     bite = f"{refused} of {refused} callers were refused, and the right one was let in everywhere"
     scene.ended(KIND_REFUSED, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
@@ -74,7 +79,6 @@ def _certificates(scene: Scene) -> Certificates:
 
 def _copied(files: TlsFiles, folder: Path) -> TlsFiles:
     """The same under names that no rotation touches."""
-    folder.mkdir()
     ca, certificate, key = (shutil.copy(path, folder) for path in files.paths())
     return TlsFiles(ca=ca, certificate=certificate, key=key)
 

@@ -93,6 +93,7 @@ def findings(*outcomes: Outcome, wrong: tuple[str, ...] = ()) -> Findings:
         names=0,
         violations=wrong,
         items=Judged(2, 40, 0, 0, 3, ()),
+        item_calls_failed=2,
         not_done=0,
         renewals=1,
         registrations=1,
