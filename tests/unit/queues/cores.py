@@ -1,0 +1,68 @@
+"""A queue's core with takers that a test moves by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from stampede_rt_channel_host.core.queue import (
+    Acknowledge,
+    Enqueue,
+    Extend,
+    GiveBack,
+    Queue,
+    QueueLimits,
+    Settlement,
+    Taker,
+)
+
+
+class Core:
+    """One queue and its clock, which stands until `now` is set."""
+
+    def __init__(self, **limits: Any) -> None:
+        self.queue = Queue(QueueLimits(**limits), incarnation=1, name="q")
+        self.now = 1000
+
+    def put(self, *lengths: int, **fields: Any) -> Enqueue:
+        def seal(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
+            return bytes(20 + sum(lengths[place] for place in places))
+
+        run = Enqueue(lengths, seal, **fields)
+        self.queue.enqueue(run, self.now)
+        return run
+
+    def taker(self, taker_id: int = 1, credit: int = 0, lease_nanos: int | None = None) -> Taker:
+        taker = Taker(taker_id, lease_nanos)
+        self.queue.grant(taker, credit, self.now)
+        return taker
+
+    def dealt(self) -> dict[int, list[int]]:
+        """Seqs by taker id, of all that was dealt since; it counts as sent."""
+        found: dict[int, list[int]] = {}
+        while batches := self.queue.take_dealt():
+            for taker, batch in batches:
+                self.queue.sending(taker)
+                found.setdefault(taker.taker_id, []).extend(
+                    one.run.first_seq + place for one in batch.slices for place in range(one.lo, one.hi)
+                )
+                self.queue.sent(taker, self.now)
+        return found
+
+    def ack(self, taker_id: int, *delivery_ids: int) -> list[str]:
+        return self._settle(taker_id, *(Settlement(one, Acknowledge()) for one in delivery_ids))
+
+    def nack(self, taker_id: int, delivery_id: int, delay_nanos: int = 0) -> list[str]:
+        return self._settle(taker_id, Settlement(delivery_id, GiveBack(delay_nanos)))
+
+    def extend(self, taker_id: int, delivery_id: int, lease_nanos: int) -> list[str]:
+        return self._settle(taker_id, Settlement(delivery_id, Extend(lease_nanos)))
+
+    def _settle(self, taker_id: int, *settlements: Settlement) -> list[str]:
+        """The reasons of refusals; empty for what is done."""
+        results = self.queue.settle(taker_id, settlements, self.now)
+        return [one.error.reason if one.error else "" for one in results]
+
+    def counted(self, *names: str) -> tuple[int, ...]:
+        counters = self.queue.counters(self.now)
+        return tuple(getattr(counters, name) for name in names)
