@@ -1,7 +1,10 @@
 """`python -m stampede_rt_channel_host`."""
 
+import signal
 import sys
 
-from stampede_rt_channel_host.app import main
+signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the service stops by itself: ended while it is loaded, and quietly
+
+from stampede_rt_channel_host.app import main  # noqa: E402
 
 sys.exit(main())

@@ -1,0 +1,46 @@
+"""Ctrl-C before a service is up ends it at once, without a traceback of what it was just importing."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.unit.supernode.processes import clean_environment
+
+PATIENCE_SECONDS = 30.0
+
+
+@pytest.mark.parametrize(
+    ("service", "module", "words"),
+    [
+        ("stampede_rt_supernode", "grpc._cython", []),
+        ("stampede_rt_supernode", "stampede_rt_supernode.replication", []),
+        ("stampede_rt_frontend", "stampede_rt_frontend.app", ["--supernodes", "localhost:1"]),
+        ("stampede_rt_channel_host", "grpc._cython", []),
+    ],
+)
+def test_a_service_that_is_interrupted_while_it_is_loaded_ends_quietly(
+    service: str, module: str, words: list[str]
+) -> None:
+    started = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", service, "--listen", "localhost:0", *words],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        env=clean_environment(),
+        text=True,
+    )
+    try:
+        assert started.stderr is not None
+        # Each module has its line once it is imported; those that it needs come before it.
+        reached = next((line for line in started.stderr if line.rpartition("|")[2].strip() == module), None)
+        assert reached, f"{service} ended before it imported {module}"
+        started.send_signal(signal.SIGINT)
+        _, rest = started.communicate(timeout=PATIENCE_SECONDS)
+    finally:
+        started.kill()
+        started.wait()
+    assert "Traceback" not in rest
+    assert started.returncode in (-signal.SIGINT, 0)  # 0: on a busy machine it may have been up by then
