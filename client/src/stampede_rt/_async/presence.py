@@ -6,6 +6,7 @@ import logging
 import os
 import random
 
+from stampede_rt._async.listener import worth_a_line
 from stampede_rt._async.queue import Taking
 from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._async.session import Session, request_id
@@ -49,6 +50,7 @@ class Presence:
         self._wake = Signal()
         self._left = False
         self._registered = False
+        self._failures = 0  # since the last success
         self._background: Background | None = None
         self.peer: PeerInfo | None = None
         self._mailbox: QueueState | None = None
@@ -121,20 +123,27 @@ class Presence:
         try:
             if self._registered:
                 await self._renew(timeout_s)
+                self._failures = 0
         except LeaseExpired:
             _log.warning("the lease of peer %r has ended; it registers again", self._name)
             self._registered = False
         except StampedeError as error:
-            _log.warning("the lease of peer %r was not renewed, which is tried again: %s", self._name, error)
+            self._failed("was not renewed", error)
         if self._registered:
             return
         try:
             await self._register(timeout_s)
+            self._failures = 0
         except (Unavailable, DeadlineExceeded) as error:
-            _log.warning("the peer %r could not register again, which is tried again: %s", self._name, error)
+            self._failed("could not be taken again", error)
         except StampedeError as error:
             self.error = error
             _log.error("the peer %r is registered no more: %s", self._name, error)
+
+    def _failed(self, how: str, error: StampedeError) -> None:
+        self._failures += 1
+        if worth_a_line(self._failures):
+            _log.warning("the lease of peer %r %s, which is tried again: %s", self._name, how, error)
 
     async def _renew(self, timeout_s: float) -> None:
         """Ask the leader, who alone renews."""

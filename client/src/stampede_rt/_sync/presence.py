@@ -7,6 +7,7 @@ import logging
 import os
 import random
 
+from stampede_rt._sync.listener import worth_a_line
 from stampede_rt._sync.queue import Taking
 from stampede_rt._sync.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._sync.session import Session, request_id
@@ -50,6 +51,7 @@ class Presence:
         self._wake = Signal()
         self._left = False
         self._registered = False
+        self._failures = 0  # since the last success
         self._background: Background | None = None
         self.peer: PeerInfo | None = None
         self._mailbox: QueueState | None = None
@@ -122,20 +124,27 @@ class Presence:
         try:
             if self._registered:
                 self._renew(timeout_s)
+                self._failures = 0
         except LeaseExpired:
             _log.warning("the lease of peer %r has ended; it registers again", self._name)
             self._registered = False
         except StampedeError as error:
-            _log.warning("the lease of peer %r was not renewed, which is tried again: %s", self._name, error)
+            self._failed("was not renewed", error)
         if self._registered:
             return
         try:
             self._register(timeout_s)
+            self._failures = 0
         except (Unavailable, DeadlineExceeded) as error:
-            _log.warning("the peer %r could not register again, which is tried again: %s", self._name, error)
+            self._failed("could not be taken again", error)
         except StampedeError as error:
             self.error = error
             _log.error("the peer %r is registered no more: %s", self._name, error)
+
+    def _failed(self, how: str, error: StampedeError) -> None:
+        self._failures += 1
+        if worth_a_line(self._failures):
+            _log.warning("the lease of peer %r %s, which is tried again: %s", self._name, how, error)
 
     def _renew(self, timeout_s: float) -> None:
         """Ask the leader, who alone renews."""

@@ -1,0 +1,33 @@
+"""Push through failures: a function goes on being called when its channel's host is lost."""
+
+from __future__ import annotations
+
+import logging
+import queue
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=2, supernodes=1, scope="function")
+
+
+def test_it_goes_on_with_everything_that_the_new_incarnation_gets(
+    cluster: LocalCluster, caplog: pytest.LogCaptureFixture
+) -> None:
+    called: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    with st.connect(cluster.address) as rt, caplog.at_level(logging.WARNING, "stampede_rt"):
+        channel = rt.channel("cam/left", max_age="60s")
+        handle = channel.on_item(lambda item: called.put(item.payload))
+        channel.put(b"before")
+        assert called.get(timeout=10) == b"before"
+        next(host for host in cluster.hosts if channel.host in host.name or host.name in channel.host).kill()
+        for payload in (b"after 1", b"after 2"):
+            channel.put(payload)
+        assert [called.get(timeout=30) for _ in range(2)] == [b"after 1", b"after 2"]
+        assert (handle.losses, handle.active, handle.error) == (1, True, None)
+        handle.cancel()
+        assert handle.join(10)
+    assert any("goes on with a new incarnation" in record.getMessage() for record in caplog.records)

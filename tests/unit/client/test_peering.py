@@ -1,0 +1,45 @@
+"""What a participant keeps to itself, and what a queue's caller may state."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument, StampedeError, error_for
+from stampede_rt.peering import PeerIdentity
+from stampede_rt.queueing import QueuePolicy, parse_queue_policy
+from stampede_rt.wire.queues import queue_policy_from_spec, queue_policy_to_spec
+
+
+def test_the_same_proof_makes_the_same_participant() -> None:
+    first, again = (PeerIdentity.parse("planner", "0123456789abcdef", os.urandom(48)) for _ in range(2))
+    assert first == again
+    assert (len(first.peer_id), len(first.proof)) == (16, 32)
+    assert PeerIdentity.parse("planner", "another proof, as long", b"") != first
+    assert PeerIdentity.parse("viewer", "0123456789abcdef", b"") != first
+
+
+def test_without_a_proof_every_start_is_another_participant() -> None:
+    first, second = (PeerIdentity.parse("planner", None, os.urandom(48)) for _ in range(2))
+    assert first.peer_id != second.peer_id
+    assert first.proof != second.proof
+
+
+def test_a_set_up_keeps_what_was_stated_and_what_was_not() -> None:
+    stated = parse_queue_policy(max_items=3, on_full="reject", lease="5s", dead_letter_queue_id=bytes(16))
+    assert queue_policy_from_spec(queue_policy_to_spec(stated)) == stated
+    assert queue_policy_from_spec(queue_policy_to_spec(QueuePolicy())) == QueuePolicy()
+
+
+def test_an_error_names_its_queue_once() -> None:
+    error = error_for("CHANNEL_FULL", "it is full")
+    error.concerning("queue", "work")
+    error.concerning("queue", "work")
+    assert (str(error), error.metadata) == ("queue 'work': it is full", {"queue": "work"})
+
+
+def test_a_wrong_lease_is_named() -> None:
+    with pytest.raises(InvalidArgument, match="lease is '2h'; it is 1 h at most"):
+        parse_queue_policy(lease="2h")
+    assert isinstance(error_for("PEER_NOT_FOUND", "x"), StampedeError)
