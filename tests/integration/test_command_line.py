@@ -100,11 +100,45 @@ def test_get_by_time_and_meta_time(stampede: Run) -> None:
     assert stampede("get", "cli/times", "--all", "--raw").stdout == "012"
 
 
-def test_get_says_in_a_sentence_why_it_has_nothing(stampede: Run) -> None:
-    stampede("put", "cli/nothing", "x")
-    done = stampede("get", "cli/nothing", "newest+1s", "newest+2s", "--match", "start", status=3)
+@pytest.fixture(scope="module")
+def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, int]:
+    """A channel of four short items a second apart, of which two are left, and the time of the first."""
+    time = st.now() - 8 * 10**9
+    with st.connect(cluster.address, secret=cluster.secret_file.read_text().strip()) as rt:
+        channel = rt.channel("cli/thinned", max_items=2)
+        for number in range(4):
+            channel.put(b"%d" % number, time=time + number * 10**9, duration="100ms")
+        rt.channel("cli/empty")
+    return "cli/thinned", time
+
+
+@pytest.mark.parametrize(
+    ("channel", "arguments", "sentence"),
+    [
+        ("cli/thinned", ["+0", "+1000"], "COLLECTED: max_items (2) has collected what the channel held before 20"),
+        ("cli/thinned", ["--before", "+0"], "COLLECTED: max_items (2) has collected what the channel held before 20"),
+        ("cli/thinned", ["+2500", "+2600"], "NEVER: the channel is past the interval and nothing was put that matches"),
+        ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty as it was resolved"),
+        ("cli/thinned", ["now+1h", "now+2h"], "NOT_YET: the channel is at 20"),
+        ("cli/empty", ["--last", "5s"], "NOT_YET: the channel holds nothing; items up to 20"),
+        ("cli/empty", [], "NOT_YET: the channel holds no item, so that there is no newest or oldest one"),
+    ],
+)
+def test_get_says_in_a_sentence_why_it_has_nothing(
+    stampede: Run, thinned: tuple[str, int], channel: str, arguments: list[str], sentence: str
+) -> None:
+    """`+N` stands for N milliseconds after the first item."""
+    texts = [str(thinned[1] + int(one[1:]) * 10**6) if one.startswith("+") else one for one in arguments]
+    done = stampede("get", channel, *texts, status=3)
     assert done.stdout == ""
-    assert "NOT_YET: " in done.stderr
+    assert done.stderr.startswith(f"stampede: {sentence}")
+    assert done.stderr.count("\n") == 1
+
+
+def test_get_says_in_a_sentence_why_it_has_not_all(stampede: Run, thinned: tuple[str, int]) -> None:
+    done = stampede("get", thinned[0], str(thinned[1]), "now", "-o", "jsonl")
+    assert [json.loads(line)["payload"] for line in done.stdout.splitlines()] == ["2", "3"]
+    assert done.stderr.startswith("stampede: COLLECTED: max_items (2) has collected")
 
 
 def test_ls_and_info_show_what_is_there(stampede: Run) -> None:

@@ -25,7 +25,7 @@ from stampede_rt.cli.messages import add_payload, payload_of
 from stampede_rt.cli.output import item_line, item_row
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Item, Items, Reason
-from stampede_rt.timeline import NEWEST, NOW, OLDEST, format_instant
+from stampede_rt.timeline import MIN_INSTANT, NEWEST, NOW, OLDEST, format_instant
 
 NOTHING = 3
 
@@ -149,7 +149,7 @@ def _interval(arguments: argparse.Namespace) -> tuple[Any, Any]:
     if arguments.last:
         return NOW - arguments.last, NOW
     if arguments.before is not None:
-        return OLDEST, arguments.before
+        return MIN_INSTANT, arguments.before
     if arguments.all:
         return OLDEST, NEWEST
     if len(arguments.interval) not in (0, 2):

@@ -109,7 +109,7 @@ class Reading:
         )  # fmt: skip
 
     def _no_anchor(self) -> Reason:
-        return Reason("NOT_YET", "the channel holds no item that the interval's newest or oldest could stand for")
+        return Reason("NOT_YET", "the channel holds no item, so that there is no newest or oldest one to go by yet")
 
     def _is_over(self, region: ResolvedInterval) -> bool:
         """Nothing more can come: an item or an advance is past its end, or it is empty, or below the frontier."""
@@ -140,7 +140,8 @@ class Reading:
 
     def _absence(self, query: Query, region: ResolvedInterval) -> Reason:
         if region.is_empty:
-            return Reason("NEVER", "no instant lies in the interval, as it was resolved and where it was to continue")
+            left = "where it was to go on" if query.after or query.newer_than else "as it was resolved"
+            return Reason("NEVER", f"the interval is empty {left}: no instant lies in it")
         if self._is_below_frontier(region):
             return self._collected()
         if not self._is_over(region):
