@@ -16,7 +16,10 @@ EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 SECONDS_DEFAULT = 20
 
-DEMOS = {"tv-watcher": "a film's video, sound and captions, analysed and watched in step (paper, section 5)"}
+DEMOS = {
+    "tv-watcher": "a film's video, sound and captions, analysed and watched in step (paper, section 5)",
+    "stereo": "two cameras paired by time, depth from every pair, a planner and a mapper (paper, section 5: LAGR)",
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,10 +45,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="stampede demo", description=_listing(), formatter_class=_Formatter)
     demos = parser.add_subparsers(dest="demo", metavar="NAME")
-    watcher = demos.add_parser("tv-watcher", description=DEMOS["tv-watcher"], formatter_class=_Formatter)
-    watcher.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="how long it runs (default: 20)")
-    watcher.add_argument("--picture", type=Path, metavar="PATH", help="where to draw what happened, as a PNG")
-    watcher.set_defaults(run=_tv_watcher)
+    for name, run in (("tv-watcher", _tv_watcher), ("stereo", _stereo)):
+        demo = demos.add_parser(name, description=DEMOS[name], formatter_class=_Formatter)
+        demo.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="how long it runs (default: 20)")
+        demo.add_argument("--picture", type=Path, metavar="PATH", help="where to draw what happened, as a PNG")
+        demo.set_defaults(run=run)
     return parser
 
 
@@ -53,6 +57,13 @@ def _tv_watcher(arguments: argparse.Namespace) -> int:
     """The parts are imported here, when what they import is known to be there: a list of demos needs none of it."""
     require_libraries()
     from stampede_rt_demos.tv_watcher.app import run
+
+    return run(seconds=arguments.seconds, picture=arguments.picture)
+
+
+def _stereo(arguments: argparse.Namespace) -> int:
+    require_libraries()
+    from stampede_rt_demos.stereo.app import run
 
     return run(seconds=arguments.seconds, picture=arguments.picture)
 
@@ -65,7 +76,7 @@ def _seconds(text: str) -> int:
 
 
 def _listing() -> str:
-    lines = [f"  {name}   {what}" for name, what in DEMOS.items()]
+    lines = [f"  {name:<12}{what}" for name, what in DEMOS.items()]
     return "\n".join(["Demonstrations on real media, through a real cluster on this machine:", "", *lines])
 
 

@@ -53,14 +53,19 @@ def decode_video(path: Path, width: int, height: int, quality: int) -> EncodedVi
     return EncodedVideo(frames=frames, clock=clock)
 
 
-def video_loop_nanos(path: Path) -> int:
-    """How long one loop of the clip's video lasts, from its packets' timestamps: nothing is decoded.
+def decode_clock(path: Path) -> LoopedClock:
+    """When each frame of one loop begins, from its packets' timestamps: nothing is decoded.
 
     Raises DemoFailed as `decode_video` does.
     """
     with _opened(path, "video") as (container, stream):
         offsets = sorted(_nanos(packet, path) for packet in container.demux(stream) if packet.pts is not None)
-        return _looped(offsets, stream, path).loop_nanos
+        return _looped(offsets, stream, path)
+
+
+def video_loop_nanos(path: Path) -> int:
+    """How long one loop of the clip's video lasts. Raises DemoFailed as `decode_video` does."""
+    return decode_clock(path).loop_nanos
 
 
 def decode_audio(path: Path, rate_hz: int) -> NDArray[np.int16]:

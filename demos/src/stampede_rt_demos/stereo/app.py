@@ -1,0 +1,44 @@
+"""`stampede demo stereo`: run it, say what came of it, draw the picture."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.staging.clip import decode_clock
+from stampede_rt_demos.staging.film import ATTRIBUTION, locate_film
+from stampede_rt_demos.staging.pictures import require_writable
+from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.stereo.conductor import Outcome, conduct
+from stampede_rt_demos.stereo.report import render
+
+
+def run(*, seconds: int, picture: Path | None) -> int:
+    """Run the stereo demo for `seconds` and print what it shows; with `picture`, draw it there. The exit code is 0.
+
+    Raises DemoFailed if it cannot run, or if the picture cannot be written; that is found out before anything starts.
+    """
+    if picture is not None:
+        require_writable(picture)
+    progress = Progress(sys.stdout)
+    try:
+        outcome = conduct(seconds, progress)
+    finally:
+        progress.close()
+    print(f"\n{render(outcome.report)}")
+    print(f"Film: {ATTRIBUTION}.")
+    if picture is not None:
+        _draw(outcome, picture)
+        print(f"Picture: {picture}")
+    return 0
+
+
+def _draw(outcome: Outcome, picture: Path) -> None:
+    from stampede_rt_demos.stereo.picture import draw  # takes a second to import, and is not always needed
+
+    clock = decode_clock(locate_film())
+    try:
+        draw(outcome.report, outcome.frames, clock.loop_nanos // len(clock.offsets), picture)
+    except (ValueError, OSError) as error:
+        raise DemoFailed(f"the picture {picture} cannot be drawn: {error}") from error

@@ -1,0 +1,67 @@
+"""A camera: puts its view of the clip in real time, with jitter, and loses a frame now and then."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image
+
+import stampede_rt as st
+from stampede_rt_demos.staging.clip import EncodedVideo, decode_video
+from stampede_rt_demos.staging.film import locate_film
+from stampede_rt_demos.staging.producing import wait_until
+from stampede_rt_demos.staging.role import Stage
+from stampede_rt_demos.staging.statistics import percentile
+from stampede_rt_demos.staging.thumbnails import encode_jpeg, luma_thumbnail
+from stampede_rt_demos.stereo.programme import HEIGHT, JPEG_QUALITY, Side, planned, true_disparity
+from stampede_rt_demos.stereo.scene import WIDE, Picture, view
+
+NUMBER_ATTRIBUTE = "frame"
+PUT_TIMEOUT_SECONDS = 5.0
+
+
+def clip() -> EncodedVideo:
+    """The film, as wide as both views together."""
+    return decode_video(locate_film(), WIDE, HEIGHT, JPEG_QUALITY)
+
+
+def picture_of(jpeg: bytes) -> Picture:
+    """The brightness of a JPEG picture in its own size."""
+    with Image.open(io.BytesIO(jpeg)) as image:
+        return np.asarray(image.convert("L"))
+
+
+def film(stage: Stage, side: Side) -> dict[str, object]:
+    """Put every frame that is not lost when it is due, until the programme's end; then promise that nothing follows."""
+    video = clip()
+    wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
+    length = stage.settings.length_nanos
+    with st.connect(stage.settings.address, name=f"{side.name.lower()}-camera") as rt:
+        channel = rt.channel(side.value, create=False)
+        start = stage.wait_for_start()
+        took: list[tuple[int, int]] = []
+        for frame in planned(side, video.clock, start, length):
+            if frame.is_lost:
+                continue
+            shown = view(wide[frame.number % len(wide)], side, true_disparity(frame.number))
+            jpeg = encode_jpeg(Image.fromarray(np.ascontiguousarray(shown)), JPEG_QUALITY)
+            wait_until(frame.time)
+            began = time.perf_counter_ns()
+            channel.put(
+                jpeg, time=frame.time, attributes={NUMBER_ATTRIBUTE: str(frame.number)}, timeout=PUT_TIMEOUT_SECONDS
+            )
+            took.append((frame.time, time.perf_counter_ns() - began))
+            stage.tell_progress(items=len(took))
+        wait_until(start + length)
+        channel.advance(start + length)
+    return {"put": len(took), **_put_times(took, start + length // 2)}
+
+
+def _put_times(took: Sequence[tuple[int, int]], middle: int) -> dict[str, object]:
+    """How long a put took, before the second consumer joined and after."""
+    before = [nanos for at, nanos in took if at < middle]
+    after = [nanos for at, nanos in took if at >= middle]
+    return {"put_p50_before_nanos": percentile(before, 50), "put_p50_after_nanos": percentile(after, 50)}

@@ -1,0 +1,49 @@
+"""The depth consumer: measures the disparity of every matched pair, and puts it under the left frame's time."""
+
+from __future__ import annotations
+
+import base64
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+
+import stampede_rt as st
+from stampede_rt_demos.staging.role import Stage, run_role
+from stampede_rt_demos.stereo.camera import picture_of
+from stampede_rt_demos.stereo.matching import Pair, ignore, number_of, pairs_of, take_pairs
+from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, GROUP, Side, true_disparity
+from stampede_rt_demos.stereo.scene import measured_disparity
+
+
+def play(stage: Stage) -> dict[str, object]:
+    """Measure until the programme's end."""
+    measured: list[tuple[int, int, int]] = []
+    last: list[Pair] = []
+    with ExitStack() as stack:
+        rt = stack.enter_context(st.connect(stage.settings.address, name="depth"))
+        depth = rt.channel(DEPTH_CHANNEL, codec="json", create=False)
+        group = rt.group(GROUP)
+        by_left = stack.enter_context(pairs_of(group, Side.LEFT, payloads=True))
+        by_right = stack.enter_context(pairs_of(group, Side.RIGHT, payloads=False))
+        start = stage.wait_for_start()
+
+        def handle(pair: Pair) -> None:
+            left, right = pair
+            disparity = measured_disparity(picture_of(left.payload or b""), picture_of(right.payload or b""))
+            depth.put({"disparity": disparity}, time=left.time)
+            measured.append((left.time - start, disparity, true_disparity(number_of(left))))
+            last[:] = [pair]
+            stage.tell_progress(items=len(measured))
+
+        until = start + stage.settings.length_nanos
+        threads = stack.enter_context(ThreadPoolExecutor(1))
+        of_right = threads.submit(take_pairs, by_right, Side.RIGHT, until, ignore)
+        of_left = take_pairs(by_left, Side.LEFT, until, handle)
+        depth.advance(until)
+        records = {"left": of_left.as_record(), "right": of_right.result().as_record()}
+    stage.tell("picture", frames=[base64.b64encode(item.payload or b"").decode() for pair in last for item in pair])
+    return {**records, "measured": measured}
+
+
+if __name__ == "__main__":
+    sys.exit(run_role(play))

@@ -1,0 +1,65 @@
+"""Takes matched pairs from the group until the programme's end, and accounts for every frame that has no partner."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
+from stampede_rt_demos.stereo.camera import NUMBER_ATTRIBUTE
+from stampede_rt_demos.stereo.programme import TOLERANCE, Side
+
+GRACE_SECONDS = 2.0
+
+Pair = tuple[st.Item, st.Item]
+
+
+@dataclass(slots=True)
+class PairAccount:
+    """What one consumer was given: `wrong` pairs are of two different frames; `alone` are those without a partner."""
+
+    pairs: int = 0
+    wrong: int = 0
+    alone: list[int] = field(default_factory=list)
+    dropped: int = 0
+
+    def as_record(self) -> dict[str, Any]:
+        """The figures that a role reports."""
+        return {"pairs": self.pairs, "wrong": self.wrong, "alone": self.alone, "dropped": self.dropped}
+
+
+def pairs_of(group: st.Group, per: Side, *, payloads: bool) -> st.MatchSubscription:
+    """Matches for the frames of one camera, with word of those that have none; begun before anything is put."""
+    return group.match(per.value, TOLERANCE, partial=True, payloads=payloads)
+
+
+def take_pairs(matches: st.MatchSubscription, per: Side, until: int, handle: Callable[[Pair], None]) -> PairAccount:
+    """Hand every pair to `handle`. Blocks until all frames before `until` must have been matched."""
+    account = PairAccount()
+    patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
+    end = threading.Timer(max(0.0, patience), matches.close)
+    end.daemon = True
+    end.start()
+    for matched in matches:
+        if matched.missing:
+            account.alone.append(number_of(matched[per.value]))
+            continue
+        pair = matched[Side.LEFT.value], matched[Side.RIGHT.value]
+        account.pairs += 1
+        account.wrong += number_of(pair[0]) != number_of(pair[1])
+        handle(pair)
+    account.dropped = matches.dropped
+    return account
+
+
+def ignore(pair: Pair) -> None:
+    """A pair that is only counted."""
+
+
+def number_of(item: st.Item) -> int:
+    """Which frame it is."""
+    return int(item.attributes[NUMBER_ATTRIBUTE])

@@ -1,0 +1,70 @@
+"""What is on: the two cameras, how they fail, and who talks to whom. Pure.
+
+Which frames are lost, and how far each is off its time, follows from the seed alone, so that what the consumers report
+can be judged.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from stampede_rt_demos.staging.schedule import LoopedClock
+
+WIDTH, HEIGHT = 320, 180
+JPEG_QUALITY = 90
+DISPARITY_MIN, DISPARITY_MAX = 4, 24
+DISPARITY_CYCLE_FRAMES = 100
+JITTER_NANOS = 3_000_000
+LOST_SHARE = 0.05
+TOLERANCE = "10ms"
+SEED = 7
+STREAM_MAX_AGE = "10s"
+GROUP = "stereo/pair"
+DEPTH_CHANNEL = "stereo/depth"
+PLANNER, MAPPER = "planner", "mapper"
+
+
+class Side(Enum):
+    """Which camera; the value is its channel."""
+
+    LEFT = "stereo/left"
+    RIGHT = "stereo/right"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Frame:
+    """One frame of one camera. `number` counts both cameras' frames alike; `time` is nanoseconds since the epoch."""
+
+    number: int
+    time: int
+    is_lost: bool
+
+
+def planned(side: Side, clock: LoopedClock, start: int, length_nanos: int) -> Iterator[Frame]:
+    """The frames of `length_nanos` from `start`: each off its time by the camera's jitter, some of them lost."""
+    dice = random.Random(f"{SEED} {side.value}")
+    for number in range(clock.count_before(length_nanos)):
+        jitter, is_lost = dice.randint(0, JITTER_NANOS), dice.random() < LOST_SHARE
+        yield Frame(number=number, time=start + clock.offset(number) + jitter, is_lost=is_lost)
+
+
+def without_partner(side: Side, clock: LoopedClock, length_nanos: int) -> list[int]:
+    """The numbers of the frames that this camera sends and the other one loses."""
+    other = Side.RIGHT if side is Side.LEFT else Side.LEFT
+    mine, theirs = ([frame.is_lost for frame in planned(one, clock, 0, length_nanos)] for one in (side, other))
+    return [number for number, (here, there) in enumerate(zip(mine, theirs, strict=True)) if there and not here]
+
+
+def true_disparity(number: int) -> int:
+    """By how many pixels the two pictures of a frame are apart: something comes nearer, and goes away again."""
+    phase = number % DISPARITY_CYCLE_FRAMES
+    rising = min(phase, DISPARITY_CYCLE_FRAMES - phase)
+    return DISPARITY_MIN + rising * (DISPARITY_MAX - DISPARITY_MIN) // (DISPARITY_CYCLE_FRAMES // 2)
+
+
+def sent(side: Side, clock: LoopedClock, length_nanos: int) -> Sequence[int]:
+    """The numbers of the frames that a camera sends."""
+    return [frame.number for frame in planned(side, clock, 0, length_nanos) if not frame.is_lost]

@@ -1,0 +1,92 @@
+"""The stereo demo's figures as sentences. Pure."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from stampede_rt_demos.stereo.programme import Side
+
+NANOS_PER_MS = 1_000_000
+CLOSE_PIXELS = 1
+LINE_CHARS = 100
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class StereoReport:
+    """All that a run has shown.
+
+    `alone_expected`, `alone_told`: by camera, the numbers of its frames that have no partner, by the plan and as the
+    consumer was told. `measured`: nanoseconds since the start, measured and true disparity in pixels, for each pair.
+    `put_p50_nanos`: by camera, before and after the second consumer joined; None: nothing was put.
+    """
+
+    seconds: int
+    sent: Mapping[Side, int]
+    pairs_possible: int
+    pairs: int
+    wrong: int
+    alone_expected: Mapping[Side, Sequence[int]]
+    alone_told: Mapping[Side, Sequence[int]]
+    dropped: int
+    measured: Sequence[tuple[int, int, int]]
+    latecomer_pairs: int
+    put_p50_nanos: Mapping[Side, tuple[int | None, int | None]]
+    answers: int
+    unanswered: int
+    stops: int
+    round_trip_p50_nanos: int | None
+
+    @property
+    def told_of_all(self) -> bool:
+        """The consumer was told of every frame without a partner, once, and of no other."""
+        return all(sorted(self.alone_told[side]) == list(self.alone_expected[side]) for side in Side)
+
+    @property
+    def close(self) -> int:
+        """Pairs whose disparity was measured right, to a pixel."""
+        return sum(abs(disparity - truth) <= CLOSE_PIXELS for _, disparity, truth in self.measured)
+
+
+def render(report: StereoReport) -> str:
+    """What there is to say, a sentence a line."""
+    left, right = (report.sent[side] for side in Side)
+    alone = sum(len(report.alone_told[side]) for side in Side)
+    expected = sum(len(report.alone_expected[side]) for side in Side)
+    lines = [
+        f"Cameras: {left} left and {right} right frames in {report.seconds} s, up to 3 ms off their time, some lost.",
+        f"Pairs: {report.pairs} of {report.pairs_possible} that there are; {report.wrong} of two different frames.",
+        f"Without a partner: {expected} frames, and the consumer was told of "
+        + (f"{alone}, exactly these." if report.told_of_all else f"{alone}, NOT exactly these."),
+        f"Disparity: right to {CLOSE_PIXELS} pixel in {report.close} of {len(report.measured)} pairs.",
+        f"A second consumer joined in the middle and got {report.latecomer_pairs} pairs; "
+        + "; ".join(_puts(side, report) for side in Side)
+        + ".",
+        f"Mailboxes: the planner asked {report.answers + report.unanswered} times and got {report.answers} answers, "
+        f"half of them within {_millis(report.round_trip_p50_nanos)} ms; {report.stops} times it would have stopped.",
+    ]
+    if report.dropped:
+        lines.append(
+            f"{report.dropped} items went before they could be matched: this machine was too slow for the demo."
+        )
+    return "\n".join(textwrap.fill(line, LINE_CHARS, subsequent_indent="  ") for line in lines)
+
+
+def subtitle(report: StereoReport) -> str:
+    """The run in one line, for the picture."""
+    alone = sum(len(report.alone_told[side]) for side in Side)
+    named = "all named" if report.told_of_all else "NOT all named"
+    return (
+        f"{report.pairs} of {report.pairs_possible} pairs, {report.wrong} wrong; {alone} frames without a partner, "
+        f"{named}; two hosts, consumers in processes of their own"
+    )
+
+
+def _puts(side: Side, report: StereoReport) -> str:
+    before, after = report.put_p50_nanos[side]
+    return f"a put of the {side.name.lower()} camera took {_millis(before)} ms before and {_millis(after)} ms after"
+
+
+def _millis(nanos: int | None) -> str:
+    return "-" if nanos is None else f"{nanos / NANOS_PER_MS:.1f}"
