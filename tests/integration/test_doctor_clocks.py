@@ -1,0 +1,124 @@
+"""`stampede doctor` before services whose clocks and versions are what a test says: real ones share this machine's."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.cli.main import main as stampede
+from stampede_rt.v1 import (
+    directory_pb2,
+    directory_service_pb2_grpc,
+    frontend_service_pb2_grpc,
+    gatekeeper_service_pb2_grpc,
+)
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.version import VERSION
+from stampede_rt_runtime.server import serving
+
+# ruff: noqa: N802  # methods bear the names of the RPCs
+
+HOUR_NANOS = 3600 * 10**9
+
+
+class Everything(
+    frontend_service_pb2_grpc.FrontendServiceServicer,
+    directory_service_pb2_grpc.DirectoryServiceServicer,
+    gatekeeper_service_pb2_grpc.GatekeeperServiceServicer,
+):
+    """One server that is the front-end, the only supernode and the only host."""
+
+    address = ""
+    host_ahead_nanos = 0
+    all_ahead_nanos = 0
+    host_version = VERSION
+
+    def _now(self) -> int:
+        return time.time_ns() + self.all_ahead_nanos
+
+    async def Bind(self, request: Any, context: Any) -> frontend_pb.BindResponse:
+        return frontend_pb.BindResponse(
+            supernodes=self._members(), protocol_version=1, version=VERSION, time_unix_nano=self._now()
+        )
+
+    async def ListSupernodes(self, request: Any, context: Any) -> directory_pb.ListSupernodesResponse:
+        return directory_pb.ListSupernodesResponse(supernodes=self._members())
+
+    async def ListHosts(self, request: Any, context: Any) -> directory_pb.ListHostsResponse:
+        host = directory_pb2.HostRecord(
+            name="h1", alive=True, gatekeepers=[directory_pb2.Endpoint(target=self.address)]
+        )
+        return directory_pb.ListHostsResponse(hosts=[host])
+
+    def _members(self) -> list[directory_pb2.SupernodeRecord]:
+        place = directory_pb2.Endpoint(target=self.address)
+        return [directory_pb2.SupernodeRecord(supernode_id="s1", endpoint=place)]
+
+    async def Ping(self, request: Any, context: Any) -> Any:
+        """Of the supernode and of the host: told apart by the request."""
+        if isinstance(request, gatekeeper_pb.GatekeeperServicePingRequest):
+            ahead = self._now() + self.host_ahead_nanos
+            return gatekeeper_pb.GatekeeperServicePingResponse(
+                time_unix_nano=ahead, lease_held=True, version=self.host_version
+            )
+        return directory_pb.DirectoryServicePingResponse(
+            supernode_id="s1", ready=True, time_unix_nano=self._now(), version=VERSION
+        )
+
+
+@asynccontextmanager
+async def running(everything: Everything) -> AsyncIterator[None]:
+    def register(server: grpc.aio.Server) -> None:
+        frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(everything, server)
+        directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(everything, server)
+        gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(everything, server)
+
+    async with serving(register) as server:
+        everything.address = server.address
+        yield
+
+
+async def said_of(everything: Everything, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    async with running(everything):
+        code = await asyncio.to_thread(stampede, ["doctor", "--url", everything.address])
+    return code, capsys.readouterr().out
+
+
+async def test_parts_that_agree_are_well(capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = await said_of(Everything(), capsys)
+    assert (code, "Everything is well." in said) == (0, True), said
+
+
+async def test_a_host_whose_clock_is_ahead_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    everything = Everything()
+    everything.host_ahead_nanos = HOUR_NANOS
+    code, said = await said_of(everything, capsys)
+    assert code == 1, said
+    assert re.search(r"clocks: that of host h1 is \S+ [mh] ahead of the others'; synchronise it", said), said
+    assert "50 ms are allowed" in said
+
+
+async def test_if_all_clocks_disagree_with_this_machine_it_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    everything = Everything()
+    everything.all_ahead_nanos = HOUR_NANOS
+    code, said = await said_of(everything, capsys)
+    assert code == 1, said
+    assert re.search(r"clocks: this machine's is \S+ [mh] behind the cluster's; synchronise this one", said), said
+
+
+async def test_a_host_of_another_version_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    everything = Everything()
+    everything.host_version = "9.9.9"
+    code, said = await said_of(everything, capsys)
+    assert code == 1, said
+    assert "9.9.9: host h1" in said
+    assert f"{VERSION}: this caller, front-end and supernode s1" in said
