@@ -10,6 +10,7 @@ import pytest
 
 from stampede_rt.v1 import channel_service_pb2, error_pb2, group_pb2, item_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
+from tests.unit.channel_host.manual_clock import ManualClock
 from tests.unit.channel_host.rig import MS, S, between
 from tests.unit.groups.rig import CutReader, Host, running_cluster
 
@@ -34,6 +35,24 @@ async def test_a_group_shows_what_lies_before_the_newest_of_its_reference(host: 
     assert (await text.get(group))[0] == []
     assert len((await audio.get())[0]) == 4  # the original descriptor shows all
     assert not (await audio.get())[1].HasField("cut_unix_nano")
+
+
+async def test_a_member_that_is_silent_for_long_is_left_out_until_it_speaks() -> None:
+    clock = ManualClock()
+    async with running_cluster(clock) as cluster:
+        host = await cluster.start("h1", b"host-number-one!")
+        left, right, t = await host.open("left"), await host.open("right"), host.now()
+        group = host.directory.add_group("pair", [left, right], idle_after_nanos=2 * S)
+        await host.status(group)
+        await left.put(t)
+        await right.put(t + 1)
+        clock.advance(3 * S)
+        await left.put(t + 2 * S)
+        status = await host.status(group)
+        assert status.cut_unix_nano == t + 2 * S
+        assert {one.times.channel_id for one in status.members if one.idle} == {right.channel_id}
+        await right.put(t + 1)  # late, and at once to be seen
+        assert (await right.get(group))[0] == [t + 1, t + 1]
 
 
 async def test_a_blocked_get_is_released_when_the_cut_comes(host: Host) -> None:

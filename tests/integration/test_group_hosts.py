@@ -159,6 +159,18 @@ async def test_matches_reach_over_hosts(pair: Pair) -> None:
     assert found[0].matched[0].position.incarnation == pair.right.record.incarnation
 
 
+async def test_a_host_whose_lease_came_back_tells_its_times_again(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t)
+    await pair.right.put(t + 1)
+    await pair.synced(t)
+    for fenced in (pair.right.host.host.store, pair.right.host.host.groups):
+        fenced.fence()  # nobody reads the group there, yet others wait for its channel
+    await pair.left.put(t + 20)
+    await pair.right.put(t + 10)
+    await pair.left.host.until_cut(pair.group, t + 10)
+
+
 async def test_a_lost_host_holds_the_cut_until_its_channel_has_another_owner(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t, t + 5)

@@ -65,6 +65,7 @@ class CutEvents:
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
         begun = request.open
+        self._groups.check_serving()
         group = await self._groups.find(begun.group_id)
         await self._begin(group, begun)
         group.listeners[self._waiter] = None

@@ -74,7 +74,7 @@ class GroupServicer:
     async def get_cut(self, request: pb.GetCutRequest, context: Any) -> pb.GetCutResponse:
         """GroupService.GetCut: the cut once it is as far as the caller has seen it, or that it is stalled."""
         try:
-            self._groups.check_lease()
+            self._groups.check_serving()
             group = await self._groups.find(request.group_id)
             floor = request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None
             reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)

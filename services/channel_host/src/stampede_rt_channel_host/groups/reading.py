@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import bound_from_message
 from stampede_rt_channel_host.channels import refusals
@@ -18,6 +18,7 @@ from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
 from stampede_rt_channel_host.channels.requests import position_of
+from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.core.channel import Delivery, Pending, Query, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
@@ -97,6 +98,10 @@ class _Get:
         self._view = GroupView(hosted.channel)
 
     async def run(self, query: Query, deadline_s: float | None) -> GroupAnswer:
+        if len(self._hosted.followers) >= WAITING_GETS_MAX:
+            raise Overloaded(
+                f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
+            )
         waiter = Waiter()
         self._group.listeners[waiter] = self._hosted.followers[waiter] = None
         try:

@@ -25,6 +25,7 @@ logger = logging.getLogger(__name__)
 
 GROUPS_MAX = 10_000
 LEARNING_MAX = 1_000
+LEARN_PAUSE_SECONDS = 0.2
 ROUND_SECONDS = 0.5
 LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this is for what goes missing
 LOOK_UP_SECONDS_IN_TROUBLE = 0.5
@@ -52,7 +53,8 @@ class GroupStore:
         self._own: dict[bytes, OwnChannel] = {}
         self._told_all: set[bytes] = set()  # hosts that have told all they know on the link that stands
         self._asking: dict[bytes, asyncio.Lock] = {}
-        self._learning: set[asyncio.Task[None]] = set()
+        self._learning: dict[bytes | None, asyncio.Task[None]] = {}  # by group; None: of channels
+        self._asked: set[bytes] = set()  # channels that others ask for, and of which no group is known here yet
         self._closed = False
         self.in_use = asyncio.Event()
 
@@ -78,9 +80,10 @@ class GroupStore:
         return self._own.get(channel_id)
 
     async def keep(self) -> NoReturn:
-        """Look up the groups in use now and then, and those in trouble soon: members and owners change."""
+        """Look up the groups in use now and then, and soon where a member is not heard of."""
         while True:  # paced
             await asyncio.sleep(ROUND_SECONDS)
+            self.asked_for(set())
             for group_id, group in list(self._groups.items()):
                 if self._is_due(group):
                     await self._try_to_look_up(group_id)
@@ -88,11 +91,16 @@ class GroupStore:
     async def aclose(self) -> None:
         """Forget everything."""
         self._closed = True
-        for task in list(self._learning):
+        for task in list(self._learning.values()):
             task.cancel()
         for own in self._own.values():
             own.let_go()
         await self.peers.aclose()
+
+    def check_serving(self) -> None:
+        """Raises StaleBinding if the host may not serve its channels at present."""
+        if not self.channels.lease_held():
+            raise refusals.fenced(self._identity.name)
 
     def not_here(self, channel_id: bytes) -> StampedeError:
         """Why a member is not served by this host."""
@@ -117,11 +125,15 @@ class GroupStore:
     def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
         """See `WatchedGroups`."""
         if change.HasField("group") and change.group.group_id in self._groups:
-            self._spawn(self._try_to_look_up(change.group.group_id))
+            self._look_up_soon(change.group.group_id)
         elif change.HasField("channel"):
             for group_id in list(self._groups_of.get(change.channel.channel_id, ())):
                 if change.channel.host_id != self._groups[group_id].owners.get(change.channel.channel_id):
-                    self._spawn(self._try_to_look_up(group_id))
+                    self._look_up_soon(group_id)
+
+    def _look_up_soon(self, group_id: bytes) -> None:
+        self._groups[group_id].looked_up_s = 0.0  # in the next round, if it is being looked up just now
+        self._spawn(group_id, self._try_to_look_up(group_id))
 
     # What links tell from and to.
 
@@ -144,9 +156,9 @@ class GroupStore:
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
         """See `Knowledge`. The other host knows groups of these channels, of which this one may not have heard."""
-        unknown = sorted(channel_ids - self._own.keys())
-        if unknown:
-            self._spawn(self._learn_groups_of(unknown))
+        self._asked |= channel_ids - self._own.keys()
+        if self._asked:
+            self._spawn(None, self._learn_groups_of_asked())
 
     def check_lease(self) -> None:
         """See `Knowledge`."""
@@ -175,26 +187,30 @@ class GroupStore:
         group = self._groups.get(floor.group_id)
         same = group is not None and group.record.incarnation == floor.incarnation
         if group is None or not same or floor.spec_version > group.record.spec_version:
-            self._spawn(self._learn_then_merge(floor))
+            self._spawn(floor.group_id, self._learn_then_merge(floor))
         return group is not None and same and group.cut.merge_floor(floor.cut_unix_nano)
 
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        """Ask the directory beside the link that gave cause to; beyond the limit it is left to who names the group."""
-        if self._closed or len(self._learning) >= LEARNING_MAX:
+    def _spawn(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
+        """Ask the directory beside the link that gave cause to: about each thing once at a time, and not too often.
+
+        What is left out here is asked in the next round, or by who names the group.
+        """
+        if self._closed or about in self._learning or len(self._learning) >= LEARNING_MAX:
             work.close()
             return
-        task = asyncio.create_task(work)
-        self._learning.add(task)
-        task.add_done_callback(self._learning.discard)
+        task = self._learning[about] = asyncio.create_task(_paced(work))
+        task.add_done_callback(lambda _: self._learning.pop(about, None))
 
-    async def _learn_groups_of(self, channel_ids: list[bytes]) -> None:
-        try:
-            for channel_id in channel_ids:
+    async def _learn_groups_of_asked(self) -> None:
+        while self._asked:
+            channel_id = min(self._asked)
+            try:
                 for group_id in await self._directory.groups_of(channel_id):
-                    if group_id not in self._groups:
-                        await self._look_up(group_id, only_new=True)
-        except StampedeError as error:
-            logger.debug("cannot learn the groups of channels", extra={"why": str(error)})
+                    await self._look_up(group_id, only_new=True)
+            except StampedeError as error:
+                logger.debug("cannot learn the groups of a channel", extra={"why": str(error)})
+                return  # the next round tries again
+            self._asked.discard(channel_id)
 
     async def _learn_then_merge(self, floor: group_pb2.CutFloor) -> None:
         await self._try_to_look_up(floor.group_id)
@@ -206,19 +222,24 @@ class GroupStore:
     # What the directory says.
 
     def _is_due(self, group: HostedGroup) -> bool:
-        now_s = _now_s()
-        if not group.listeners and now_s - group.named_s > IN_USE_SECONDS and not group.unheard:
+        since_s = _now_s() - group.looked_up_s
+        if since_s < LOOK_UP_SECONDS_IN_TROUBLE:
             return False
-        pause_s = LOOK_UP_SECONDS_IN_TROUBLE if self._is_in_trouble(group) else LOOK_UP_SECONDS
-        return now_s - group.looked_up_s >= pause_s
+        if self._neglects_own(group):
+            return True  # others may wait for this host, though nobody reads the group here
+        if not group.listeners and _now_s() - group.named_s > IN_USE_SECONDS:
+            return False
+        return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)
 
-    def _is_in_trouble(self, group: HostedGroup) -> bool:
-        """A member is not heard of: its host may be gone, and another one may own it."""
-        for channel_id, host_id in group.owners.items():
-            heard = channel_id in self._own if host_id == self._identity.host_id else self.peers.is_linked(host_id)
-            if not heard:
-                return True
-        return bool(group.unheard)
+    def _neglects_own(self, group: HostedGroup) -> bool:
+        """A member that this host owns, as far as it knows, is not followed."""
+        own = self._identity.host_id
+        return any(host_id == own and channel_id not in self._own for channel_id, host_id in group.owners.items())
+
+    def _misses_a_host(self, group: HostedGroup) -> bool:
+        """A host is not heard of: it may be gone, and another one may own its channels."""
+        others = {host_id for host_id in group.owners.values() if host_id != self._identity.host_id}
+        return bool(group.unheard) or not all(self.peers.is_linked(one) for one in others)
 
     async def _try_to_look_up(self, group_id: bytes) -> None:
         try:
@@ -260,8 +281,7 @@ class GroupStore:
             self._groups[group_id] = group
             self.in_use.set()
         elif (told.group.spec_version, told.group.incarnation) != (group.record.spec_version, group.record.incarnation):
-            for channel_id in group.record.spec.channel_ids:
-                self._groups_of.get(channel_id, set()).discard(group_id)
+            self._leave(group, set(told.group.spec.channel_ids))
             if group.adopt(told):
                 group.end(_anew(told.group))
             self.peers.tell_floor(group_id)  # with it goes the version, so that the others ask, too
@@ -330,16 +350,25 @@ class GroupStore:
 
     def _forget(self, group_id: bytes, error: StampedeError) -> None:
         group = self._groups.pop(group_id)
-        for channel_id in group.record.spec.channel_ids:
+        self._leave(group, set())
+        self._share()
+        group.end(error)
+
+    def _leave(self, group: HostedGroup, staying: set[bytes]) -> None:
+        """The group has its other members no more; what no group has is not followed."""
+        for channel_id in set(group.record.spec.channel_ids) - staying:
             of_channel = self._groups_of.get(channel_id, set())
-            of_channel.discard(group_id)
+            of_channel.discard(group.record.group_id)
             if not of_channel:
                 self._groups_of.pop(channel_id, None)
                 if (own := self._own.pop(channel_id, None)) is not None:
                     own.let_go()
         self._board.keep_only(set(self._groups_of))
-        self._share()
-        group.end(error)
+
+
+async def _paced(work: Coroutine[Any, Any, None]) -> None:
+    await work
+    await asyncio.sleep(LEARN_PAUSE_SECONDS)
 
 
 def _now_s() -> float:
