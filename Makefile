@@ -48,7 +48,7 @@ stubs: setup  ## generate the protobuf stubs and the synchronous client again
 
 robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md
 	$(RUN)/pytest -m slow -n 2
-	$(RUN)/python -m tests.robustness --report out/robustness.md
+	GRPC_VERBOSITY=NONE $(RUN)/python -m tests.robustness --report out/robustness.md
 
 images: setup  ## build the images of deploy/ and prove the compose file, without a container engine
 	deploy/prove_images

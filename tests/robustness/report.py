@@ -85,7 +85,10 @@ def _summary(run: Run) -> str:
         ("acknowledged writes", sum(findings.acknowledged for findings in run.findings)),
         ("**acknowledged writes lost, undone, read stale or done twice, and other violations**", f"**{unexplained}**"),
         ("lease renewals / registrations of hosts without items", _leases(run.findings)),
-        ("longest time without service, a majority alive", f"{worst.gap_s:.2f} s ({worst.gap_in})" if worst else "-"),
+        (
+            "longest time without service, a majority alive and its links good",
+            f"{worst.gap_s:.2f} s ({worst.gap_in})" if worst else "-",
+        ),
         ("longest time that the measuring process itself did not run", f"{stalled:.2f} s"),
         *_item_rows(run.findings),
         *_simulated_rows(run.simulated),
