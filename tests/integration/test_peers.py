@@ -18,7 +18,7 @@ from tests.support.cluster import cluster_fixture
 cluster = cluster_fixture(hosts=1, supernodes=1)
 
 STAY = """
-import sys, time
+import sys
 import stampede_rt as st
 with st.connect(sys.argv[1], name=sys.argv[2], proof="0123456789abcdef") as rt:
     print("in", flush=True)
@@ -64,10 +64,11 @@ def test_a_second_live_peer_of_a_name_is_refused_and_told_why(cluster: LocalClus
 
 def test_a_refused_connection_leaves_nothing_running(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="quiet"):
-        before = threading.active_count()
         with pytest.raises(st.PeerExists):
             st.connect(cluster.address, name="quiet")
-        assert threading.active_count() <= before
+        assert [thread.name for thread in threading.enumerate() if "lease of peer" in thread.name] == [
+            "stampede lease of peer quiet"
+        ]
 
 
 def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cluster: LocalCluster) -> None:

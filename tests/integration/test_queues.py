@@ -53,6 +53,9 @@ def test_a_taker_that_is_killed_loses_nothing(cluster: LocalCluster) -> None:
         for number in range(4):
             queue.put(str(number).encode())
         assert killed_taker(cluster.address, "work/killed") == "0"
+        queue.configure(lease="60s")  # of deliveries to come: these are acknowledged in time even on a slow machine
+        while queue.stats().policy.lease_nanos != 60 * 10**9:
+            assert queue.stats().held == 4
         found = taken(queue, 4)
         assert sorted(payload for payload, _ in found) == [b"0", b"1", b"2", b"3"]
         assert dict(found)[b"0"] == 2
