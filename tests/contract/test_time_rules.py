@@ -215,6 +215,14 @@ async def test_the_frontier_is_the_latest_collected_end_and_never_above_a_held_i
     assert not (await channel.get(base + 20 * MS, st.NEWEST)).truncated
 
 
+async def test_a_span_that_ends_behind_the_end_of_time_can_be_collected(surface: Surface) -> None:
+    channel = await surface.channel(max_items=5)
+    await channel.put(b"for ever", duration=2**63 - 1)
+    await channel.configure(max_bytes=64)
+    stats = await channel.stats()
+    assert (stats.accepted, stats.held, stats.frontier >= 2**63 - 1) == (1, 0, True)
+
+
 async def test_what_can_still_come_is_not_yet(surface: Surface) -> None:
     channel, _ = await filled(surface, 0)
     items = await channel.get(st.NOW + "1h", st.NOW + "2h")

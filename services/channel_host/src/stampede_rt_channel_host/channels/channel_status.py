@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from stampede_rt.timeline import clamp
 from stampede_rt.v1 import channel_pb2
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 
@@ -15,7 +16,7 @@ def channel_status(hosted: HostedChannel, now: int) -> channel_pb2.ChannelStatus
         counters=counters,
         newest_unix_nano=channel.newest,
         oldest_unix_nano=channel.oldest,
-        frontier_unix_nano=channel.frontier,
+        frontier_unix_nano=None if channel.frontier is None else clamp(channel.frontier),  # a span may end behind int64
         advance_unix_nano=channel.advanced_to,
         subscriptions=len(hosted.listeners),
         waiting_gets=len(hosted.gets),
