@@ -131,6 +131,28 @@ def test_a_late_item_is_taken_below_what_consumption_took() -> None:
     assert channel.frontier is None
 
 
+def test_what_is_left_of_a_bucket_stays_in_the_order_of_seqs_when_a_late_item_comes_in_below_it() -> None:
+    """Trimmed, the first entry of the bucket once came behind the others: reads then gave 7 to 12 before 3 to 6."""
+    channel = a_channel(consumers=1)
+    put(channel, *[100] * 6)
+    put(channel, *[100] * 6)
+    channel.consume(ANN, [1, 2], CLOCK)
+    put(channel, 99)
+    assert seqs_of(get(channel, 100, 100).slices) == list(range(3, 13))
+    channel.consume(ANN, [13, *range(3, 13)], CLOCK)
+    assert (held(channel), channel.look(CLOCK)[0].backlog_bytes) == ([], 0)
+
+
+def test_a_late_item_below_a_run_that_is_half_consumed_leaves_the_other_half() -> None:
+    channel = a_channel(consumers=1)
+    put(channel, 10, 20, 30, 40)
+    channel.consume(ANN, [1, 2], CLOCK)
+    put(channel, 5, 15, 25)
+    assert times_of(get(channel).slices) == [5, 15, 25, 30, 40]
+    channel.consume(ANN, [5, 6, 7, 3], CLOCK)
+    assert times_of(get(channel).slices) == [40]
+
+
 def test_the_other_limits_take_what_is_not_consumed_whichever_comes_first() -> None:
     channel = three_items(consumers=1, max_items=3)
     put(channel, 40)

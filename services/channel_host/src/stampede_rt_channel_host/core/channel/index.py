@@ -30,7 +30,8 @@ LAST_PLACE: Place = (1 << 64, 0)
 
 
 class Part:
-    """An entry of a run of several items: places `lo` to `hi` of it. Only `hi` ever changes, when it is split."""
+    """An entry of a run of several items: places `lo` to `hi` of it. `hi` changes when it is split, `lo` when it is
+    trimmed within its first bucket; then `first_seq` stays, as the key that it is found by."""
 
     __slots__ = ("first_seq", "first_time", "hi", "lo", "run")
 
@@ -216,10 +217,15 @@ class ChannelIndex:
         at = 0 if entry is None else index_of(entry, floor)
         if entry is None or not entry.lo < at < entry.hi:
             return None
-        self._by_time.remove(entry)
-        self._by_seq.remove(entry)
-        self._add(Part(entry.run, at, entry.hi))
-        return Slice(entry.run, entry.lo, at)
+        assert isinstance(entry, Part), "an entry of one item has nothing between its ends"
+        trimmed = Slice(entry.run, entry.lo, at)
+        if entry.run.times[at] == entry.first_time:  # it keeps its place before the others that begin at this time
+            entry.lo = at
+        else:
+            self._by_time.remove(entry)
+            self._by_seq.remove(entry)
+            self._add(Part(entry.run, at, entry.hi))
+        return trimmed
 
 
 def _clipped(entry: Entry, low: Place, high: Place) -> Iterator[Slice]:
