@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import stampede_rt as st
@@ -31,33 +31,14 @@ from tests.oracle import (
     Waits,
 )
 from tests.property.loopback_host import LoopbackHost
-from tests.property.surfaces import Followed, Started, Surface
+from tests.property.path_agreement import same_answer, same_found, same_items, same_put
+from tests.property.path_values import Follower, WaitingPut, merge, stated
+from tests.property.surfaces import Started, Surface
 
 LOOKS_MAX = 20_000
 MOMENT_S = 0.002
 REASONS = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
 _names = itertools.count()
-
-
-@dataclass
-class WaitingPut:
-    """A put that stands in line; `settled` are the verdicts of its items up to now."""
-
-    offer: Offer
-    payloads: list[bytes]
-    started: Started
-    settled: list[Item | Refused] = field(default_factory=list)
-
-
-@dataclass
-class Follower:
-    """A subscription, by the book and as it is."""
-
-    followed: Followed
-    newest: bool
-    book: OracleSubscription | OracleNewest
-    expected: list[tuple[Item, int | None]] = field(default_factory=list)
-    dropped: int = 0
 
 
 class PathPair:
@@ -95,10 +76,7 @@ class PathPair:
             return
         verdicts, refusal = self._judge(offer, [payload])
         outcome = self._outcome(lambda: self.channel.put(payload, **fields))
-        if isinstance(outcome, st.StampedeError):
-            assert outcome.reason == (refusal or _refused(verdicts))
-        else:
-            self._check_put(_only(verdicts), outcome, payload)
+        same_put(outcome, _only(verdicts) if verdicts else Refused(refusal or ""), payload)
         self.settle()
 
     def put_run(self, offer: Offer) -> None:
@@ -162,15 +140,6 @@ class PathPair:
             self._announce()
         return verdicts
 
-    def _check_put(self, verdict: Item | Refused, item: st.Item, payload: bytes) -> None:
-        assert isinstance(verdict, Item), (verdict, item)
-        assert (item.time, item.seq, item.duration, item.payload) == (
-            verdict.time,
-            verdict.seq,
-            verdict.duration,
-            payload,
-        )
-
     def _advance_line(self) -> None:
         """Room may have been made: those in line are offered again, the first one first."""
         while self.line:
@@ -179,11 +148,7 @@ class PathPair:
             if not verdicts:
                 return
             self.line.pop(0)
-            outcome = head.started.outcome()
-            if isinstance(outcome, st.StampedeError):
-                assert outcome.reason == _refused(verdicts)
-            else:
-                self._check_put(_only(verdicts), outcome, head.payloads[0])
+            same_put(head.started.outcome(), _only(verdicts), head.payloads[0])
 
     # --- time, promises and limits
 
@@ -257,7 +222,7 @@ class PathPair:
                 interval=interval, match=Match.START, limit=1, newest_first=newest_first, newer_than=newer_than
             )
             found = self.surface.do(call)
-            self._same_items([] if found is None else [found], self._read(query), query, True)
+            same_found([] if found is None else [found], self._read(query), query, self.payloads)
 
     def refused_interval(self, start: int, end: int) -> None:
         """Two instants the wrong way round."""
@@ -301,29 +266,8 @@ class PathPair:
         return st.Item(after.time, None, None, after.seq, b"", {}, "", 0, self.channel.incarnation)
 
     def _agree(self, found: st.Items, expected: OracleAnswer, query: Query, payloads: bool) -> None:
-        assert not isinstance(found, BaseException), found
-        self._same_items(found, expected, query, payloads)
-        assert (found.interval, found.complete, found.truncated, found.more, found.reason) == (
-            expected.interval,
-            expected.complete,
-            expected.truncated,
-            expected.more,
-            expected.reason,
-        )
-        assert found.reason is None or found.reason.detail
+        same_answer(found, expected, query, self.payloads if payloads else None)
         assert found.incarnation == self.channel.incarnation
-
-    def _same_items(self, found: Sequence[st.Item], expected: OracleAnswer, query: Query, payloads: bool) -> None:
-        pairs = list(zip(expected.items, expected.ends, strict=True))
-        self._same(found, pairs[::-1] if query.newest_first else pairs, payloads)
-
-    def _same(
-        self, found: Sequence[st.Item], expected: Sequence[tuple[Item, int | None]], payloads: bool = True
-    ) -> None:
-        facts = [(item.time, item.seq, item.duration, item.end, item.payload_length_bytes) for item in found]
-        assert facts == [(item.time, item.seq, item.duration, end, item.length) for item, end in expected]
-        contents = [self.payloads[item.seq] if payloads else None for item, _ in expected]
-        assert [item.payload for item in found] == contents
 
     # --- subscriptions
 
@@ -383,7 +327,7 @@ class PathPair:
         stats = self._until(self._has_all_been_delivered)
         for follower in self.followers:
             assert not follower.followed.ended, follower.followed.error
-            self._same(follower.followed.items, follower.expected)
+            same_items(follower.followed.items, follower.expected, self.payloads)
         for _, _, _, started in self.gets:
             assert not started.is_done(), started.outcome()
         assert (stats.waiting_gets, stats.waiting_puts) == (len(self.gets), len(self.line))
@@ -427,21 +371,6 @@ class PathPair:
         assert all(isinstance(one, st.ChannelNotFound) for one in outcomes), outcomes
 
 
-def stated(policy: Policy) -> dict[str, Any]:
-    """A policy as the client's arguments."""
-    durations = {"max_age": policy.max_age_nanos, "max_future": policy.max_future_nanos}
-    counts = {"max_items": policy.max_items, "max_bytes": policy.max_bytes, "on_full": policy.on_full}
-    written = {key: f"{nanos}ns" for key, nanos in durations.items() if nanos is not None}
-    return written | {key: value for key, value in counts.items() if value is not None}
-
-
-def merge(policy: Policy, change: Policy) -> Policy:
-    """What a channel is set up as after a change that leaves things out."""
-    names = ("max_age_nanos", "max_items", "max_bytes", "on_full", "max_future_nanos")
-    changes = {name: getattr(change, name) for name in names if getattr(change, name) is not None}
-    return replace(policy, **changes)
-
-
 def _column(durations: list[int | None]) -> list[int] | None:
     return None if durations == [None] else [-1 if one is None else one for one in durations]
 
@@ -449,8 +378,3 @@ def _column(durations: list[int | None]) -> list[int] | None:
 def _only(verdicts: Sequence[Item | Refused]) -> Item | Refused:
     (verdict,) = verdicts
     return verdict
-
-
-def _refused(verdicts: Sequence[Item | Refused]) -> str | None:
-    verdict = _only(verdicts)
-    return verdict.reason if isinstance(verdict, Refused) else None

@@ -11,7 +11,8 @@ from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Matc
 from stampede_rt_channel_host.core.channel import Offer, Position, Query
 from tests.property.dice import Dice
 from tests.property.loopback_host import LoopbackHost
-from tests.property.path_pair import MOMENT_S, PathPair, merge
+from tests.property.path_pair import MOMENT_S, PathPair
+from tests.property.path_values import merge
 from tests.property.surfaces import Surface
 
 POLICIES = (

@@ -1,0 +1,53 @@
+"""Whether what came over a path is what the book says, to the nanosecond and the byte."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import stampede_rt as st
+from stampede_rt_channel_host.core.channel import Query
+from tests.oracle import Item, OracleAnswer, Refused
+
+Contents = Mapping[int, bytes]
+"""Payloads by seq."""
+
+
+def same_answer(found: st.Items, expected: OracleAnswer, query: Query, contents: Contents | None) -> None:
+    """All that an answer says; `contents` None: it was asked for without payloads."""
+    assert not isinstance(found, BaseException), found
+    same_found(found, expected, query, contents)
+    assert (found.interval, found.complete, found.truncated, found.more, found.reason) == (
+        expected.interval,
+        expected.complete,
+        expected.truncated,
+        expected.more,
+        expected.reason,
+    )
+    assert found.reason is None or found.reason.detail
+
+
+def same_found(found: Sequence[st.Item], expected: OracleAnswer, query: Query, contents: Contents | None) -> None:
+    """The items of an answer, in the order that was asked for."""
+    pairs = list(zip(expected.items, expected.ends, strict=True))
+    same_items(found, pairs[::-1] if query.newest_first else pairs, contents)
+
+
+def same_items(
+    found: Sequence[st.Item], expected: Sequence[tuple[Item, int | None]], contents: Contents | None
+) -> None:
+    """Items with the ends of their spans."""
+    facts = [(item.time, item.seq, item.duration, item.end, item.payload_length_bytes) for item in found]
+    assert facts == [(item.time, item.seq, item.duration, end, item.length) for item, end in expected]
+    payloads = [None if contents is None else contents[item.seq] for item, _ in expected]
+    assert [item.payload for item in found] == payloads
+
+
+def same_put(outcome: st.Item | st.StampedeError, verdict: Item | Refused, payload: bytes) -> None:
+    """An item as its put gave it back, or the refusal."""
+    if isinstance(verdict, Refused):
+        assert isinstance(outcome, st.StampedeError)
+        assert outcome.reason == verdict.reason
+        return
+    assert not isinstance(outcome, st.StampedeError), outcome
+    facts = (outcome.time, outcome.seq, outcome.duration, outcome.payload)
+    assert facts == (verdict.time, verdict.seq, verdict.duration, payload)
