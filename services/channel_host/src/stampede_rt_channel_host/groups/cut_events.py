@@ -153,7 +153,7 @@ class CutEvents:
     def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
-        return decider.due(group.members(), now)
+        return None if decider.wake_at() is None else decider.due(group.members(), now)
 
     def _handed(self, group: HostedGroup) -> Boundary | None:
         """The next boundary, once this host's cut has come as far: the reader's word raises none."""

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Callable
 from typing import Any
 
 import grpc
 
-from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError, Unavailable
+from stampede_rt.errors import IncarnationLost, InvalidArgument, Overloaded, StampedeError, Unavailable
+from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, channel_service_pb2_grpc, time_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.requests import position_of
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
-from stampede_rt_channel_host.core.group import ChannelTimes, FarTrack, Matcher, OwnTrack, Track
+from stampede_rt_channel_host.core.group import ChannelTimes, FarTrack, Matched, Matcher, OwnTrack, Track
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.peers import Dial
@@ -59,6 +62,12 @@ class _FarMember:
             request.after.time_unix_nano, request.after.seq = self._after
             request.after.incarnation = self.incarnation
         return request
+
+    def begin_anew(self) -> None:
+        """Its host was lost, and seqs of before mean nothing: go on by time."""
+        self._after = None
+        self._since = self._since if self._times.newest is None else self._times.newest
+        self.incarnation = 0
 
     def take(self, response: channel_service_pb2.SubscribeResponse) -> None:
         """Enter what came."""
@@ -116,7 +125,7 @@ class MatchStream:
         counted = 0, 0
         while True:  # ends with the stream
             matcher.set_tracks(self._tracks(group, hosted, begin - request.tolerance_nanos))
-            found = matcher.take(self._has_passed(group), self._groups.channels.now(), MATCHES_PER_MESSAGE_MAX)
+            found = self._take(matcher, group, hosted, counts=not request.without_payloads)
             news = bool(found) or counted != (matcher.unmatched, matcher.dropped)
             if not news and await self._waiter.wait(LIFE_SECONDS):
                 continue
@@ -125,7 +134,21 @@ class MatchStream:
             incarnations = self._incarnations(group)
             await self._write(matches(about, found, incarnations, without_payloads=request.without_payloads))
 
-    def _has_passed(self, group: HostedGroup) -> Any:
+    def _take(self, matcher: Matcher, group: HostedGroup, hosted: HostedChannel, *, counts: bool) -> list[Matched]:
+        """What is settled, about a message of it."""
+        has_passed, now, payload_bytes = self._has_passed(group), self._groups.channels.now(), 0
+        found: list[Matched] = []
+        while payload_bytes < MESSAGE_BYTES_MAX and len(found) < MATCHES_PER_MESSAGE_MAX:
+            one = matcher.take(has_passed, now, 1)
+            if not one:
+                break
+            found += one
+            items = [one[0].item, *(near.item for near in one[0].matched.values() if near.item is not None)]
+            payload_bytes += sum(item.slice.payload_bytes for item in items)
+        hosted.count_delivered(payload_bytes if counts else 0)
+        return found
+
+    def _has_passed(self, group: HostedGroup) -> Callable[[bytes, int], bool]:
         """Whether a member has; one that is idle is not waited for."""
         now = self._groups.channels.now()
         members = {one.channel_id: one for one in group.cut.members(now)}
@@ -177,9 +200,10 @@ class MatchStream:
             if far.target:
                 try:
                     await self._listen(far)
-                except (StampedeError, grpc.RpcError) as error:
+                except StampedeError as error:
                     logger.debug("cannot follow a member", extra={"target": far.target, "why": str(error)})
-                    far.incarnation = 0  # its seqs may mean nothing any more: compare times alone
+                    if isinstance(error, IncarnationLost):
+                        far.begin_anew()
             await asyncio.sleep(PAUSE_SECONDS)
 
     async def _listen(self, far: _FarMember) -> None:
@@ -189,6 +213,8 @@ class MatchStream:
             async for response in call:
                 far.take(response)
                 self._waiter.wake()
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, far.target) from error
         finally:
             await channel.close(None)
 

@@ -267,10 +267,12 @@ class GroupStore:
             if error.reason == "GROUP_NOT_FOUND" and known is not None:
                 self._forget(group_id, error)
             raise
+        places = (known.owners, known.targets) if known is not None else None
         group = self._adopt(group_id, told)
         group.looked_up_s = _now_s()
         await self._bind_own(group)
-        self._share()
+        if places != (group.owners, group.targets):
+            self._share()
         self._look(group)
 
     def _adopt(self, group_id: bytes, told: group_directory_service_pb2.ResolveGroupResponse) -> HostedGroup:

@@ -135,7 +135,8 @@ class GroupCut:
         if reference is not None:
             return self.member(reference, now).cut
         lowest: int | None = None
-        for member in self.members(now):
+        for channel_id in self._definition.members:
+            member = self.member(channel_id, now)
             if member.is_idle:
                 continue
             if member.cut is None:
