@@ -25,7 +25,8 @@ def payload_of(message: st.Message | None) -> bytes:
 
 def test_a_message_is_found_by_the_name_of_its_receiver(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="planner") as planner, st.connect(cluster.address) as sender:
-        sender.send("planner", b"hello", attributes={"kind": "greeting"}, content_type="text/plain")
+        (receiver,) = sender.peers("planner")
+        sender.send(receiver, b"hello", attributes={"kind": "greeting"}, content_type="text/plain")
         message = planner.mailbox.get(timeout=10)
         assert message is not None
         assert (message.payload, message.attributes, message.content_type) == (

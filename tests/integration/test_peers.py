@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import subprocess
 import sys
 import threading
@@ -12,6 +13,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.v1 import peer_service_pb2
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
@@ -133,13 +135,26 @@ def test_a_lease_is_kept_and_one_that_ended_is_taken_again(cluster: LocalCluster
         assert message.payload == b"good morning"
 
 
+def test_who_lost_its_name_to_another_is_told(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
+    with st.connect(cluster.address, name="torn") as rt:
+        leave(rt)
+        with st.connect(cluster.address, name="torn") as other:
+            with pytest.raises(st.PeerExists, match="the name 'torn' is taken"):
+                rt.mailbox.get(timeout=10)
+            rt.send("torn", b"x")
+            message = other.mailbox.get(timeout=10)
+            assert message is not None
+            assert message.payload == b"x"
+            rt.close()
+            assert names(other, "torn") == ["torn"]
+    assert any("is registered no more" in record.getMessage() for record in caplog.records)
+
+
 def leave(rt: st.Connection) -> None:
     """What the directory does when a lease has ended: the peer and its mailbox are gone."""
-    from stampede_rt.v1 import peer_service_pb2
-
     peer = rt.peer(rt.name)
     request = peer_service_pb2.DeregisterPeerRequest(
-        request_id=bytes(16), peer_id=peer.peer_id, boot_incarnation=peer.boot_incarnation
+        request_id=os.urandom(16), peer_id=peer.peer_id, boot_incarnation=peer.boot_incarnation
     )
     rt._session.supernodes.call("DeregisterPeer", request, 5.0)
 

@@ -26,6 +26,7 @@ from stampede_rt.grouping import (
     parse_members,
     parse_reference,
 )
+from stampede_rt.peering import PeerInfo
 from stampede_rt.policy import parse_name, parse_policy
 from stampede_rt.queueing import QueueStats, parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
@@ -221,20 +222,21 @@ class Connection(Discovery):
 
     async def send(
         self,
-        peer: str,
+        peer: str | PeerInfo,
         payload: bytes,
         timeout: float | None = None,
         *,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
     ) -> int:
-        """Put a message into the mailbox of the participant with that name; its seq there is returned.
+        """Put a message into the mailbox of a participant, named or as `peers` gave it; its seq there is returned.
 
         A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
         limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge; Unavailable
         if the mailbox's host cannot be reached.
         """
-        return await self._sending.send(parse_name(peer, "peer"), payload, timeout, attributes, content_type)
+        name = peer.name if isinstance(peer, PeerInfo) else peer
+        return await self._sending.send(parse_name(name, "peer"), payload, timeout, attributes, content_type)
 
     async def mailbox_stats(self, peer: str) -> QueueStats:
         """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""
