@@ -78,14 +78,14 @@ class SimPeer:
     async def _keep(self) -> None:
         while True:
             try:
+                if self.believes() and self.world.dice.random() < 0.02:
+                    await self._leave()
                 await (self._renew() if self.believes() else self._enter())
             except LeaseExpired:
                 self.lease.give_up()
             except StampedeError:
                 pass  # the name is taken, or nobody answered; tried again below
             await self.world.sleep(max(0.05, self.lease.renewal_in_nanos(self.clock.boottime_nanos()) / 1e9))
-            if self.world.dice.random() < 0.02 and self.believes():
-                await self._leave()
 
     async def _enter(self) -> None:
         request = pb.RegisterPeerRequest(

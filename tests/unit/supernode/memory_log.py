@@ -24,7 +24,6 @@ class Fate(Enum):
     REFUSED = "not taken"
     LOST = "unknown, and not done"
     DONE_UNHEARD = "unknown, and done"
-    HELD = "under way, until `apply_held`"
 
 
 class MemoryLog:
@@ -42,7 +41,10 @@ class MemoryLog:
         self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
         self.fates: deque[Fate] = deque()
+        # The next proposal is under way until `apply_held`, longer than its caller waits.
+        self.holds = False
         self.held: list[bytes] = []
+        self.held_one = asyncio.Event()
         self.reads_may_end = asyncio.Event()
         self.reads_may_end.set()
         self.read_waits = asyncio.Event()
@@ -56,8 +58,10 @@ class MemoryLog:
             raise Unavailable("told so")
         if fate is Fate.LOST:
             raise Ambiguous("told so")
-        if fate is Fate.HELD:
+        if self.holds:
+            self.holds = False
             self.held.append(command)
+            self.held_one.set()
             await asyncio.Event().wait()  # until the caller gives up
         self.index += 1
         result = self.machine.apply(self.index, command)

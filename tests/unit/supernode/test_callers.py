@@ -1,17 +1,20 @@
-"""What a host may say of itself when it registers."""
+"""What hosts and peers may say of themselves when they register, and who may ask for queues and peers at all."""
 
 from __future__ import annotations
 
 import secrets
+from typing import Any
 
 import pytest
 
 from stampede_rt.errors import PermissionDenied, VersionMismatch
-from stampede_rt.v1 import directory_pb2
+from stampede_rt.v1 import directory_pb2, peer_service_pb2, queue_directory_service_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.version import PROTOCOL_VERSION
 from stampede_rt_runtime.identity import Identity, Role
+from stampede_rt_runtime.roles import roles_for
 from stampede_rt_supernode.core.callers import check_host_caller, check_protocol
+from stampede_rt_supernode.servicers import calls
 from tests.unit.supernode.deeds import id_of
 from tests.unit.supernode.node import reason_of, running_node
 
@@ -58,3 +61,27 @@ async def test_only_another_protocol_keeps_a_host_out_and_not_another_release() 
         answer = await node.stub.RegisterHost(registration(protocol_version=PROTOCOL_VERSION, version="9.9"), timeout=5)
         assert answer.protocol_version == PROTOCOL_VERSION
         assert answer.host.version == "9.9"
+
+
+@pytest.mark.parametrize("service", [queue_directory_service_pb2, peer_service_pb2], ids=["queues", "peers"])
+def test_every_participant_may_ask_for_queues_and_peers_and_no_service_of_the_cluster_does(service: Any) -> None:
+    for described in service.DESCRIPTOR.services_by_name.values():
+        for method in described.methods:
+            allowed = roles_for(f"/{described.full_name}/{method.name}")
+            assert allowed == {Role.CLIENT, Role.OPERATOR, Role.HOST}
+
+
+@pytest.mark.parametrize(("caller", "refused"), [("host-1", False), ("host-2", True)])
+async def test_only_a_host_itself_registers_as_the_peer_that_it_is(
+    monkeypatch: pytest.MonkeyPatch, caller: str, refused: bool
+) -> None:
+    async with running_node() as node:
+        await node.register(1)
+        monkeypatch.setattr(calls, "caller_identity", lambda context: Identity("c", Role.HOST, caller))
+        entering = peer_service_pb2.RegisterPeerRequest(
+            request_id=secrets.token_bytes(16), peer_id=id_of(7), boot_incarnation=1, host_id=id_of(1)
+        )
+        if refused:
+            assert (await reason_of(node.peers.RegisterPeer(entering))).reason == "PERMISSION_DENIED"
+        else:
+            assert (await node.peers.RegisterPeer(entering)).peer.host_id == id_of(1)

@@ -32,7 +32,6 @@ from tests.unit.supernode.deeds import (
     open_queue,
     register,
 )
-from tests.unit.supernode.memory_log import Fate
 from tests.unit.supernode.node import Node, reason_of, running_node
 
 
@@ -59,9 +58,9 @@ async def is_there(node: Node) -> bool:
 
 async def test_an_entry_that_was_under_way_does_not_bring_a_deleted_channel_back(node: Node) -> None:
     request = pb.OpenChannelRequest(request_id=id_of(5), name="cam", create=True)
-    node.log.fates.append(Fate.HELD)
+    node.log.holds = True
     first = node.stub.OpenChannel(request, timeout=10)
-    await node.log.fate_met.wait()
+    await node.log.held_one.wait()
     first.cancel()
     await open_and_delete(node, request)
     (late,) = (decode_result(result) for result in node.log.apply_held())

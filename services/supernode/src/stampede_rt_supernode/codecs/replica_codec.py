@@ -39,10 +39,10 @@ def kind_from(kind: replica_pb2.ReplicaKind) -> ReplicaKind:
 
 
 def channel_id_of(subject: subject_pb2.Subject) -> bytes:
-    """The channel that is meant. Raises InvalidArgument without one, QUEUE_NOT_FOUND for a queue: there are none."""
+    """The channel that is meant. Raises InvalidArgument without one, QUEUE_NOT_FOUND for a queue, not copied yet."""
     if subject.WhichOneof("id") == "queue_id":
         shown = subject.queue_id.hex()
-        text = f"there is no queue with the id {shown} in this directory; channels are copied by channel_id"
+        text = f"queue {shown} cannot be copied: this version copies channels only; name one by its channel_id"
         raise StampedeError(text, reason="QUEUE_NOT_FOUND", metadata={"queue_id": shown})
     return subject.channel_id
 

@@ -103,7 +103,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         began = self._clock.boottime_nanos()
         try:
             if not stale_ok:
-                await self._log.confirm_read(timeout=min(seconds, QUORUM_SECONDS))
+                await self._confirm(seconds)
             taken = await self._log.take_snapshot(timeout=seconds)
         except replication.Unavailable as error:
             raise Unavailable(str(error), reason="NO_QUORUM") from error
@@ -121,6 +121,13 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             time_unix_nano=now,
             took_nanos=took,
         )
+
+    async def _confirm(self, seconds: float) -> None:
+        try:
+            await self._log.confirm_read(timeout=min(seconds, QUORUM_SECONDS))
+        except replication.Unavailable as error:
+            text = f"{error}; what this supernode holds by itself can be had with stale_ok (--stale-ok)"
+            raise Unavailable(text, reason="NO_QUORUM") from error
 
     async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Any) -> pb.RemoveSupernodeResponse:
         """See the contract."""

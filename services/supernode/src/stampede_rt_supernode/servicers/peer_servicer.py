@@ -38,7 +38,12 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
     @refusing
     async def RegisterPeer(self, request: pb.RegisterPeerRequest, context: Any) -> pb.RegisterPeerResponse:
-        """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
+        """See the contract. The lease begins when the leader sees the registration, later than it was sent.
+
+        In a cluster with certificates only a host itself may register as the peer that it is.
+        """
+        if request.HasField("host_id"):
+            self._calls.check_host(context, request.host_id)
         entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
         ttl_nanos = await self._calls.read(context, lambda directory: directory.lease_ttl_nanos, stale_ok=True)
         return pb.RegisterPeerResponse(
