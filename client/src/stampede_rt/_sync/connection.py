@@ -29,7 +29,7 @@ from stampede_rt.grouping import (
 )
 from stampede_rt.peering import PeerInfo
 from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.queueing import QueueStats, parse_queue_policy
+from stampede_rt.queueing import QueueStats, parse_prefetch, parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
@@ -194,9 +194,9 @@ class Connection(Discovery):
         acknowledgement leaves the queue, to the queue `dead_letter` (a handle or a name) if one is stated.
         `create=False` raises QueueNotFound if it is absent. `host` and `codec` are as for channels.
 
-        `prefetch` belongs to the handle: by default nothing is taken from the queue before somebody waits for it, so
-        that no taker sits on what another could do. More than 1 takes so many ahead, which saves round trips where
-        items are many and small; a message's lease begins when it is sent, so keep taking.
+        `prefetch` belongs to the handle. By default nothing is taken from the queue before somebody waits for it, so
+        that no taker sits on what another could do; more than 1 takes so many ahead, which saves round trips. Their
+        leases begin when they are sent, so keep taking.
         """
         stated = parse_queue_policy(
             max_items=max_items,
@@ -209,8 +209,9 @@ class Connection(Discovery):
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
+        ahead = parse_prefetch(prefetch)
         info = open_queue(self._session, name, stated, host, create)
-        return Queue(self._session, QueueState("queue", name, info, stated, create, coding), prefetch)
+        return Queue(self._session, QueueState("queue", name, info, stated, create, coding), ahead)
 
     @property
     def mailbox(self) -> Mailbox:

@@ -15,7 +15,7 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._sync.taker import Taker
 from stampede_rt.binding import Binding
 from stampede_rt.policy import parse_name
-from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_prefetch, parse_queue_policy
+from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.reading import Wait
 from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.grpc_sync import Port
@@ -31,7 +31,7 @@ class Taking:
         self._session = session
         self._state = state
         self._place = place
-        self._taker = Taker(session, place, state, parse_prefetch(prefetch))
+        self._taker = Taker(session, place, state, prefetch)
 
     @property
     def name(self) -> str:
