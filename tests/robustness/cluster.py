@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import secrets
 import sys
 import time
@@ -154,11 +155,25 @@ class Cluster:
         raise TimeoutError(f"no supernode led within {seconds} s")
 
     async def all_serve(self, seconds: float = READY_SECONDS) -> float:
-        """Wait until every supernode answers a confirmed read; returns how long that took. Raises TimeoutError."""
+        """Wait until every supernode answers a confirmed read, and every host that was started holds a lease.
+
+        Returns how long that took. Raises TimeoutError.
+        """
         began = time.monotonic()
         for one in list(self.supernodes):
             await serves(one, began + seconds)
+        await self._hosts_alive(began + seconds)
         return time.monotonic() - began
+
+    async def _hosts_alive(self, deadline: float) -> None:
+        missing = {host.name for host in self.hosts if host.running}
+        while missing and time.monotonic() < deadline:
+            with contextlib.suppress(grpc.aio.AioRpcError):
+                listed = await self.supernodes[0].stub.ListHosts(pb.ListHostsRequest(), timeout=1)
+                missing -= {host.name for host in listed.hosts}
+            await asyncio.sleep(0.05)
+        if missing:
+            raise TimeoutError(f"no lease for {', '.join(sorted(missing))}")
 
     async def start(self) -> None:
         """Start everything, and wait until it serves."""
