@@ -188,14 +188,12 @@ class Connection(Discovery):
     ) -> Queue:
         """Get or create a queue (paper, section 3.5).
 
-        Arguments left out are never compared; a contradicting one raises QueueExists. Unstated: any number of items,
-        max_bytes 256 MiB, copies 1 (how many distinct takers each item goes to), on_full "block" ("reject",
-        "drop_oldest"), lease "30s". An item delivered `max_deliveries` times without an acknowledgement leaves, to the
-        queue `dead_letter` (a handle or a name) if one is stated. `create=False` raises QueueNotFound if it is absent.
-
-        `prefetch` belongs to the handle. By default nothing is taken from the queue before somebody waits for it, so
-        that no taker sits on what another could do; more than 1 takes so many ahead, which saves round trips. Their
-        leases begin when they are sent, so keep taking.
+        Arguments left out are never compared; a contradicting one raises QueueExists. Unstated: max_bytes 256 MiB,
+        copies 1 (distinct takers of each item), on_full "block" (or "reject", "drop_oldest"), lease "30s". An item
+        delivered `max_deliveries` times without an acknowledgement leaves, to the queue `dead_letter` (a handle or
+        name) if one is stated. `create=False` raises QueueNotFound if it is absent.
+        `prefetch` belongs to the handle: by default nothing is taken before somebody waits for it, so that no taker
+        sits on what another could do; more than 1 takes so many ahead, whose leases begin at once: keep taking.
         """
         stated = parse_queue_policy(
             max_items=max_items,
