@@ -240,3 +240,18 @@ async def test_a_subscription_that_cannot_be_is_refused(rig: Rig, fields: dict[s
     channel = await rig.open()
     error = await error_of(channel.subscribe(**fields))
     assert words in (error.details() or "")
+
+
+async def test_an_advance_is_told_at_once_though_there_is_no_item_to_send(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 1000.0)  # nothing comes for being due
+    channel = await rig.open("advancing")
+    reader = await Reader.of(channel)
+    t = rig.now()
+    await channel.put(run_of(b"one", times=[t]))
+    await reader.read_items(1)
+    await rig.channels.Advance(pb.AdvanceRequest(channel_id=channel.channel_id, epoch=channel.epoch, time_unix_nano=t))
+    while not reader.progress.HasField("advance_unix_nano"):
+        await reader.read()
+    assert reader.progress.advance_unix_nano == t

@@ -63,6 +63,7 @@ class Subscription:
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None
         self._owes_progress = False  # a reader that began in the past is told when it has all that was held
+        self._told_advance: int | None = None
 
     def wake(self) -> None:
         """There may be something to send."""
@@ -98,7 +99,7 @@ class Subscription:
             del self._hosted.listeners[self]
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
-        """Send what there is, or wait for more; after a long silence, say how far it is."""
+        """Send what there is, or wait for more; after an advance, and after a long silence, say how far it is."""
         now = self._store.now()
         part = cursor.take(now)
         if not part.is_empty:
@@ -110,7 +111,7 @@ class Subscription:
             )
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
-        elif self._owes_progress or not await self._wait_for_news():
+        elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news():
             self._owes_progress = False
             progress = self._progress(cursor, self._store.now())
             await self._write(pb.SubscribeResponse(progress=progress).SerializeToString())
@@ -124,10 +125,14 @@ class Subscription:
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
         progress.host_time_unix_nano = now
-        advanced = self._hosted.channel.advanced_to
-        if advanced is not None:
-            progress.advance_unix_nano = advanced
+        self._told_advance = self._hosted.channel.advanced_to
+        if self._told_advance is not None:
+            progress.advance_unix_nano = self._told_advance
         return progress
+
+    def _advance_is_news(self) -> bool:
+        """Whoever waits for what cannot come any more, such as a match, is to know it at once."""
+        return self._hosted.channel.advanced_to != self._told_advance
 
     async def _wait_for_news(self) -> bool:
         """True: look again; False: nothing came for PROGRESS_SECONDS."""

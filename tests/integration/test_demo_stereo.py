@@ -1,0 +1,47 @@
+"""The stereo demo, whole: two cameras at two hosts, pairs, mailboxes, and a consumer that joins in the middle."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.stereo.conductor import Outcome, conduct
+from stampede_rt_demos.stereo.picture import draw
+from stampede_rt_demos.stereo.programme import Side
+from stampede_rt_demos.stereo.report import render
+
+SECONDS = 4
+
+
+@pytest.fixture(scope="module")
+def outcome() -> Outcome:
+    return conduct(SECONDS, Progress(io.StringIO()))
+
+
+def test_every_pair_is_found_and_none_is_wrong(outcome: Outcome) -> None:
+    report = outcome.report
+    assert (report.pairs, report.wrong, report.dropped) == (report.pairs_possible, 0, 0)
+    assert report.close == len(report.measured) == report.pairs > 0
+
+
+def test_every_frame_without_a_partner_is_named(outcome: Outcome) -> None:
+    assert outcome.report.told_of_all
+    assert all(outcome.report.alone_told[side] for side in Side)
+
+
+def test_a_consumer_that_joins_in_the_middle_gets_pairs(outcome: Outcome) -> None:
+    assert 0 < outcome.report.latecomer_pairs < outcome.report.pairs
+
+
+def test_the_mapper_answers_what_the_planner_asks(outcome: Outcome) -> None:
+    assert outcome.report.answers > 0
+    assert outcome.report.unanswered == 0
+
+
+def test_the_run_is_told_in_words_and_drawn(outcome: Outcome, tmp_path: Path) -> None:
+    assert "exactly these" in render(outcome.report)
+    draw(outcome.report, outcome.frames, 40_000_000, tmp_path / "stereo.png")
+    assert (tmp_path / "stereo.png").read_bytes().startswith(b"\x89PNG")
