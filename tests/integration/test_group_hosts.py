@@ -73,6 +73,17 @@ async def test_an_advance_counts_as_much_as_an_item(pair: Pair) -> None:
     assert (await pair.left.get(pair.group))[0] == [t]
 
 
+async def test_a_silent_channel_of_another_host_is_left_out() -> None:
+    async with pair_of(LOWER, HIGHER) as pair:
+        t = pair.start
+        pair.cluster.directory.groups[pair.group.group_id].spec.idle_after_nanos = 100 * MS
+        await pair.right.put(t)
+        await pair.left.put(t + 10, t + 20)
+        status = await pair.left.host.until_cut(pair.group, t + 20)
+        assert {one.times.channel_id for one in status.members if one.idle} >= {pair.right.channel_id}
+        assert (await pair.left.get(pair.group))[0] == [t + 10]
+
+
 async def test_status_tells_how_far_a_channel_of_another_host_is(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t)

@@ -69,10 +69,12 @@ class OracleGroup:
         return self.idle_after is not None and clock - self.members[channel_id].spoke_at >= self.idle_after
 
     def counting(self, clock: int) -> list[bytes]:
-        """The members that the reference is chosen from."""
+        """The members that the reference is chosen from; of none but silent ones, those that spoke last."""
         if self.reference is not None:
             return [self.reference]
-        return [one for one in self.members if not self.is_idle(one, clock)]
+        awake = [one for one in self.members if not self.is_idle(one, clock)]
+        last = max(member.spoke_at for member in self.members.values())
+        return awake or [one for one, member in self.members.items() if member.spoke_at == last]
 
     def reached(self, clock: int) -> int | None:
         cuts = [self.cut_of(one) for one in self.counting(clock)]

@@ -17,7 +17,7 @@ from tests.property.dice import Dice
 from tests.property.group_world import CHANNELS, World
 from tests.property.test_channel_against_oracle import FIRST_CLOCK, a_query, a_time, an_offer
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "1000"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "600"))
 MAX_WAIT = 6
 
 POLICIES = (

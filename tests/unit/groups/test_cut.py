@@ -100,12 +100,23 @@ def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
     assert (cut.cut, cut.waiting_on(S)) == (120, [A, B])
 
 
+def test_if_all_are_silent_the_last_one_to_speak_decides() -> None:
+    definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
+    board = TimesBoard()
+    board.tell_own(A, at(100), 0)
+    board.tell_own(B, at(70), -1)
+    cut = GroupCut(definition, board)
+    cut.settle()
+    assert cut.refresh(5 * S)  # nobody looked in between, when only A was left
+    assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (100, [A], None)
+
+
 def test_a_member_of_a_host_that_is_not_heard_of_holds_the_cut_though_it_may_be_silent() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     cut, board = defined(definition, a=at(100), b=at(70))
     board.confirm([A], 5 * S)
     cut.refresh(5 * S)
-    assert (cut.cut, cut.waiting_on(5 * S)) == (70, [B])
+    assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (70, [B], None)
     board.confirm([B], 5 * S)
     board.hear(A, at(110), 0, 5 * S)
     cut.refresh(5 * S)

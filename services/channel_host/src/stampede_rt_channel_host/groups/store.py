@@ -55,6 +55,7 @@ class GroupStore:
         self._asking: dict[bytes, asyncio.Lock] = {}
         self._learning: dict[bytes | None, asyncio.Task[None]] = {}  # by group; None: of channels
         self._asked: set[bytes] = set()  # channels that others ask for, and of which no group is known here yet
+        self._idling: set[bytes] = set()  # groups whose members may fall idle: signs of life tell of that, too
         self._closed = False
         self.in_use = asyncio.Event()
 
@@ -169,7 +170,7 @@ class GroupStore:
         """See `Knowledge`. Only of channels that the other host owns, as the directory says."""
         now, wanted = self.channels.now(), self.peers.wanted_of(host_id)
         self._board.confirm(wanted, now)
-        news: set[bytes] = set()
+        news = {one for one in self._idling if host_id in self._groups[one].targets}
         for told in update.times:
             if told.channel_id in wanted:
                 times = times_from_message(told)
@@ -291,6 +292,8 @@ class GroupStore:
             group.adopt(told)
         for channel_id in told.group.spec.channel_ids:
             self._groups_of.setdefault(channel_id, set()).add(group_id)
+        if group.cut.definition.idle_after_nanos is not None:
+            self._idling.add(group_id)
         if not group.cut.is_settled:
             group.unheard = {one for one in group.targets if one != self._identity.host_id}
         return group
@@ -352,6 +355,7 @@ class GroupStore:
 
     def _forget(self, group_id: bytes, error: StampedeError) -> None:
         group = self._groups.pop(group_id)
+        self._idling.discard(group_id)
         self._leave(group, set())
         self._share()
         group.end(error)

@@ -118,35 +118,44 @@ class GroupCut:
     def waiting_on(self, now: int) -> list[bytes]:
         """The members that hold the cut back: of those that count, the ones that are not past it."""
         cut = self.cut
-        counting = (member for member in self.members(now) if self._counts(member))
-        return [one.channel_id for one in counting if one.cut is None or (cut is not None and one.cut <= cut)]
+        counting = self._counting(now)
+        return sorted(one.channel_id for one in counting if one.cut is None or (cut is not None and one.cut <= cut))
 
     def next_idle(self, now: int) -> int | None:
-        """When a member may next fall idle, so that the cut moves without anything being put; None: never."""
+        """When a member of this host next falls idle, so that the cut moves without anything being put; None: never.
+
+        Of the others a sign of life has to tell.
+        """
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:
             return None
-        awake = (member.heard for member in self.members(now) if member.heard is not None and not member.is_idle)
-        return min((heard.silent_since + after for heard in awake), default=None)
+        heard = (member.heard for member in self.members(now) if not member.is_idle)
+        return min(
+            (one.silent_since + after for one in heard if one is not None and one.known_until is None), default=None
+        )
 
     def _reached(self, now: int) -> int | None:
-        """The reference's cut; None if there is none, as with "oldest" when a member that counts has none."""
-        reference = self._definition.reference
-        if reference is not None:
-            return self.member(reference, now).cut
+        """The smallest cut of the members that count; None if one of them has none."""
         lowest: int | None = None
-        for channel_id in self._definition.members:
-            member = self.member(channel_id, now)
-            if member.is_idle:
-                continue
+        for member in self._counting(now):
             if member.cut is None:
                 return None
             lowest = member.cut if lowest is None else min(lowest, member.cut)
         return lowest
 
-    def _counts(self, member: Member) -> bool:
-        reference = self._definition.reference
-        return not member.is_idle if reference is None else member.channel_id == reference
+    def _counting(self, now: int) -> list[Member]:
+        """Whose cuts make the group's: the reference, or all members that are not idle.
+
+        If all are, the last one to fall idle was alone before, and its cut was the group's: so it stays.
+        """
+        if self._definition.reference is not None:
+            return [self.member(self._definition.reference, now)]
+        members = [self.member(channel_id, now) for channel_id in self._definition.members]
+        awake = [member for member in members if not member.is_idle]
+        if awake:
+            return awake
+        last = max((member.heard.silent_since for member in members if member.heard is not None), default=None)
+        return [member for member in members if member.heard is not None and member.heard.silent_since == last]
 
     def _is_idle(self, heard: Heard | None, now: int) -> bool:
         after = self._definition.idle_after_nanos
