@@ -5,7 +5,16 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import InvalidArgument, Overloaded
-from stampede_rt_channel_host.core.queue import BATCH_BYTES_MAX, BLOCK, DROP_OLDEST, REJECT, QueueLimits, enqueuing
+from stampede_rt_channel_host.core.queue import (
+    BATCH_BYTES_MAX,
+    BLOCK,
+    DROP_OLDEST,
+    REJECT,
+    Queue,
+    QueueLimits,
+    dealing,
+    enqueuing,
+)
 from stampede_rt_channel_host.core.queue.queue import DUE_PER_CALL_MAX
 from tests.unit.queues.cores import Core
 
@@ -298,3 +307,48 @@ def test_a_limit_below_one_is_refused_by_name(field: str) -> None:
 def test_an_unknown_rule_for_a_full_queue_is_refused() -> None:
     with pytest.raises(InvalidArgument, match="on_full"):
         QueueLimits(on_full=BLOCK.upper())
+
+
+def test_a_taker_finds_every_copy_that_came_back_however_few_it_looks_at_in_one_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dealing, "RETURNS_PER_LOOK_MAX", 2)
+    core = Core(copies=2)
+    core.put(*[1] * 50)
+    core.taker(1, credit=50)
+    leaving = core.taker(2, credit=50)
+    late = core.taker(3, credit=0)
+    core.dealt()
+    core.queue.leave(leaving, core.now)
+    core.queue.grant(late, 1, core.now)
+    for delivery_id in range(100, 50, -1):
+        core.nack(2, delivery_id)
+    core.queue.grant(late, 100, core.now)
+    assert sorted(core.dealt()[3]) == list(range(1, 51))
+
+
+def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
+    core = Core(copies=2, lease_nanos=100)
+    core.put(1, 2, 3, producer_id=5, first_number=1)
+    core.taker(1, credit=2)
+    core.dealt()
+    core.ack(1, 1)
+    core.nack(1, 2, delay_nanos=40)
+    core.taker(2, credit=1)
+    core.dealt()
+    state = core.queue.export(core.now + 10)
+    assert [(one.seq, one.deliveries, one.acknowledged, one.delay_nanos) for one in state.items] == [
+        (1, [1], (1,), 0),
+        (2, [1], (), 30),
+    ]
+    core.queue = Queue.restore(core.queue.limits, state, 10**6, incarnation=1)
+    core.now = 10**6
+    assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
+    assert core.ack(1, 1) == core.ack(2, 3) == [""]
+    assert core.put(1, 2, 3, producer_id=5, first_number=1).first_seq is None  # recognised: nothing new came in
+    core.taker(3, credit=5)
+    assert core.dealt() == {3: [3]}
+    core.now += 30
+    core.queue.tick(core.now)
+    assert core.dealt() == {3: [2]}
+    assert core.put(1).first_seq == 4

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from heapq import heappop, heappush
+from itertools import islice
 
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
@@ -15,6 +16,7 @@ BATCH_BYTES_MAX = 2**20 - 2**16
 DELIVERY_BYTES = 16
 """What an item's delivery id and number take on the wire, at the most."""
 VIEWS_MAX = 4096
+RETURNS_PER_LOOK_MAX = 1024
 
 
 class View:
@@ -31,19 +33,30 @@ class View:
         self.passed: list[int] = []
 
     def next_for(self, taker_id: int, shelf: Shelf) -> TouchedItem | None:
-        """The oldest touched item that the taker may be given. Looks at each return once."""
-        for item in shelf.returned_since(self.returns_seen):
-            if item.seq < self.cursor and item.may_go_to(taker_id):
-                heappush(self.passed, item.seq)
-        self.returns_seen = shelf.returns_logged
-        while self.passed:
-            passed = shelf.touched.get(self.passed[0])
-            if passed is not None and passed.is_available and passed.may_go_to(taker_id):
-                return passed
-            heappop(self.passed)
+        """The oldest touched item that the taker may be given; of very many that just came back, one of the first."""
+        while True:  # each round looks at returns that were not looked at before
+            is_behind = self._look_at_returns(taker_id, shelf)
+            while self.passed:
+                passed = shelf.touched.get(self.passed[0])
+                if passed is not None and passed.is_available and passed.may_go_to(taker_id):
+                    return passed
+                heappop(self.passed)
+            if not is_behind:
+                break
         while (ahead := shelf.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
             self.cursor = ahead.seq + 1  # only after the view was forgotten
         return ahead
+
+    def _look_at_returns(self, taker_id: int, shelf: Shelf) -> bool:
+        """Each return is looked at once, a bounded number in one go; True if more is left."""
+        for item in islice(shelf.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
+            self.returns_seen = item.return_number
+            if item.seq < self.cursor and item.may_go_to(taker_id):
+                heappush(self.passed, item.seq)
+        is_behind = shelf.latest_return > self.returns_seen
+        if not is_behind:
+            self.returns_seen = shelf.returns_logged
+        return is_behind
 
 
 class Taker:

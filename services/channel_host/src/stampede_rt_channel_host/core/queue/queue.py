@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.queue.values import (
     SettlementResult,
 )
 
-DUE_PER_CALL_MAX = 1024
+DUE_PER_CALL_MAX = 256
 """How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
 
 

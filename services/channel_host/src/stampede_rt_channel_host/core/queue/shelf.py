@@ -165,9 +165,14 @@ class Shelf:
         return None
 
     def returned_since(self, number: int) -> Iterator[TouchedItem]:
-        """The available items that came back after so many returns were logged."""
-        for seq in self._returns.values()[self._returns.bisect_right(number) :] if self._returns else ():
-            yield self.touched[seq]
+        """The available items that came back after so many returns were logged, in the order of their coming back."""
+        for later in self._returns.irange(minimum=number, inclusive=(False, True)):
+            yield self.touched[self._returns[later]]
+
+    @property
+    def latest_return(self) -> int:
+        """The number of the latest return of an item that is still available; 0: there is none."""
+        return self._returns.peekitem(-1)[0] if self._returns else 0
 
     def log_return(self, item: TouchedItem) -> None:
         """A copy came back: takers that passed the item by look at it again."""
