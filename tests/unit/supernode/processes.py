@@ -155,7 +155,7 @@ async def register(supernode: Supernode, number: int) -> pb.RegisterHostResponse
         boot_incarnation=1,
     )
     answer: pb.RegisterHostResponse = await called(
-        supernode.stub.RegisterHost(request, timeout=PATIENCE_SECONDS), supernode
+        supernode.stub.RegisterHost(request, timeout=PATIENCE_SECONDS, wait_for_ready=True), supernode
     )
     return answer
 
@@ -163,7 +163,7 @@ async def register(supernode: Supernode, number: int) -> pb.RegisterHostResponse
 async def open_channel(supernode: Supernode, name: str) -> pb.OpenChannelResponse:
     request = pb.OpenChannelRequest(request_id=secrets.token_bytes(16), name=name, create=True)
     answer: pb.OpenChannelResponse = await called(
-        supernode.stub.OpenChannel(request, timeout=PATIENCE_SECONDS), supernode
+        supernode.stub.OpenChannel(request, timeout=PATIENCE_SECONDS, wait_for_ready=True), supernode
     )
     return answer
 
@@ -171,7 +171,7 @@ async def open_channel(supernode: Supernode, name: str) -> pb.OpenChannelRespons
 async def resolve(supernode: Supernode, name: str) -> pb.ResolveChannelResponse:
     request = pb.ResolveChannelRequest(name=name)
     answer: pb.ResolveChannelResponse = await called(
-        supernode.stub.ResolveChannel(request, timeout=PATIENCE_SECONDS), supernode
+        supernode.stub.ResolveChannel(request, timeout=PATIENCE_SECONDS, wait_for_ready=True), supernode
     )
     return answer
 

@@ -39,7 +39,8 @@ class Limits:
         return [
             *self._shared(),
             ("grpc.initial_reconnect_backoff_ms", 100),
-            ("grpc.min_reconnect_backoff_ms", 100),
+            # How long an attempt may take, whatever the name says: a busy server needs a while to greet many.
+            ("grpc.min_reconnect_backoff_ms", self.reconnect_millis_max),
             ("grpc.max_reconnect_backoff_ms", self.reconnect_millis_max),
             ("grpc.use_local_subchannel_pool", 1),
             ("grpc.enable_http_proxy", 0),
