@@ -105,6 +105,7 @@ class GetStream:
     def _releaser(self, call_id: int, plan: GetPlan, hosted: HostedChannel) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
             if isinstance(outcome, StampedeError):
+                self._calls[call_id] = None  # it waits no more: once its error is written, it is not under way
                 self._refuse(call_id, outcome)
             else:
                 self._answer(call_id, plan, hosted, outcome, self._store.now())
