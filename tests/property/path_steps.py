@@ -102,6 +102,8 @@ def put(dice: Dice, pair: PathPair) -> None:
     waits_for_time = any(book.wake_at(pair.reader()) is not None for _, _, book, _ in pair.gets)
     if waits_for_time or len(pair.line) >= PUTS_MAX:
         timeout = 0.0  # which of a get and a put is looked at first when an instant comes is not said
+    if pair.line and time is None:
+        timeout = 0.0  # nor whether one behind another waits since it came or since it is the first
     pair.put_one(time, dice.pick(DURATIONS), dice.pick(LENGTHS), timeout)
 
 
