@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.tv_watcher.conductor import Outcome, conduct
-from stampede_rt_demos.tv_watcher.progress import Progress
 from stampede_rt_demos.tv_watcher.report import render
 from stampede_rt_demos.tv_watcher.timeline_picture import draw
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import stampede_rt as st
-from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.failures import DemoFailed, one_sentence
 from stampede_rt_demos.staging.clip import decode_clock
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.messages import Message
@@ -55,7 +55,7 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
     except st.StampedeError as error:  # first: some of them are OSErrors, too
         raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
     except (ServiceFailed, OSError) as error:
-        raise DemoFailed(f"the cluster did not start: {str(error).splitlines()[0]}") from error
+        raise DemoFailed(f"the cluster did not start: {one_sentence(str(error))}") from error
     return Outcome(report=_report(results, clock, seconds), frames=frames)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import stampede_rt as st
-from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_demos.failures import DemoFailed, one_sentence
 from stampede_rt_demos.staging import messages
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.progress import Progress
@@ -91,7 +91,7 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
     except st.StampedeError as error:  # first: some of them are OSErrors, too
         raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
     except (ServiceFailed, OSError) as error:
-        raise DemoFailed(f"the cluster did not start: {_one_sentence(str(error))}") from error
+        raise DemoFailed(f"the cluster did not start: {one_sentence(str(error))}") from error
     cpu_seconds = _children_cpu_seconds() - cpu_before
     report = _report(collected, accepted, placed, seconds, cpu_seconds)
     return Outcome(report=report, spans=picture_spans(collected.picture))
@@ -194,10 +194,3 @@ def _children_cpu_seconds() -> float:
     """User and system time of all child processes that have ended."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
-
-
-def _one_sentence(story: str) -> str:
-    """The first line of a service's story and the last thing that it said."""
-    lines = [line.strip() for line in story.splitlines() if line.strip()]
-    first = lines[0].removesuffix("; its last lines:")
-    return first if len(lines) == 1 else f"{first}: {lines[-1]}"
