@@ -246,6 +246,17 @@ async def test_a_member_that_is_added_holds_the_cut_at_every_host(pair: Pair) ->
     await pair.synced(t + 4)
 
 
+async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_learned(pair: Pair) -> None:
+    t = pair.start
+    floors = [
+        group_pb2.CutFloor(group_id=pair.group.group_id, incarnation=pair.group.incarnation, cut_unix_nano=t + at)
+        for at in (30, 50, 40)
+    ]
+    pair.right.host.host.groups.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
+    assert (await pair.right.host.until_cut(pair.group, t)).cut_unix_nano == t + 50
+    assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # it came from there, or so it seems
+
+
 async def test_a_host_that_says_it_is_another_gets_no_times(pair: Pair) -> None:
     call = pair.left.host.groups.ExchangeTimes()
     await call.write(pb.ExchangeTimesRequest(update=pb.TimesUpdate()))

@@ -55,6 +55,7 @@ class GroupStore:
         self._asking: dict[bytes, asyncio.Lock] = {}
         self._learning: dict[bytes | None, asyncio.Task[None]] = {}  # by group; None: of channels
         self._asked: set[bytes] = set()  # channels that others ask for, and of which no group is known here yet
+        self._floors: dict[bytes, group_pb2.CutFloor] = {}  # told of groups that are to be learned first
         self._idling: set[bytes] = set()  # groups whose members may fall idle: signs of life tell of that, too
         self._closed = False
         self.in_use = asyncio.Event()
@@ -186,10 +187,16 @@ class GroupStore:
     def _merge(self, floor: group_pb2.CutFloor) -> bool:
         """Take in another host's floor; True if it is further. What is new or newer is asked of the directory."""
         group = self._groups.get(floor.group_id)
-        same = group is not None and group.record.incarnation == floor.incarnation
-        if group is None or not same or floor.spec_version > group.record.spec_version:
-            self._spawn(floor.group_id, self._learn_then_merge(floor))
-        return group is not None and same and group.cut.merge_floor(floor.cut_unix_nano)
+        if group is not None and group.record.incarnation == floor.incarnation:
+            if floor.spec_version > group.record.spec_version:
+                self._spawn(floor.group_id, self._try_to_look_up(floor.group_id))
+            return group.cut.merge_floor(floor.cut_unix_nano)
+        held = self._floors.get(floor.group_id)
+        if held is not None or len(self._floors) < GROUPS_MAX:
+            further = held is None or held.incarnation != floor.incarnation or held.cut_unix_nano < floor.cut_unix_nano
+            self._floors[floor.group_id] = floor if held is None or further else held
+            self._spawn(floor.group_id, self._try_to_look_up(floor.group_id))
+        return False
 
     def _spawn(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
         """Ask the directory beside the link that gave cause to: about each thing once at a time, and not too often.
@@ -212,13 +219,6 @@ class GroupStore:
                 logger.debug("cannot learn the groups of a channel", extra={"why": str(error)})
                 return  # the next round tries again
             self._asked.discard(channel_id)
-
-    async def _learn_then_merge(self, floor: group_pb2.CutFloor) -> None:
-        await self._try_to_look_up(floor.group_id)
-        group = self._groups.get(floor.group_id)
-        if group is not None and group.record.incarnation == floor.incarnation:
-            group.cut.merge_floor(floor.cut_unix_nano)
-            self._look(group)
 
     # What the directory says.
 
@@ -265,8 +265,10 @@ class GroupStore:
         try:
             told = await self._directory.resolve(group_id)
         except StampedeError as error:
-            if error.reason == "GROUP_NOT_FOUND" and known is not None:
-                self._forget(group_id, error)
+            if error.reason == "GROUP_NOT_FOUND":
+                self._floors.pop(group_id, None)
+                if known is not None:
+                    self._forget(group_id, error)
             raise
         places = (known.owners, known.targets) if known is not None else None
         group = self._adopt(group_id, told)
@@ -294,6 +296,9 @@ class GroupStore:
             self._groups_of.setdefault(channel_id, set()).add(group_id)
         if group.cut.definition.idle_after_nanos is not None:
             self._idling.add(group_id)
+        floor = self._floors.pop(group_id, None)
+        if floor is not None and floor.incarnation == told.group.incarnation:
+            group.cut.merge_floor(floor.cut_unix_nano)
         if not group.cut.is_settled:
             group.unheard = {one for one in group.targets if one != self._identity.host_id}
         return group
