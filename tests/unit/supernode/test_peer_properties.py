@@ -201,4 +201,4 @@ class PeerMachine(ThreeDirectories):
 
 
 TestPeers = PeerMachine.TestCase
-TestPeers.settings = settings(max_examples=80, stateful_step_count=50, deadline=None, database=None)
+TestPeers.settings = settings(max_examples=25, stateful_step_count=30, deadline=None, database=None)
