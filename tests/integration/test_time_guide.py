@@ -42,7 +42,18 @@ def test_every_reason_has_an_example(promised: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "policy", ["max_age=", "max_items=", "max_bytes=", "consumers=", '"reject"', '"block"', "configure(", "advance("]
+    "policy",
+    [
+        "max_age=",
+        "max_items=",
+        "max_bytes=",
+        "consumers=",
+        "max_age_unconsumed=",
+        '"reject"',
+        '"block"',
+        "configure(",
+        "advance(",
+    ],
 )
 def test_every_policy_has_an_example(policy: str) -> None:
     assert any(policy in block for block in BLOCKS)
