@@ -188,6 +188,34 @@ async def test_a_queue_of_another_host_has_moved_and_one_of_nobody_is_not_found(
     assert acked.error.reason == error_pb2.ERROR_REASON_QUEUE_NOT_FOUND
 
 
+async def test_a_request_with_many_runs_for_a_queue_elsewhere_asks_the_directory_once(rig: QueueRig) -> None:
+    queue = rig.open()
+    queue.record.host_id = b"another-host-id!"
+    acks = await queue.enqueue(*[run_of(b"x", number=number) for number in range(1, 51)])
+    assert {one.error.reason for one in acks} == {error_pb2.ERROR_REASON_MOVED}
+    assert rig.directory.calls["ResolveQueue"] == 1
+
+
+async def test_an_enqueue_that_names_no_queue_or_does_not_count_ends_its_stream(rig: QueueRig) -> None:
+    queue = rig.open()
+    nameless = rig.stub.Enqueue(iter((pb.EnqueueRequest(runs=[run_of(b"x")]),)))
+    uncounted = rig.stub.Enqueue(iter((queue.enqueue_request(run_of(b"x", number=0), producer_id=5),)))
+    for call in (nameless, uncounted):
+        assert await call.code() == grpc.StatusCode.INVALID_ARGUMENT
+    assert (await queue.status()).counters.accepted == 0
+
+
+async def test_too_much_credit_and_a_second_open_end_the_stream(rig: QueueRig) -> None:
+    queue = rig.open()
+    greedy = await queue.take(credit=1000).open()
+    await greedy.send(credit=25)
+    assert await greedy.ended() == grpc.StatusCode.INVALID_ARGUMENT
+    twice = await queue.take(credit=1).open()
+    await twice.send(open=pb.TakeOpen(queue_id=queue.queue_id, epoch=1, taker_id=1))
+    assert await twice.ended() == grpc.StatusCode.INVALID_ARGUMENT
+    assert (await queue.status()).waiting_takers == 0
+
+
 async def test_drain_voids_the_credit_and_is_answered(rig: QueueRig) -> None:
     queue = rig.open()
     taker = await queue.take(credit=5).open()
@@ -354,12 +382,18 @@ async def test_large_deliveries_come_in_messages_of_a_mebibyte(rig: QueueRig) ->
 
 
 async def test_a_host_that_stops_says_so_to_takers_and_producers() -> None:
-    async with queue_directory() as directory, host_of(directory) as rig:
+    async with running_queue_host() as rig:
         queue = rig.open(max_items=1)
         taker = await queue.take().open()
-        server_stops = asyncio.create_task(rig.host.leave())
+        await queue.put(b"a")
+        waiting = asyncio.create_task(queue.put(b"b"))
+        await queue.until(lambda status: status.waiting_enqueues == 1)
+        leaving = asyncio.create_task(rig.host.leave())
         assert await taker.ended() == grpc.StatusCode.UNAVAILABLE
-        await server_stops
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await waiting
+        assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
+        await leaving
 
 
 async def _taken_again(queue: OpenedQueue) -> TakeCall:

@@ -56,9 +56,9 @@ class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDi
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_service_pb2.WatchResponse]:  # noqa: N802
         assert request.include_queues
-        await self._begin("Watch", context)
         changes: asyncio.Queue[queue_pb2.QueueRecord | None] = asyncio.Queue()
         self._watchers.append(changes)
+        await self._begin("Watch", context)
         yield directory_service_pb2.WatchResponse(applied_index=1)
         while (record := await changes.get()) is not None:
             kept = record.queue_id in self.queues

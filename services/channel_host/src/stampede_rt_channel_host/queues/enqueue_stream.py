@@ -72,17 +72,30 @@ class EnqueueStream:
             raise InvalidArgument(
                 f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
             )
+        failure = await self._failure_to_find()
         for message in request.puts:
-            await self._add(await self._enqueue(message))
+            await self._add(await self._enqueue(message, failure))
         self._news.set()
         await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
 
-    async def _enqueue(self, message: raw_run_pb2.RawPutRun) -> channel_service_pb2.PutAck:
+    async def _failure_to_find(self) -> StampedeError | None:
+        """Why the queue cannot be used. Asks the directory once for a request, however many runs that holds."""
+        try:
+            await self._store.use(self._queue_id, self._epoch)
+        except StampedeError as error:
+            return error
+        return None
+
+    async def _enqueue(
+        self, message: raw_run_pb2.RawPutRun, failure: StampedeError | None
+    ) -> channel_service_pb2.PutAck:
         """The ack of one run. Blocks while the run waits for room."""
         check_number(self._producer_id, message.first_number)
         hosted: HostedQueue | None = None
         try:
-            hosted = await self._store.use(self._queue_id, self._epoch)
+            if failure is not None:
+                raise failure
+            hosted = self._store.find(self._queue_id, self._epoch)
             run = enqueue_of(message, self._producer_id)
         except StampedeError as error:
             if hosted is not None:
