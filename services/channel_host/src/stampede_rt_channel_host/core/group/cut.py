@@ -67,6 +67,7 @@ class GroupCut:
         self._board = board
         self._floor: int | None = None
         self._settled = False
+        self._holder = b""  # the member that held the cut back when it was last looked at
 
     @property
     def definition(self) -> GroupDefinition:
@@ -135,13 +136,35 @@ class GroupCut:
         )
 
     def _reached(self, now: int) -> int | None:
-        """The smallest cut of the members that count; None if one of them has none."""
+        """The smallest cut of the members that count; None if one of them has none, or holds the group where it is."""
+        if self._definition.idle_after_nanos is None and self._definition.reference is None:
+            return self._lowest_of_all()
         lowest: int | None = None
         for member in self._counting(now):
             if member.cut is None:
                 return None
             lowest = member.cut if lowest is None else min(lowest, member.cut)
         return lowest
+
+    def _lowest_of_all(self) -> int | None:
+        """As `_reached`, with "oldest" and nobody left out. Most changes find the same member holding the cut."""
+        if self._holder in self._definition.members and self._holds(self._own_cut(self._holder)):
+            return None
+        lowest: int | None = None
+        for channel_id in self._definition.members:
+            cut = self._own_cut(channel_id)
+            if cut is None or self._holds(cut):
+                self._holder = channel_id
+                return None
+            lowest = cut if lowest is None else min(lowest, cut)
+        return lowest
+
+    def _holds(self, cut: int | None) -> bool:
+        return cut is None or (self._floor is not None and cut <= self._floor)
+
+    def _own_cut(self, channel_id: bytes) -> int | None:
+        heard = self._board.find(channel_id)
+        return None if heard is None else self._definition.cut_of(heard.times)
 
     def _counting(self, now: int) -> list[Member]:
         """Whose cuts make the group's: the reference, or all members that are not idle.
