@@ -208,7 +208,7 @@ class _Campaign:
             registrations=sum(actor.registrations for actor in self._actors),
             gap_s=gap_s,
             gap_in=next(around, "no fault"),
-            stalled_s=self._probe.stalled_s,
+            stalled_s=self._probe.stalled_s(began, began + seconds),
             seconds=seconds,
         )
 

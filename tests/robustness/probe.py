@@ -18,6 +18,7 @@ from tests.robustness.supernode import Supernode
 
 PROBE_HOST = "robust-probe"
 PROBE_NAMES = 50
+STALL_SECONDS_MIN = 0.05
 
 Write = Callable[[Supernode, float], Awaitable[None]]
 
@@ -54,14 +55,14 @@ class ChannelWrites:
 class Probe:
     """Sends a write every so often, at each supernode in turn, never waiting for the one before.
 
-    `served`: (invoked, answered) of those that were acknowledged. `stalled_s`: the longest that this process came late
-    to its own turn, which is how far its figures may be too high for want of a processor.
+    `served`: (invoked, answered) of those that were acknowledged. `stalls`: when this process came late to its own
+    turn, and by how much, which is how far its figures may be too high for want of a processor.
     """
 
     def __init__(self, cluster: Cluster, write: Write, *, every_s: float = 0.1, patience_s: float = 6.0) -> None:
         self._cluster, self._write, self._every_s, self._patience_s = cluster, write, every_s, patience_s
         self.served: list[tuple[float, float]] = []
-        self.stalled_s = 0.0
+        self.stalls: list[tuple[float, float]] = []
         self._news = asyncio.Condition()
 
     async def run(self) -> None:
@@ -75,7 +76,8 @@ class Probe:
                 task.add_done_callback(pending.discard)
                 due = time.monotonic() + self._every_s
                 await asyncio.sleep(self._every_s)
-                self.stalled_s = max(self.stalled_s, time.monotonic() - due)
+                if (late_s := time.monotonic() - due) > STALL_SECONDS_MIN:
+                    self.stalls.append((due, late_s))
         finally:
             for task in pending:
                 task.cancel()
@@ -95,6 +97,10 @@ class Probe:
         """The longest time between two acknowledged writes, or between one and either end of the time in question."""
         answered = sorted(moment for _, moment in self.served if began <= moment <= ended)
         return max(later - earlier for earlier, later in itertools.pairwise([began, *answered, ended]))
+
+    def stalled_s(self, began: float, ended: float) -> float:
+        """The longest that this process itself did not run in that time."""
+        return max((late_s for due, late_s in self.stalls if began <= due <= ended), default=0.0)
 
     async def serves_after(self, moment: float, *, seconds: float) -> float:
         """How long after `moment` a write begun after it was first acknowledged. Raises TimeoutError."""

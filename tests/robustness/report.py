@@ -136,7 +136,8 @@ def _faults(outcomes: Iterable[Outcome]) -> str:
     title = (
         "## Faults by kind\n\nServed again: from the harm to the acknowledgement of a write of the directory begun "
         "after it; for hosts, of a put under a new owner or incarnation. Longest without a write: the longest that the "
-        "directory acknowledged none from the harm until all was healed.\n\n"
+        "directory acknowledged none from the harm until all was healed. Waiting for a processor: the start of Python "
+        "processes, and pauses of the one that measures.\n\n"
     )
     header = ("fault", "times", "served again, median", "worst", "longest without a write", "limit", "verdict")
     return title + _table(header, rows)
@@ -169,8 +170,8 @@ def _row_verdict(members: Sequence[Outcome], limit: float | None) -> str:
     if late := sum(one.late for one in members):
         return f"**{late} of {len(members)} over it**"
     if excused := [one for one in members if one.over_limit]:
-        slowest = max(one.start_s for one in excused)
-        return f"kept, but for up to {slowest:.1f} s in which processes started ({len(excused)} of {len(members)})"
+        slowest = max(one.excused_s for one in excused)
+        return f"kept, but for up to {slowest:.1f} s of waiting for a processor ({len(excused)} of {len(members)})"
     return "-" if limit is None else "kept"
 
 
@@ -231,7 +232,7 @@ def limits_broken(outcomes: Iterable[Outcome]) -> list[str]:
     """The recoveries that took longer than promised, and those that did not come at all."""
     outcomes = list(outcomes)
     late = [
-        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s (start of processes: {one.start_s:.2f} s)"
+        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s, {one.excused_s:.2f} s spent starting or paused"
         for one in outcomes
         if one.late
     ]

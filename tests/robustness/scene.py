@@ -23,8 +23,8 @@ class Outcome:
     """What became of one fault. Times in seconds.
 
     `recovery_s`: from the harm to the acknowledgement of a write begun after it. `start_s`: how much of that it took
-    to start processes. `gap_s`: the longest without an acknowledged write until the fault had ended. `bite`: what
-    showed that the harm was done.
+    to start processes; `stall_s`: the longest that the measuring process itself did not run in it. `gap_s`: the longest
+    without an acknowledged write until the fault had ended. `bite`: what showed that the harm was done.
     """
 
     kind: str
@@ -33,6 +33,7 @@ class Outcome:
     recovery_s: float | None = None
     limit_s: float | None = None
     start_s: float = 0.0
+    stall_s: float = 0.0
     gap_s: float = 0.0
     majority: bool = True  # of the supernodes was alive and connected all the time
     bite: str = ""
@@ -46,8 +47,13 @@ class Outcome:
 
     @property
     def late(self) -> bool:
-        """Whether the promise was broken: over the limit, and not for the time that starting processes took."""
-        return self.over_limit and (self.recovery_s or 0.0) - self.start_s > (self.limit_s or 0.0)
+        """Whether the promise was broken: over the limit, and not for want of processors alone."""
+        return self.over_limit and (self.recovery_s or 0.0) - self.excused_s > (self.limit_s or 0.0)
+
+    @property
+    def excused_s(self) -> float:
+        """How much of the recovery was the start of processes, or a pause of the one that measures."""
+        return max(self.start_s, self.stall_s)
 
 
 @dataclass
@@ -75,7 +81,9 @@ class Scene:
         """Take the fault down, which ends now; `facts` are the other fields of Outcome."""
         ended = time.monotonic()
         gap_s = self.probe.longest_gap_s(began, ended)
-        outcome = Outcome(kind=kind, began=began, ended=ended, recovery_s=recovery_s, gap_s=gap_s, **facts)
+        stall_s = self.probe.stalled_s(began, began + (recovery_s or 0.0))
+        facts |= {"recovery_s": recovery_s, "gap_s": gap_s, "stall_s": stall_s}
+        outcome = Outcome(kind=kind, began=began, ended=ended, **facts)
         self.outcomes.append(outcome)
         measured = "" if recovery_s is None else f" served again after {recovery_s:.2f} s"
         print(f"{outcome.ended:10.1f}  {kind}{measured} [{outcome.bite}] {outcome.note}", flush=True)

@@ -127,8 +127,9 @@ def test_a_recovery_over_its_limit_breaks_the_promise_and_shows_in_the_report() 
 def test_a_limit_missed_for_the_start_of_processes_alone_is_no_lost_service_and_is_told() -> None:
     slow = outcome("kill -9 of all", 0, 9, 6.5, start_s=4.0)
     assert limits_broken([slow]) == []
-    assert "kept, but for up to 4.0 s in which processes started (1 of 1)" in write_report(run(findings(slow)))
+    assert "kept, but for up to 4.0 s of waiting for a processor (1 of 1)" in write_report(run(findings(slow)))
     assert limits_broken([replace(slow, start_s=1.0)]) != []
+    assert limits_broken([replace(slow, start_s=0.0, stall_s=2.0)]) == []
 
 
 def test_a_fault_after_which_the_directory_did_not_come_back_breaks_the_promise() -> None:
