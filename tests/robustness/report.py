@@ -232,7 +232,7 @@ def limits_broken(outcomes: Iterable[Outcome]) -> list[str]:
     """The recoveries that took longer than promised, and those that did not come at all."""
     outcomes = list(outcomes)
     late = [
-        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s, {one.excused_s:.2f} s spent starting or paused"
+        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s ({one.excused_s:.2f} s of it start or pause)"
         for one in outcomes
         if one.late
     ]
