@@ -106,7 +106,9 @@ def policy_text(policy: Policy) -> str:
     """A set-up in a few words."""
     parts = []
     if policy.max_age_nanos is not None:
-        parts.append(f"{format_duration(policy.max_age_nanos)}")
+        longest = policy.max_age_unconsumed_nanos
+        more = "" if longest is None else f" (to {format_duration(longest)} for consumers)"
+        parts.append(f"{format_duration(policy.max_age_nanos)}{more}")
     if policy.max_items is not None:
         parts.append(f"{policy.max_items} items")
     if policy.max_bytes is not None:
