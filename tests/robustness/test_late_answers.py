@@ -11,6 +11,7 @@ import pytest
 
 from stampede_rt.errors import StaleBinding
 from stampede_rt.v1 import channel_pb2
+from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_runtime.clock import SystemClock
@@ -46,7 +47,7 @@ def store_over(directory: SlowDirectory) -> ChannelStore:
         directory,  # type: ignore[arg-type]  # what is asked of it here
         SystemClock(),
         lease_held=lambda: True,
-        memory_bytes_max=2**20,
+        memory=MemoryBudget(2**20, lambda: 0, lambda: 0),
     )
 
 

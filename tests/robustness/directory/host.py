@@ -8,6 +8,7 @@ from typing import Any
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
@@ -66,7 +67,7 @@ class SimHost:
             self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
             self.clock,
             lease_held=lambda: self.lease.is_held(self.clock.boottime_nanos()),
-            memory_bytes_max=2**30,
+            memory=MemoryBudget(2**30, lambda: 0, lambda: 0),
         )
         self._binding: set[bytes] = set()
         self._run(self._keep)

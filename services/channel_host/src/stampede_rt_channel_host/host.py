@@ -65,18 +65,19 @@ class ChannelHost:
         self._registration = Registration(
             identity, self._supernodes, clock, on_registered=self._registered, on_lease=self._lease_changed
         )
+        memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
         self.store = ChannelStore(
             identity,
             Directory(self._supernodes),
             clock,
             lease_held=self._registration.lease_held,
-            memory_bytes_max=memory_bytes_max,
+            memory=memory,
         )
         queue_directory = QueueDirectory(self._supernodes)
         self.queues = QueueStore(
             identity,
             queue_directory,
-            MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos),
+            memory,
             now=self.store.now,
             lease_held=self._registration.lease_held,
             on_departures=lambda hosted: self._dead_letters.departures(hosted),
@@ -144,7 +145,7 @@ class ChannelHost:
             self._on_defect(failure)
 
     def _footprint_bytes(self) -> int:
-        return self.queues.footprint_bytes() + sum(hosted.footprint_bytes() for hosted in self.store.all())
+        return self.queues.footprint_bytes() + self.store.footprint_bytes()
 
     def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
         self.store.registered(response.channels, all_told=len(response.channels) < CHANNELS_TOLD_MAX)

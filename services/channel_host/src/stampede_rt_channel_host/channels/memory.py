@@ -1,4 +1,4 @@
-"""One bound for the items of all channels of a host. Pure."""
+"""One bound for the items of all channels and queues of a host. Pure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class MemoryBudget:
     """Payloads and 64 bytes for each item, as retention counts them.
 
     Between two measurements what was claimed is added and nothing that went is taken off, so the estimate never lies
-    below the truth; when it reaches the bound the channels are measured, at most 100 times a second.
+    below the truth; when it reaches the bound all is measured, at most 100 times a second.
     """
 
     def __init__(self, bytes_max: int, measure: Callable[[], int], steady_nanos: Callable[[], int]) -> None:
@@ -31,8 +31,8 @@ class MemoryBudget:
             self._measure_again()
             if self._estimate + wanted > self._bytes_max:
                 raise Overloaded(
-                    f"the host's channels hold {self._estimate} bytes together and {self._bytes_max} are its most "
-                    "(--memory-bytes-max); put again when items have gone, tighten retention, or use another host",
+                    f"the host's channels and queues hold {self._estimate} bytes together and {self._bytes_max} are the "
+                    "most (--memory-bytes-max); put again when items have gone, tighten retention, or use another host",
                     metadata={"memory_bytes_max": str(self._bytes_max)},
                 )
         self._estimate += wanted

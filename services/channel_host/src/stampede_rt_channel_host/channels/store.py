@@ -40,7 +40,7 @@ class ChannelStore:
         clock: HostClock,
         *,
         lease_held: Callable[[], bool],
-        memory_bytes_max: int,
+        memory: MemoryBudget,
     ) -> None:
         self.lease_held = lease_held
         self._identity = identity
@@ -52,7 +52,7 @@ class ChannelStore:
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
         self._registrations = 0
-        self._memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
+        self._memory = memory
 
     def now(self) -> int:
         """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
@@ -217,7 +217,8 @@ class ChannelStore:
         if hosted is not None:
             hosted.end(error)
 
-    def _footprint_bytes(self) -> int:
+    def footprint_bytes(self) -> int:
+        """What all channels take of the host's memory."""
         return sum(hosted.footprint_bytes() for hosted in self._channels.values())
 
 
