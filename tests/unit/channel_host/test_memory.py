@@ -36,7 +36,7 @@ def test_nothing_is_measured_while_there_is_room() -> None:
 def test_a_put_beyond_the_bound_is_refused_with_the_way_out() -> None:
     host = Host(1000)
     host.put(800)
-    with pytest.raises(Overloaded, match="864 bytes together and 1000 are its most"):
+    with pytest.raises(Overloaded, match="864 bytes together and 1000 are their most"):
         host.put(100)
 
 

@@ -31,8 +31,9 @@ class MemoryBudget:
             self._measure_again()
             if self._estimate + wanted > self._bytes_max:
                 raise Overloaded(
-                    f"the host's channels and queues hold {self._estimate} bytes together and {self._bytes_max} are the "
-                    "most (--memory-bytes-max); put again when items have gone, tighten retention, or use another host",
+                    f"the host's channels and queues hold {self._estimate} bytes together and {self._bytes_max} are "
+                    "their most (--memory-bytes-max); put again when items have gone, tighten retention, or use "
+                    "another host",
                     metadata={"memory_bytes_max": str(self._bytes_max)},
                 )
         self._estimate += wanted
