@@ -26,6 +26,7 @@ COPY services/supernode/pyproject.toml services/supernode/
 COPY services/frontend/pyproject.toml services/frontend/
 COPY deploy/local_cluster/pyproject.toml deploy/local_cluster/
 COPY demos/pyproject.toml demos/
+COPY benchmarks/pyproject.toml benchmarks/
 RUN /opt/uv/bin/uv sync --quiet --frozen --no-dev --no-install-workspace --python python3 --package stampede-rt-frontend
 
 COPY client/src client/src
