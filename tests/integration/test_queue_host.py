@@ -330,6 +330,20 @@ async def test_a_host_that_may_not_serve_ends_its_streams_and_keeps_the_items() 
         assert not result.HasField("error")
 
 
+async def test_what_is_said_of_a_delivery_of_a_former_incarnation_settles_nothing_of_the_next(rig: QueueRig) -> None:
+    queue = rig.open()
+    await queue.put(b"before")
+    (former,) = await (await queue.take(taker_id=5, credit=1).open()).items(1)
+    queue.record.epoch, queue.record.incarnation = 2, queue.record.incarnation + 1
+    await queue.put(b"after")
+    again = await queue.take(taker_id=5, credit=1).open()
+    (item,) = await again.items(1)
+    assert item.payload == b"after"
+    (result,) = await queue.settle(ack(former), taker_id=5)
+    assert result.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
+    assert (await queue.status()).counters.held == 1
+
+
 async def test_another_incarnation_begins_with_an_empty_queue(rig: QueueRig) -> None:
     queue = rig.open()
     await queue.put(b"lost")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -21,6 +22,7 @@ from stampede_rt_channel_host.queues.refusals import shown
 from stampede_rt_channel_host.queues.specs import limits_of
 
 TAKERS_MAX = 4096
+FIRST_DELIVERY_IDS = range(1, 2**62)  # the last ids, too, fit into the signed integers of other languages
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 
 
@@ -50,7 +52,12 @@ class HostedQueue:
         """Raises InvalidArgument if the record's limits cannot hold."""
         self.record = record
         self.epoch: int = record.epoch
-        self.queue = Queue(limits_of(record), incarnation=record.incarnation, name=shown(record))
+        self.queue = Queue(
+            limits_of(record),
+            incarnation=record.incarnation,
+            name=shown(record),
+            first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
+        )
         self._memory = memory
         self._now = now
         self._on_departures = on_departures

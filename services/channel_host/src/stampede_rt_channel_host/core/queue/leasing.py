@@ -37,14 +37,14 @@ class Lease:
 
 
 class Leasing:
-    """All leases of a queue. Delivery ids start at 1 and grow by one each."""
+    """All leases of a queue. Delivery ids start at `first_delivery_id` and grow by one each."""
 
-    def __init__(self, shelf: Shelf, queue_name: str) -> None:
+    def __init__(self, shelf: Shelf, queue_name: str, first_delivery_id: int) -> None:
         self._shelf = shelf
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
         self.leases: dict[int, Lease] = {}
-        self.next_delivery_id = 1
+        self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
 
     def deliver(self, item: TouchedItem, taker_id: int, expires: int) -> tuple[int, int]:

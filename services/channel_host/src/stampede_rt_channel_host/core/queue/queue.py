@@ -29,14 +29,15 @@ class Queue:
 
     Every call takes `now`, the host's clock; an earlier one than before counts as the latest seen. After each call the
     owner takes what came of it: `take_dealt` for takers that were served, `take_finished` for runs that waited and are
-    through; it calls `tick` at `next_deadline`.
+    through; it calls `tick` at `next_deadline`. It gives each incarnation a `first_delivery_id` far from those of the ones
+    before, so that nothing said of their deliveries is taken for this one's.
     """
 
-    def __init__(self, limits: QueueLimits, *, incarnation: int, name: str = "") -> None:
+    def __init__(self, limits: QueueLimits, *, incarnation: int, name: str = "", first_delivery_id: int = 1) -> None:
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
         self._shelf = Shelf(limits)
-        self._leasing = Leasing(self._shelf, self._name)
+        self._leasing = Leasing(self._shelf, self._name, first_delivery_id)
         self._enqueuing = Enqueuing(self._shelf, self._name)
         self._dealing = Dealing(self._shelf, self._leasing)
         self._clock: int | None = None
