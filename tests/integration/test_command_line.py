@@ -153,6 +153,16 @@ def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
     assert stampede("ls", "no/such*").stdout == "no channel matches 'no/such*'\n"
 
 
+def test_put_sets_a_channel_up_for_consumers_and_gives_up_waiting_for_room(stampede: Run) -> None:
+    options = ("--max-items", "1", "--on-full", "block", "--consumers", "2")
+    stampede("put", "cli/consumed", "x", *options, "--max-age", "30s", "--max-age-unconsumed", "60s")
+    facts = json.loads(stampede("info", "cli/consumed", "-o", "json").stdout)
+    assert facts["on_full"] == "block"
+    assert "2 consumers" in facts["keeps"]
+    assert "0 of 2 taken" in stampede("info", "cli/consumed").stdout
+    assert "full" in stampede("put", "cli/consumed", "y", "--timeout", "0.1", status=1).stderr
+
+
 def test_echo_prints_items_as_they_come_until_interrupted(stampede: Run, following: Any) -> None:
     stampede("put", "cli/echo", "held")
     process = following("echo", "cli/echo", "--from", "oldest")

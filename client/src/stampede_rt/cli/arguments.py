@@ -11,6 +11,7 @@ from typing import Any
 
 from stampede_rt import Channel, Connection, connect
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
+from stampede_rt.policy import ON_FULL
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
 
 _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
@@ -124,10 +125,15 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-age", metavar="DURATION", help='keep items for so long, such as "10s"')
     parser.add_argument("--max-items", type=int, metavar="N", help="keep so many items")
     parser.add_argument("--max-bytes", type=int, metavar="N", help="keep so many bytes")
+    parser.add_argument("--consumers", type=int, metavar="N", help="an item may go once N consumers have used it up")
+    parser.add_argument(
+        "--max-age-unconsumed", metavar="DURATION", help="keep for so long what a live consumer has yet to use up"
+    )
+    parser.add_argument("--on-full", choices=ON_FULL, help="what a put into a full channel does")
     parser.add_argument("--content-type", metavar="MIME", help='what the items are, such as "image/jpeg"')
 
 
 def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """The set-up as keyword arguments of `Connection.channel`."""
-    names = ("max_age", "max_items", "max_bytes", "content_type")
+    names = ("max_age", "max_items", "max_bytes", "consumers", "max_age_unconsumed", "on_full", "content_type")
     return {name: getattr(arguments, name) for name in names}

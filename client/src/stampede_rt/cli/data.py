@@ -51,6 +51,7 @@ def _add_put(subparsers: Any) -> None:
     put.add_argument(
         "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
     )
+    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for room; default 1")
     add_policy(put)
 
 
@@ -95,6 +96,7 @@ def run_put(arguments: argparse.Namespace) -> int:
             time=arguments.time,
             duration=arguments.duration,
             attributes=dict(arguments.attribute) if arguments.attribute else None,
+            timeout=arguments.timeout,
         )
     if arguments.output == "table":
         print(f"{arguments.channel} #{item.seq} at {format_instant(item.time)} ({item.time})")
