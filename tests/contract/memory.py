@@ -56,6 +56,7 @@ class MemoryChannel:
         self._content_type = stated.content_type or ""
         self._changed: set[asyncio.Event] = set()
         self._waiting = {"gets": 0, "puts": 0}
+        self._line: deque[asyncio.Event] = deque()  # of puts
 
     def seen_by(self, consumer_id: int) -> MemoryChannel:
         """The same channel, in the hands of another participant."""
@@ -113,21 +114,28 @@ class MemoryChannel:
         return self._items([Slice(outcome.run, 0, 1)], None, payloads=True)[0]
 
     async def _put(self, offer: Offer, seal: Any, timeout: float | None) -> PutOutcome:
+        """Behind a put that waits, all wait."""
         deadline = None if timeout is None else st.now() + round(timeout * 1e9)
-        outcome = self.core.put(offer, st.now(), seal)
-        while outcome.waiting is not None:
-            offer = offer.rest(outcome.waiting, st.now())
-            if deadline is not None and st.now() >= deadline:
-                return self.core.give_up_put(offer)
-            instants = [instant for instant in (deadline, outcome.retry_at) if instant is not None]
-            event = asyncio.Event()
-            self._changed.add(event)
-            self._waiting["puts"] += 1
-            await self._until(event, min(instants, default=None))
-            self._waiting["puts"] -= 1
+        event = asyncio.Event()
+        self._line.append(event)
+        self._changed.add(event)
+        try:
+            while True:
+                first = self._line[0] is event
+                outcome = self.core.put(offer, st.now(), seal) if first else PutOutcome(waiting=0)
+                if outcome.waiting is None:
+                    return outcome
+                offer = offer.rest(outcome.waiting, st.now())
+                if deadline is not None and st.now() >= deadline:
+                    return self.core.give_up_put(offer)
+                instants = [instant for instant in (deadline, outcome.retry_at) if instant is not None]
+                self._waiting["puts"] += 1
+                await self._until(event, min(instants, default=None))
+                self._waiting["puts"] -= 1
+        finally:
             self._changed.discard(event)
-            outcome = self.core.put(offer, st.now(), seal)
-        return outcome
+            self._line.remove(event)
+            self._wake()
 
     def producer(self) -> MemoryProducer:
         return MemoryProducer(self)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
+
 import pytest
 
 import stampede_rt as st
@@ -9,6 +12,7 @@ from tests.contract.surfaces import Surface
 
 MS = 1_000_000
 SECOND = 1_000 * MS
+LONG_S = 60
 
 
 async def adds_up(channel: object) -> st.ChannelStats:
@@ -90,6 +94,23 @@ async def test_a_put_on_a_full_channel_waits_until_the_oldest_item_is_old_enough
     with pytest.raises(st.ChannelFull):
         await channel.put(b"third", timeout=0)
     assert (await adds_up(channel)).collected["age"] == 1
+
+
+async def test_a_put_waits_for_the_age_of_an_item_whose_producer_is_ahead_and_no_longer(surface: Surface) -> None:
+    channel = await surface.channel(max_items=1, max_age="100ms", on_full="block")
+    ahead = await channel.put(b"ahead", time=st.now() + 300 * MS)
+    late = await channel.put(b"late", timeout=LONG_S)
+    assert late.time - ahead.time > 100 * MS
+
+
+async def test_puts_that_wait_for_one_place_are_let_in_one_after_the_other(surface: Surface) -> None:
+    channel = await surface.channel(max_items=1, max_age="100ms", on_full="block")
+    first = await channel.put(b"first")
+    handles = [await surface.channel(channel.name) for _ in range(2)]
+    puts = [handle.put(b"later", timeout=LONG_S) for handle in handles]
+    items = sorted(await asyncio.gather(*puts), key=lambda item: item.seq)
+    for before, after in itertools.pairwise([first, *items]):
+        assert after.time - before.time > 100 * MS
 
 
 async def test_max_age_keeps_the_newest_bucket_of_a_quiet_stream(surface: Surface) -> None:

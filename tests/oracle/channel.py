@@ -127,13 +127,14 @@ class OracleChannel:
 
     def put(self, time: int, duration: int | None, length: int, clock: int, since: int | None = None) -> Verdict:
         """One item, put at once or not at all. One without a time of its own that waits since then is judged as if it
-        had been put then; the oldest bucket, which its coming would have outdated by now, makes room for it."""
+        had been put then, and behind the newest item, where it will be stamped, though not before it would be; the
+        oldest bucket, which its coming would have outdated by now, makes room for it."""
         self.age(clock)
-        as_if_time = time if since is None else max([since, *(item.time for item in self.held)])
+        as_if_time = time if since is None else max([since, *(item.time + 1 for item in self.held)])
         waiting = Item(as_if_time, len(self.log) + 1, duration, length)
         item = Item(time, len(self.log) + 1, duration, length)
         reason = self._refusal(item, clock)
-        if reason is None and not self.drops_oldest and not self._fits(waiting, clock):
+        if reason is None and not self.drops_oldest and not self._fits(min(waiting, item), clock):
             if self.policy.on_full == "block":
                 return Waits(self._retry_at(waiting))
             reason = "CHANNEL_FULL"
@@ -183,7 +184,15 @@ class OracleChannel:
         return len(self.held) <= (self.policy.max_items or len(self.held)) and self.bytes() <= self.max_bytes
 
     def _retry_at(self, item: Item) -> int | None:
+        """When age makes room or a lease ends; if nobody holds anything back any more, as soon as it is the newest."""
+        if self._nobody_holds and self.newest is not None and item.time > self.newest:
+            return item.time
         return self._as_if_put(item).next_due()
+
+    @property
+    def _nobody_holds(self) -> bool:
+        places = self.consumers
+        return places is not None and self.policy.consumers is not None and not places.untaken and not places.live
 
     def next_due(self) -> int | None:
         """When age collects the oldest bucket, never if that is the newest, or a lease ends that may hold items."""

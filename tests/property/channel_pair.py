@@ -117,7 +117,8 @@ class ChannelPair:
             time = stamp if offer.times is None else offer.times[index]
             assert time is not None
             duration = None if offer.durations is None or offer.durations[index] < 0 else offer.durations[index]
-            verdict = self.oracle.put(time, duration, length, self.clock, offer.since if offer.times is None else None)
+            since = None if offer.times is not None else self.clock if offer.since is None else offer.since
+            verdict = self.oracle.put(time, duration, length, self.clock, since)
             if isinstance(verdict, Waits):
                 return accepted, refused, (index, verdict.retry_at)
             if isinstance(verdict, Refused):

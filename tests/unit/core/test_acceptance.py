@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.errors import InFuture, InvalidArgument, MalformedRun, TooOld
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core.channel import Channel, Offer
+from stampede_rt_channel_host.core.channel import Channel, Offer, PutOutcome
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seal, times_of
 
 
@@ -117,6 +117,54 @@ def test_a_put_that_waits_in_the_bucket_that_fills_the_channel_waits_for_others(
     channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
     put(channel, CLOCK)
     assert put(channel, CLOCK).retry_at is None
+
+
+def wait_untimed(channel: Channel, since: int, now: int) -> PutOutcome:
+    return channel.put(Offer(times=None, durations=None, lengths=[1], since=since), now, seal)
+
+
+def test_a_put_without_a_time_waits_behind_an_item_whose_producer_is_ahead() -> None:
+    """It once counted into the newest item's bucket, which never ages, and waited for ever."""
+    channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
+    put(channel, CLOCK + 50)
+    waiting = channel.put(Offer(times=None, durations=None, lengths=[1]), CLOCK, seal)
+    assert (waiting.waiting, waiting.retry_at) == (0, CLOCK + 51 + 100)
+    assert wait_untimed(channel, CLOCK, CLOCK + 150).waiting == 0
+    assert wait_untimed(channel, CLOCK, CLOCK + 151).stamped_time == CLOCK + 151
+    assert times_of(get(channel, now=CLOCK + 151).slices) == [CLOCK + 151]
+
+
+def test_the_second_of_two_puts_that_wait_for_one_place_waits_for_the_age_of_the_first() -> None:
+    """Both waited from the same instant; let in and stamped, the first once held the second back for ever."""
+    channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
+    put(channel, CLOCK)
+    first = wait_untimed(channel, CLOCK + 5, CLOCK + 5)
+    assert first.retry_at == CLOCK + 105
+    assert wait_untimed(channel, CLOCK + 5, CLOCK + 105).stamped_time == CLOCK + 105
+    second = wait_untimed(channel, CLOCK + 5, CLOCK + 105)
+    assert (second.waiting, second.retry_at) == (0, CLOCK + 206)
+    assert wait_untimed(channel, CLOCK + 5, CLOCK + 206).stamped_time == CLOCK + 206
+
+
+def test_the_rest_of_a_run_without_times_goes_on_when_its_first_item_is_old_enough() -> None:
+    channel = a_channel(max_items=1, max_age_nanos=100, on_full="block")
+    offer = Offer(times=None, durations=None, lengths=[1, 1])
+    outcome = channel.put(offer, CLOCK, seal)
+    assert (outcome.stamped_time, outcome.waiting, outcome.retry_at) == (CLOCK, 1, CLOCK + 101)
+    assert channel.put(offer.rest(1, CLOCK), CLOCK + 101, seal).stamped_time == CLOCK + 101
+
+
+def test_a_put_that_no_consumer_holds_back_is_let_in_once_the_clock_has_passed_the_newest_item() -> None:
+    """The newest bucket stays to be found, so that a put stamped into it would exceed the limit."""
+    channel = a_channel(max_items=1, consumers=1, on_full="block")
+    put(channel, CLOCK + 50)
+    channel.consume(1, [], CLOCK)
+    channel.consume(1, [], CLOCK, lease_nanos=0)
+    waiting = channel.put(Offer(times=None, durations=None, lengths=[1]), CLOCK, seal)
+    assert (waiting.waiting, waiting.retry_at) == (0, CLOCK + 51)
+    assert wait_untimed(channel, CLOCK, CLOCK + 50).waiting == 0
+    assert wait_untimed(channel, CLOCK, CLOCK + 51).stamped_time == CLOCK + 51
+    assert channel.counters(CLOCK + 51).held == 1
 
 
 def test_a_malformed_offer_is_refused_by_its_columns() -> None:

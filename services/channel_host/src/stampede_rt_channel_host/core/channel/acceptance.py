@@ -191,7 +191,7 @@ class _ItemByItem:
             self._retention.settle(self._clock)
             fault = self._to.fault(time, duration, length, self._clock)
             as_if = self._as_if_put_at(time)
-            if fault is None and not self._has_room(as_if, length):
+            if fault is None and not self._has_room(min(as_if, time), length):
                 if self._retention.limits.on_full == BLOCK:
                     waiting = index
                     retry_at = self._retention.retry_at(as_if, None if duration == ABSENT else as_if + duration)
@@ -206,11 +206,16 @@ class _ItemByItem:
         )
 
     def _as_if_put_at(self, time: int) -> int:
-        """When an item counts as put while it waits for room: one without a time of its own, since it waits."""
-        if self._offer.times is not None or self._offer.since is None:
+        """When an item counts as put while it waits for room: one without a time of its own, since it waits.
+
+        Behind the newest, where its stamp will be: in the newest bucket, which never ages, it would wait for ever. It
+        is not let in as such before its stamp lies there, too.
+        """
+        if self._offer.times is not None:
             return time
+        since = self._clock if self._offer.since is None else self._offer.since
         newest = self._held.newest
-        return self._offer.since if newest is None else max(self._offer.since, newest)
+        return since if newest is None else max(since, newest + 1)
 
     def _has_room(self, time: int, length: int) -> bool:
         limits = self._retention.limits

@@ -211,6 +211,8 @@ class Retention:
         None: only another put, or consumption, can bring that about.
         """
         held, age = self._held, self.age_of_new
+        if self._nobody_holds and held.newest is not None and time > held.newest:
+            return time
         if age is None or held.oldest is None:
             return self._lease_end()
         if time < held.oldest:
