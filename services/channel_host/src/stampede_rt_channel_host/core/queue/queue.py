@@ -29,8 +29,8 @@ class Queue:
 
     Every call takes `now`, the host's clock; an earlier one than before counts as the latest seen. After each call the
     owner takes what came of it: `take_dealt` for takers that were served, `take_finished` for runs that waited and are
-    through; it calls `tick` at `next_deadline`. It gives each incarnation a `first_delivery_id` far from those of the ones
-    before, so that nothing said of their deliveries is taken for this one's.
+    through; it calls `tick` at `next_deadline`. Each incarnation gets a `first_delivery_id` far from those of the ones
+    before, so that nothing said of their deliveries is taken for one of its own.
     """
 
     def __init__(self, limits: QueueLimits, *, incarnation: int, name: str = "", first_delivery_id: int = 1) -> None:
