@@ -122,7 +122,7 @@ class MatchStream:
         matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after)
         newest = hosted.channel.newest
         begin = after.time if after is not None else now if newest is None else newest
-        counted = 0, 0
+        counted: tuple[int, int] | None = None  # so that the first response says at once that the subscription holds
         while True:  # ends with the stream
             matcher.set_tracks(self._tracks(group, hosted, begin - request.tolerance_nanos))
             found = self._take(matcher, group, hosted, counts=not request.without_payloads)
