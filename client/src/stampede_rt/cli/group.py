@@ -121,10 +121,14 @@ def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> di
         "newest": format_instant(member.newest) if people and member.newest is not None else member.newest,
         "ahead": format_duration(lead) if people and lead is not None else lead,
         "hidden": member.hidden,
-        "holds_the_cut": channel in status.waiting_on,
-        "idle": member.idle,
-        "window_too_short": member.window_too_short,
+        "holds_the_cut": _said(channel in status.waiting_on, people),
+        "idle": _said(member.idle, people),
+        "window_too_short": _said(member.window_too_short, people),
     }
+
+
+def _said(true: bool, people: bool) -> bool | str:
+    return ("yes" if true else "no") if people else true
 
 
 def run_newest(arguments: argparse.Namespace) -> int:
