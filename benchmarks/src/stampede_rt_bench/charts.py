@@ -27,10 +27,11 @@ class Axes:
     x: str
     y: str
     log_y: bool = False
+    log_x: bool = True
 
 
 def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Sequence[tuple[float, Spread]]]) -> None:
-    """Lines over a logarithmic x-axis, medians with bars from the least to the most. Raises OSError."""
+    """Lines, medians with bars from the least to the most. Raises OSError."""
     plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
     figure, plot = plt.subplots(figsize=(7.5, 4.6), layout="constrained")
     try:
@@ -44,7 +45,7 @@ def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Sequence[tuple[float,
             plot.errorbar(
                 xs, medians, yerr=bars, capsize=3, linewidth=1.8, markersize=6, color=colour, marker=mark, label=label
             )
-        plot.set(xscale="log", xlabel=axes.x, ylabel=axes.y)
+        plot.set(xscale="log" if axes.log_x else "linear", xlabel=axes.x, ylabel=axes.y)
         if axes.log_y:
             plot.set_yscale("log")
         else:
