@@ -91,6 +91,7 @@ class ChannelPair:
             return b"body"
 
         outcome = self.core.put(offer, self.clock, seal)
+        self.oracle.age(self.clock)  # what is gone by now stamps nothing, not even the newest item
         stamp = self.oracle.now(self.clock) if offer.times is None else None
         assert outcome.stamped_time == stamp
         accepted, refused, waits = self._put_one_by_one(offer, stamp)

@@ -241,3 +241,14 @@ def test_a_place_that_is_taken_and_given_up_at_once_lets_everything_go_that_othe
     pair.put(Offer(times=[79, 82, 88, 102, 103, 105], durations=[3, 3, 1, 3, 0, 0], lengths=[500, 8, 0, 8, 8, 64]))
     pair.consume(1, [2, 4, 7, 8, 9], 0)
     pair.check()
+
+
+def test_a_put_is_not_stamped_by_an_item_that_everybody_has_consumed_when_bytes_took_those_before_it() -> None:
+    pair = ChannelPair(Policy(max_items=4, consumers=3, on_full="reject", max_future_nanos=8), FIRST_CLOCK)
+    pair.put(Offer(times=[94, 100, 108], durations=[3, 7, -1], lengths=[40, 500, 0]))
+    pair.consume(1, [3], 3)
+    pair.consume(2, [2, 3], 0)
+    pair.configure(Policy(consumers=2, max_bytes=500, max_future_nanos=8))
+    pair.put(_untimed(64))
+    assert pair.core.newest == FIRST_CLOCK
+    pair.check()
