@@ -12,7 +12,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.contract.surfaces import Surface
+from tests.contract.surfaces import Surface, take
 from tests.support.cluster import cluster_fixture
 
 MS = 1_000_000
@@ -156,3 +156,105 @@ async def test_a_cross_section_of_an_empty_reference_says_why(surface: Surface) 
     assert section.time is None
     assert section[left].reason == "NOT_YET"
     assert right.name not in [channel.name for channel in section]
+
+
+async def in_step(surface: Surface, **settings: Any) -> tuple[Any, Any, Any, int]:
+    """Two channels at two hosts, their group, and a time ten seconds ago."""
+    left, right = await two_channels(surface)
+    return await surface.group(group_name(), [left, right], **settings), left, right, st.now() - 10 * SECOND
+
+
+async def test_a_group_shows_only_what_lies_before_its_cut(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    for number in range(4):
+        await left.put(b"l%d" % number, time=base + number * SECOND)
+    hidden = await group[left].get(base, st.NEWEST, timeout=0)
+    assert (len(hidden), hidden.reason) == (0, "HIDDEN")
+    assert right.name in hidden.reason.detail
+    await right.put(b"r0", time=base)
+    await right.put(b"r2", time=base + 2 * SECOND)
+    shown = await group[left].get(base, base + 9 * SECOND, match="start", timeout=10)
+    assert [item.payload for item in shown] == [b"l0", b"l1"]
+    assert shown.cut == base + 2 * SECOND
+    assert [item.payload for item in await left.get(base, st.NEWEST)] == [b"l0", b"l1", b"l2", b"l3"]
+
+
+async def test_a_get_of_the_group_takes_one_cut_on_all_hosts(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    for channel in (left, right):
+        for number in range(3):
+            await channel.put(b"%d" % number, time=base + number * SECOND)
+    await group[left].get(base + SECOND, base + SECOND, match="start", timeout=10)  # the cut has come so far
+    await group[right].get(base + SECOND, base + SECOND, match="start", timeout=10)
+    found = await group.get(base, base + 9 * SECOND, match="start")
+    assert {items.cut for items in found.values()} == {base + 2 * SECOND}
+    assert [[item.payload for item in found[channel.name]] for channel in (left, right)] == [[b"0", b"1"]] * 2
+    newest = await group.newest()
+    assert [newest[channel.name].payload for channel in (left, right)] == [b"1", b"1"]
+
+
+async def test_a_subscription_through_a_group_comes_in_the_order_of_becoming_visible(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    async with group[left].subscribe() as items:
+        for number in range(3):
+            await left.put(b"%d" % number, time=base + number * SECOND)
+        await right.put(b"r", time=base + 2 * SECOND)
+        assert [item.payload for item in await take(items, 2)] == [b"0", b"1"]
+
+
+async def test_a_cut_event_brings_each_item_once_and_late_ones_apart(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    async with group.subscribe() as cuts:
+        for number in range(3):
+            await left.put(b"l%d" % number, time=base + number * SECOND)
+        await right.put(b"r2", time=base + 2 * SECOND)
+        first = await event_at(cuts, base + 2 * SECOND)
+        assert first[left.name] == [b"l0", b"l1"]
+        await left.put(b"late", time=base + SECOND // 2)
+        await left.put(b"l4", time=base + 4 * SECOND)
+        await right.put(b"r3", time=base + 3 * SECOND)
+        second = await event_at(cuts, base + 3 * SECOND)
+        assert second[left.name] == [b"l2"]
+        assert second[right.name] == [b"r2"]
+        assert second["late"] == [b"late"]
+
+
+async def event_at(cuts: Any, time: int) -> dict[str, list[bytes]]:
+    """All that the events up to the cut at `time` bring, by channel; late ones under "late"."""
+    brought: dict[str, list[bytes]] = {"late": []}
+    while True:
+        (cut,) = await take(cuts, 1)
+        for channel in cut:
+            brought.setdefault(channel.name, []).extend(item.payload for item in cut[channel])
+            brought["late"] += [item.payload for item in cut.late[channel]]
+        if cut.time >= time:
+            return brought
+
+
+async def test_a_match_pairs_the_nearest_and_names_who_has_none(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    async with group.match(left, "10ms", partial=True) as matches:
+        await left.put(b"l0", time=base)
+        await right.put(b"near", time=base + 4 * MS)
+        await right.put(b"far", time=base + 30 * MS)
+        await left.put(b"l1", time=base + 100 * MS)
+        await right.put(b"r9", time=base + SECOND)
+        pair, alone = await take(matches, 2)
+    assert [pair[channel.name].payload for channel in (left, right)] == [b"l0", b"near"]
+    assert alone[left.name].payload == b"l1"
+    assert [channel.name for channel in alone.missing] == [right.name]
+    assert matches.unmatched == 1
+
+
+async def test_the_status_says_who_holds_the_cut(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    await left.put(b"l", time=base)
+    waiting = await group.status()
+    assert waiting.cut is None
+    assert right.name in [channel.name for channel in waiting.waiting_on]
+    await right.put(b"r", time=base + SECOND)
+    await left.put(b"l", time=base + 2 * SECOND)
+    await group[left].get(base, base, match="start", timeout=10)
+    status = await group.status()
+    assert status.cut == base + SECOND
+    assert [channel.name for channel in status.waiting_on] == [right.name]

@@ -10,7 +10,7 @@ from stampede_rt._sync.channel import Channel
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.grouping import ByChannel, Cut
 from stampede_rt.retry import Backoff
-from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
+from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_sync import Conversation
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.wire.groups import cut_items
@@ -60,6 +60,7 @@ class CutSubscription:
         self._talks: list[_Talk] = []  # the first decides
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
+        begin_now(self._open)
 
     def __enter__(self) -> CutSubscription:
         self._open()

@@ -16,7 +16,7 @@ from stampede_rt.grouping import Matched
 from stampede_rt.model import Item
 from stampede_rt.reading import Read, Wait
 from stampede_rt.timeline import Match, parse_interval
-from stampede_rt.transports.concurrency_sync import together
+from stampede_rt.transports.concurrency_sync import begin_now, together
 from stampede_rt.transports.grpc_sync import Stream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.v1 import item_pb2
@@ -46,6 +46,7 @@ class MatchSubscription:
         self._closed = False
         self.unmatched = 0
         self.dropped = 0
+        begin_now(self._open)
 
     def __enter__(self) -> MatchSubscription:
         self._open()

@@ -42,6 +42,7 @@ class _FarMember:
         self.target = target
         self.track = FarTrack()
         self.incarnation = 0
+        self.is_followed = False  # from then on nothing that is put is missed
         self.task: asyncio.Task[None] | None = None
         self._since = since
         self._after: tuple[int, int] | None = None
@@ -72,7 +73,7 @@ class _FarMember:
     def take(self, response: channel_service_pb2.SubscribeResponse) -> None:
         """Enter what came."""
         if response.HasField("opened"):
-            self.incarnation = response.opened.incarnation
+            self.incarnation, self.is_followed = response.opened.incarnation, True
         for delivered in response.runs:
             run = delivered.run
             places = [(time, run.first_seq + at) for at, time in enumerate(run.time_unix_nano)]
@@ -122,11 +123,12 @@ class MatchStream:
         matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after)
         newest = hosted.channel.newest
         begin = after.time if after is not None else now if newest is None else newest
-        counted: tuple[int, int] | None = None  # so that the first response says at once that the subscription holds
+        counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
         while True:  # ends with the stream
             matcher.set_tracks(self._tracks(group, hosted, begin - request.tolerance_nanos))
             found = self._take(matcher, group, hosted, counts=not request.without_payloads)
-            news = bool(found) or counted != (matcher.unmatched, matcher.dropped)
+            holds = counted is not None or all(far.is_followed for far in self._far.values())
+            news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
             if not news and await self._waiter.wait(LIFE_SECONDS):
                 continue
             counted = matcher.unmatched, matcher.dropped
