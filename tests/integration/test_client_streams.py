@@ -100,7 +100,7 @@ async def test_puts_that_waited_for_their_turn_on_a_broken_stream_do_not_hang(cl
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/broken", max_age="60s")
         await channel.put(b"opens the stream")
-        _, stream = next(iter(channel._puts._streams.values()))
+        stream = next(iter(rt._session.put_streams._streams.values())).exchange
         await stream._writing.acquire()
         puts = [asyncio.ensure_future(channel.put(b"%d" % number)) for number in range(3)]
         for _ in range(100):  # until all of them wait for their turn

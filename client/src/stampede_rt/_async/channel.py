@@ -8,7 +8,7 @@ from typing import Any
 
 from stampede_rt._async.consuming import consume
 from stampede_rt._async.producer import Producer
-from stampede_rt._async.puts import Numbers, PutStreams, Single
+from stampede_rt._async.puts import Numbers, Puts, Single
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.sampler import MonotonicClock, Sampler
 from stampede_rt._async.session import (
@@ -40,7 +40,7 @@ class Channel(Reader):
 
     def __init__(self, session: Session, state: ChannelState) -> None:
         super().__init__(session, state)
-        self._puts = PutStreams(session, ChannelPlace(session, state), Port.puts)
+        self._puts = Puts(session, ChannelPlace(session, state), Port.puts)
         self._numbers = Numbers()
 
     def __repr__(self) -> str:
@@ -184,4 +184,5 @@ class Channel(Reader):
                 request_id=identity, channel_id=self._state.info.channel_id
             )
             await self._session.supernodes.call("DeleteChannel", request, CALL_TIMEOUT_S)
+        self._puts.close()
         self._session.cache.forget(self._state.info.channel_id)

@@ -1,4 +1,4 @@
-"""Single puts: each waits for its ack, on a stream that its thread keeps open to the channel's host."""
+"""Single puts: each waits for its ack, on a stream that stays open to the channel's host."""
 
 from __future__ import annotations
 
@@ -18,13 +18,11 @@ from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
-from stampede_rt.transports.concurrency_async import Mutex, callers, monotonic_s, thread_id
+from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import Port, PutExchange
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.put_frames import put_head, put_request
 from stampede_rt.wire.runs import run_parts
-
-STREAMS_MAX = 256
 
 
 class Numbers:
@@ -39,15 +37,14 @@ class Numbers:
         return next(self._numbers)
 
 
-class PutStreams:
-    """The open put streams of one handle, one for each thread and place of the channel or queue."""
+class Puts:
+    """The puts of one handle, each on an open stream to the place of its channel or queue."""
 
     def __init__(self, session: Session, place: Place, open_stream: Callable[[Port], PutExchange]) -> None:
         self._session = session
         self._place = place
         self._open_stream = open_stream
-        self._streams: dict[int, tuple[Binding, PutExchange]] = {}
-        self._mutex = Mutex()
+        self._handle_id = session.put_streams.handle(self)
 
     async def put(self, numbers: Numbers, item: Single, wait: Wait, renew_s: float = RENEW_S) -> channel_pb.PutAck:
         """Put one item under the producer's next number, which makes it safe to send it again; its ack.
@@ -74,32 +71,19 @@ class PutStreams:
         async def put_at(binding: Binding) -> channel_pb.PutAck:
             head = put_head(binding.channel_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), wait.nanos)
-            return _accepted(await self._stream(binding).put(request, limit_s))
+            with self._session.put_streams.use(
+                self._handle_id,
+                wait.seconds != 0,
+                binding,
+                lambda: self._open_stream(self._session.ports.to(binding.target)),
+            ) as stream:
+                return _accepted(await stream.put(request, limit_s))
 
         return await attempt(self._place, put_at, limit_s)
 
-    def _stream(self, binding: Binding) -> PutExchange:
-        key = thread_id()
-        entry = self._streams.get(key)
-        if entry is not None and (entry[0] is binding or entry[0] == binding) and not entry[1].broken:
-            return entry[1]
-        stream = self._open_stream(self._session.ports.to(binding.target))
-        with self._mutex:
-            former = self._streams.pop(key, None)
-            if former is not None:
-                former[1].cancel()  # of a place that is not the channel's any more
-            for ended in self._streams.keys() - callers():
-                self._streams.pop(ended)[1].cancel()
-            if len(self._streams) >= STREAMS_MAX:
-                self._streams.pop(next(iter(self._streams)))[1].cancel()
-            self._streams[key] = (binding, stream)
-        return stream
-
     def close(self) -> None:
-        """Give the streams up."""
-        with self._mutex:
-            while self._streams:
-                self._streams.popitem()[1][1].cancel()
+        """Give the streams up. A later put opens one again."""
+        self._session.put_streams.close(self._handle_id)
 
 
 def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:

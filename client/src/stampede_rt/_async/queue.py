@@ -8,7 +8,7 @@ from typing import Any
 
 from stampede_rt._async.attempts import Place, attempt
 from stampede_rt._async.message import Message
-from stampede_rt._async.puts import Numbers, PutStreams, Single
+from stampede_rt._async.puts import Numbers, Puts, Single
 from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
@@ -17,6 +17,7 @@ from stampede_rt.policy import parse_name
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.reading import Wait
 from stampede_rt.timeline import DurationLike
+from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_async import Port
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -31,6 +32,7 @@ class Taking:
         self._state = state
         self._place = place
         self._taker = Taker(session, place, state, prefetch)
+        when_dropped(self, self._taker.let_go)
 
     @property
     def name(self) -> str:
@@ -99,7 +101,7 @@ class Queue(Taking):
     def __init__(self, session: Session, state: QueueState, prefetch: int) -> None:
         place = QueuePlace(session, state)
         super().__init__(session, state, place, prefetch)
-        self._puts = PutStreams(session, place, Port.enqueues)
+        self._puts = Puts(session, place, Port.enqueues)
         self._numbers = Numbers()
 
     def __repr__(self) -> str:
@@ -173,6 +175,7 @@ class Queue(Taking):
         request = queue_directory_pb.DeleteQueueRequest(request_id=request_id(), queue_id=self.info.queue_id)
         await self._session.supernodes.call("DeleteQueue", request, CALL_TIMEOUT_S)
         await self.aclose()
+        self._puts.close()
         self._session.cache.forget(self.info.queue_id)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from stampede_rt._async.peer_place import PeerPlace
-from stampede_rt._async.puts import Numbers, PutStreams, Single
+from stampede_rt._async.puts import Numbers, Puts, Single
 from stampede_rt._async.session import Session
 from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_async import Mutex
@@ -20,7 +20,7 @@ class Sending:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._numbers = Numbers()
-        self._ways: dict[str, PutStreams] = {}
+        self._ways: dict[str, Puts] = {}
         self._mutex = Mutex()
 
     async def send(
@@ -35,12 +35,12 @@ class Sending:
         item = Single.parse(None, payload, None, None, attributes, content_type)
         return (await self._way(peer).put(self._numbers, item, Wait.parse(timeout))).first_seq
 
-    def _way(self, peer: str) -> PutStreams:
+    def _way(self, peer: str) -> Puts:
         with self._mutex:
             way = self._ways.pop(peer, None)
             if way is None:
-                way = PutStreams(self._session, PeerPlace(self._session, peer), Port.enqueues)
+                way = Puts(self._session, PeerPlace(self._session, peer), Port.enqueues)
             self._ways[peer] = way  # the last one used is the last to go
             if len(self._ways) > PEERS_MAX:
-                self._ways.pop(next(iter(self._ways))).close()
+                self._ways.pop(next(iter(self._ways)))  # its stream goes with its last user
         return way

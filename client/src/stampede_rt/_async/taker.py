@@ -260,6 +260,12 @@ class Taker:
                 len(messages), self._state.kind, self._state.name, error,
             )  # fmt: skip
 
+    async def let_go(self) -> None:
+        """Nobody has the handle any more: end without making anybody wait."""
+        self.closed = True
+        if self._worker is not None or self._ready:
+            Background(self.end, f"closing {self._state.name}")
+
     async def end(self) -> None:
         """Wake those who wait, take back what was asked for, and give back what nobody was given."""
         with self._mutex:

@@ -15,6 +15,7 @@ from typing import Protocol, TypeVar
 
 from stampede_rt._sync.attempts import attempt
 from stampede_rt._sync.ports import Ports
+from stampede_rt._sync.put_streams import PutStreams
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S, Supernodes
 from stampede_rt.binding import Binding, BindingCache, Owner
 from stampede_rt.codecs import Coding
@@ -68,6 +69,7 @@ class Session:
         self.ports = Ports(credentials)
         self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
+        self.put_streams = PutStreams()
         self.closed = False
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # who the connection is where items are consumed
         self.consumer_places: dict[bytes, Attached] = {}  # that it keeps, by channel id; see `consuming`

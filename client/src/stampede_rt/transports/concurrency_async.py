@@ -5,13 +5,17 @@ from __future__ import annotations
 import asyncio
 import inspect
 import time
+import weakref
 from collections.abc import Awaitable, Callable, Generator, Sequence
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
 Result = TypeVar("Result")
+_LINES = frozenset((0, 1))
+_running: set[asyncio.Future[None]] = set()  # held, so that none is collected before it is done
 
 monotonic_s = time.monotonic
 monotonic_nanos = time.monotonic_ns
@@ -76,9 +80,14 @@ async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> lis
 at_once = together
 
 
-def callers() -> set[int]:
-    """The ids that `thread_id` gives to those who can still call."""
-    return {0}
+def callers() -> frozenset[int]:
+    """What `put_line` gives to those who can still call."""
+    return _LINES
+
+
+def put_line(waits: bool) -> int:
+    """Which puts go on one stream: those that may have to wait for room would hold up those that may not."""
+    return int(waits)
 
 
 def thread_id() -> int:
@@ -95,6 +104,8 @@ class Background:
 
     def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
         self._task = asyncio.ensure_future(operation())
+        _running.add(self._task)
+        self._task.add_done_callback(_running.discard)
         if isinstance(self._task, asyncio.Task):
             self._task.set_name(f"stampede {name}")
 
@@ -104,6 +115,20 @@ class Background:
             return False
         ended, _ = await asyncio.wait((self._task,), timeout=timeout_s)
         return bool(ended)
+
+
+def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> None:
+    """Run `operation`, which must not hold `owner`, on this loop once nobody holds `owner`.
+
+    Objects are dropped on any thread, with any lock held, and after the loop's end.
+    """
+    finalizer = weakref.finalize(owner, _run_soon, asyncio.get_running_loop(), operation)
+    finalizer.atexit = False
+
+
+def _run_soon(loop: asyncio.AbstractEventLoop, operation: Callable[[], Awaitable[None]]) -> None:
+    with suppress(RuntimeError):  # the loop has ended, and with it all that was open
+        loop.call_soon_threadsafe(Background, operation, "closing")
 
 
 class Beginning:

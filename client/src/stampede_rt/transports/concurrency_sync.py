@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import threading
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
 Result = TypeVar("Result")
+_log = logging.getLogger("stampede_rt")
 
 Mutex = threading.Lock
 sleep = time.sleep
@@ -21,8 +25,13 @@ thread_id = threading.get_ident
 
 
 def callers() -> set[int | None]:
-    """The ids that `thread_id` gives to those who can still call: the threads that are alive."""
+    """What `put_line` gives to those who can still call: the threads that are alive."""
     return {thread.ident for thread in threading.enumerate()}
+
+
+def put_line(waits: bool) -> int:
+    """Which puts go on one stream: those of a thread, one at a time."""
+    return threading.get_ident()
 
 
 class Signal:
@@ -80,6 +89,43 @@ class Background:
             return False
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
+
+
+class _Dropped:
+    """Runs what is left to do for objects that nobody holds any more, on a daemon thread that starts with the first.
+
+    Objects are dropped on any thread, with any lock held, gRPC's own among them: there nothing may be done but this.
+    """
+
+    def __init__(self) -> None:
+        self.operations: SimpleQueue[Callable[[], object]] = SimpleQueue()
+        self._mutex = threading.Lock()
+        self._started = False
+
+    def start(self) -> None:
+        with self._mutex:
+            if not self._started:
+                threading.Thread(target=self._run, name="stampede dropped", daemon=True).start()
+                self._started = True
+
+    def _run(self) -> None:
+        while True:
+            operation = self.operations.get()
+            try:
+                operation()
+            except Exception:  # noqa: BLE001  # a defect of one must not keep the others open
+                _log.exception("something that nobody uses any more could not be closed")
+            del operation  # holds what it closed
+
+
+_dropped = _Dropped()
+
+
+def when_dropped(owner: object, operation: Callable[[], object]) -> None:
+    """Run `operation`, which must not hold `owner`, on a thread of the library's own once nobody holds `owner`."""
+    _dropped.start()
+    finalizer = weakref.finalize(owner, _dropped.operations.put, operation)
+    finalizer.atexit = False
 
 
 class Beginning:

@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 import grpc
@@ -15,6 +16,7 @@ from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
+from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
@@ -116,6 +118,10 @@ def _is_cancelled() -> bool:
     return task is not None and task.cancelling() > 0
 
 
+async def _give_up(call: Any) -> None:
+    call.cancel()
+
+
 class Stream(Generic[Response]):
     """The responses of one request. `cancel` may be called from anywhere and ends the iteration."""
 
@@ -123,6 +129,7 @@ class Stream(Generic[Response]):
         self._call = call
         self._target = target
         self._cancelled = False
+        when_dropped(self, partial(_give_up, call))
 
     async def __aiter__(self) -> AsyncIterator[Response]:
         responses = aiter(self._call)

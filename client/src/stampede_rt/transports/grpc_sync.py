@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
@@ -14,6 +15,7 @@ from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
+from stampede_rt.transports.concurrency_sync import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
@@ -123,6 +125,7 @@ class Stream(Generic[Response]):
         self._target = target
         self._watchdog = watchdog
         self._cancelled = False
+        when_dropped(self, call.cancel)
 
     def __iter__(self) -> Iterator[Response]:
         overdue: list[bool] = []
@@ -156,6 +159,7 @@ class Conversation(Stream[Response]):
     def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
         self._requests: SimpleQueue[Any] = SimpleQueue()
         super().__init__(port.begin(method, iter(self._requests.get, None)), port.target, watchdog)
+        when_dropped(self, partial(self._requests.put, None))
 
     def say(self, request: Any) -> None:
         """Send `request`. That the stream is broken is found out by the iteration."""
@@ -173,10 +177,9 @@ class _Exchange:
     def __init__(self, port: Port, method: Callable[..., Any]) -> None:
         self._target = port.target
         self._requests: SimpleQueue[Any] = SimpleQueue()
-        self.broken = True  # until there is a call
-        self._call: Any = None
-        self._call = port.begin(method, iter(self._requests.get, None))
+        self._call: Any = port.begin(method, iter(self._requests.get, None))
         self.broken = False
+        when_dropped(self, partial(_give_up, self._requests, self._call))  # the thread that owned it is gone
 
     def _error(self, error: BaseException) -> StampedeError:
         self.cancel()
@@ -187,12 +190,12 @@ class _Exchange:
     def cancel(self) -> None:
         """Give the stream up."""
         self.broken = True
-        self._requests.put(None)
-        if self._call is not None:
-            self._call.cancel()
+        _give_up(self._requests, self._call)
 
-    def __del__(self) -> None:
-        self.cancel()  # the thread that owned it is gone, or the caller has let go of it
+
+def _give_up(requests: SimpleQueue[Any], call: Any) -> None:
+    requests.put(None)
+    call.cancel()
 
 
 class _Lockstep(_Exchange):

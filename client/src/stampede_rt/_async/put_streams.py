@@ -1,0 +1,92 @@
+"""The open put streams of a connection, shared out over all of its handles."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+
+from stampede_rt.binding import Binding
+from stampede_rt.transports.concurrency_async import Mutex, callers, put_line, when_dropped
+from stampede_rt.transports.grpc_async import PutExchange
+
+STREAMS_MAX = 512
+_handle_ids = itertools.count(1)
+
+
+class PutStream:
+    """One open stream to the place of a channel or queue, and how many puts are under way on it."""
+
+    __slots__ = ("binding", "exchange", "puts")
+
+    def __init__(self, binding: Binding, exchange: PutExchange) -> None:
+        self.binding = binding
+        self.exchange = exchange
+        self.puts = 0
+
+    def leads_to(self, binding: Binding) -> bool:
+        """It is open, and to that place."""
+        return (self.binding is binding or self.binding == binding) and not self.exchange.broken
+
+
+class PutStreams:
+    """One stream for each handle and line of puts. Beyond 512 the longest unused one is closed; none that is in use."""
+
+    def __init__(self) -> None:
+        self._streams: dict[tuple[int, int], PutStream] = {}  # the longest unused one first
+        self._mutex = Mutex()
+
+    def handle(self, owner: object) -> int:
+        """The key of a new handle, whose streams are closed once nobody holds `owner`."""
+        handle_id = next(_handle_ids)
+        when_dropped(owner, partial(self._let_go, handle_id))
+        return handle_id
+
+    @contextmanager
+    def use(
+        self, handle_id: int, waits: bool, binding: Binding, open_stream: Callable[[], PutExchange]
+    ) -> Iterator[PutExchange]:
+        """The handle's stream to `binding`, for one put, which may have to wait for room or may not."""
+        key = (handle_id, put_line(waits))
+        stream = self._streams.get(key)
+        if stream is None or not stream.leads_to(binding):
+            stream = self._replace(key, PutStream(binding, open_stream()))
+        with self._mutex:
+            stream.puts += 1
+            if self._streams.pop(key, None) is stream:
+                self._streams[key] = stream  # the last one used is the last to go
+        try:
+            yield stream.exchange
+        finally:
+            with self._mutex:
+                stream.puts -= 1
+                over = not stream.puts and self._streams.get(key) is not stream
+            if over:  # closed while it was in use
+                stream.exchange.cancel()
+
+    def _replace(self, key: tuple[int, int], stream: PutStream) -> PutStream:
+        with self._mutex:
+            gone = [self._streams.pop(key, None)]  # to a place that is not the channel's any more
+            alive = callers()
+            gone += [self._streams.pop(one) for one in tuple(self._streams) if one[1] not in alive]
+            idle = [one for one, open_one in self._streams.items() if not open_one.puts]
+            gone += [self._streams.pop(one) for one in idle[: max(0, len(self._streams) + 1 - STREAMS_MAX)]]
+            self._streams[key] = stream
+        _close(gone)
+        return stream
+
+    def close(self, handle_id: int) -> None:
+        """Close the handle's streams, those in use after their puts. A later put opens one again."""
+        with self._mutex:
+            gone = [self._streams.pop(one, None) for one in tuple(self._streams) if one[0] == handle_id]
+        _close(gone)
+
+    async def _let_go(self, handle_id: int) -> None:
+        self.close(handle_id)
+
+
+def _close(streams: list[PutStream | None]) -> None:
+    for stream in streams:
+        if stream is not None and not stream.puts:
+            stream.exchange.cancel()

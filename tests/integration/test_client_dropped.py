@@ -1,0 +1,185 @@
+"""Handles, subscriptions and producers that are dropped without being closed: what they held open goes with them."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import threading
+from collections.abc import Callable
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt._async import put_streams as put_streams_async
+from stampede_rt._sync import put_streams as put_streams_sync
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+HANDLES = 600
+LEFT_MAX = 40
+LIMIT_S = 20.0
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Look again and again, since what ends in other threads tells nobody."""
+    ended = threading.Event()
+    for _ in range(int(LIMIT_S / 0.02)):
+        if condition():
+            return
+        ended.wait(0.02)
+    raise AssertionError("it did not come about in time")
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(int(LIMIT_S / 0.02)):
+        if condition():
+            return
+        await asyncio.wait([asyncio.get_running_loop().create_future()], timeout=0.02)
+    raise AssertionError("it did not come about in time")
+
+
+async def until_a_put_waits(channel: aio.Channel) -> None:
+    async with asyncio.timeout(LIMIT_S):
+        while not (await channel.stats()).waiting_puts:
+            pass
+
+
+def test_channels_opened_put_to_and_dropped_leave_no_streams_of_a_connection_open(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        rt.channel("dropped/0").put(b"x")
+        streams, before = rt._session.put_streams._streams, threading.active_count()
+        most = 0
+        for number in range(HANDLES):
+            rt.channel(f"dropped/{number % 20}", max_items=5).put(b"x")
+            most = max(most, len(streams))
+        assert most < LEFT_MAX
+        wait_until(lambda: not streams and threading.active_count() <= before)
+
+
+async def test_awaited_channels_opened_put_to_and_dropped_leave_no_streams_open(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        streams, before = rt._session.put_streams._streams, len(asyncio.all_tasks())
+        most = 0
+        for number in range(HANDLES):
+            await (await rt.channel(f"dropped/{number % 20}", max_items=5)).put(b"x")
+            most = max(most, len(streams))
+        assert most < LEFT_MAX
+        await until(lambda: not streams and len(asyncio.all_tasks()) <= before)
+
+
+async def test_awaited_handles_dropped_by_another_thread_are_closed_too(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        held = [await rt.channel("dropped/elsewhere", max_items=5)]
+        await held[0].put(b"x")
+        dropping = threading.Thread(target=held.clear)
+        dropping.start()
+        await until(lambda: not rt._session.put_streams._streams)
+        dropping.join()
+
+
+async def test_a_handle_that_is_dropped_after_its_loop_has_ended_says_nothing(cluster: LocalCluster) -> None:
+    async def opened() -> tuple[aio.Connection, aio.Channel, aio.Queue]:
+        rt = await aio.connect(cluster.address)
+        channel, queue = await rt.channel("dropped/late", max_items=5), await rt.queue("dropped/late")
+        await channel.put(b"x")
+        await queue.put(b"x")
+        await rt.aclose()
+        return rt, channel, queue
+
+    held = [await asyncio.to_thread(asyncio.run, opened())]
+    held.clear()
+    gc.collect()
+
+
+def test_queues_put_to_and_taken_from_and_dropped_leave_nothing_open(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        rt.queue("dropped/0").put(b"x")
+        before = threading.active_count()
+        for number in range(150):
+            queue = rt.queue(f"dropped/{number % 5}")
+            queue.put(b"%d" % number)
+            message = queue.get(timeout=5)
+            assert message is not None
+            message.ack()
+        del queue, message
+        wait_until(lambda: not rt._session._attached and not rt._session.put_streams._streams)
+        wait_until(lambda: threading.active_count() <= before)
+
+
+async def test_awaited_queues_that_are_dropped_give_back_what_they_had_prefetched(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        for number in range(10):
+            queue = await rt.queue("dropped/prefetched", prefetch=10, lease="60s")
+            if not number:
+                for payload in (b"a", b"b", b"c"):
+                    await queue.put(payload)
+            message = await queue.get(timeout=5)
+            assert message is not None
+            assert message.payload == b"a"
+            await message.nack()
+            del queue, message
+            await until(lambda: not rt._session._attached)
+
+
+async def test_subscriptions_and_producers_that_are_dropped_end(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("dropped/subscribed", max_items=500)
+        before = len(asyncio.all_tasks())
+        for number in range(100):
+            subscription = channel.subscribe(start=st.OLDEST)
+            async with channel.producer() as closed:
+                await closed.put(b"%d" % number)
+            await anext(subscription)
+        del subscription, closed
+        for _ in range(200):
+            if not (await channel.stats()).subscriptions:
+                break
+        assert (await channel.stats()).subscriptions == 0
+        await until(lambda: len(asyncio.all_tasks()) <= before)
+
+
+def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(put_streams_sync, "STREAMS_MAX", 8)
+    with st.connect(cluster.address) as rt:
+        channels = [rt.channel(f"dropped/kept/{number}", max_items=5) for number in range(30)]
+        for _ in range(2):
+            for channel in channels:
+                channel.put(b"x")
+                assert len(rt._session.put_streams._streams) <= 8
+        assert [channel.stats().accepted for channel in channels] == [2] * 30
+
+
+async def test_a_stream_with_a_put_that_waits_is_not_closed_for_others(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(put_streams_async, "STREAMS_MAX", 2)
+    async with await aio.connect(cluster.address) as rt:
+        full = await rt.channel("dropped/full", max_items=1, max_age="60s", on_full="block")
+        await full.put(b"first")
+        waiting = asyncio.ensure_future(full.put(b"second"))
+        await until_a_put_waits(full)
+        others = [await rt.channel(f"dropped/others/{number}", max_items=5) for number in range(6)]
+        for other in others:
+            await other.put(b"x")
+        assert (await full.stats()).waiting_puts == 1
+        await full.configure(max_items=5)
+        async with asyncio.timeout(LIMIT_S):
+            assert (await waiting).seq == 2
+
+
+async def test_a_put_that_may_not_wait_is_not_held_up_by_one_that_does(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("dropped/two-lines", max_items=1, max_age="60s", on_full="block")
+        await channel.put(b"first")
+        waiting = asyncio.ensure_future(channel.put(b"second"))
+        await until_a_put_waits(channel)
+        with pytest.raises(st.ChannelFull):
+            await channel.put(b"third", timeout=0)
+        assert not waiting.done()
+        await channel.delete()
+        with pytest.raises(st.ChannelNotFound):
+            await waiting
