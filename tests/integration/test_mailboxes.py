@@ -37,6 +37,24 @@ def test_a_message_is_found_by_the_name_of_its_receiver(cluster: LocalCluster) -
         assert planner.mailbox.name == "planner"
 
 
+def test_a_value_is_sent_with_a_codec_and_read_with_the_same(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address, name="valued") as rt:
+        rt.send("valued", {"x": [1, 2]}, codec="json")
+        message = rt.mailbox.get(timeout=10)
+        assert message is not None
+        assert (message.content_type, message.decode("json")) == ("application/json", {"x": [1, 2]})
+        assert message.value == message.decode("bytes") == message.payload
+        message.ack()
+        with pytest.raises(st.CodecError, match="message to 'valued'"):
+            rt.send("valued", {1, 2}, codec="json")
+        rt.send("valued", b"hello", content_type="text/plain")
+        plain = rt.mailbox.get(timeout=10)
+        assert plain is not None
+        with pytest.raises(st.CodecError, match="text/plain"):
+            plain.decode("json")
+        plain.ack()
+
+
 def test_messages_come_in_order_to_whoever_iterates(cluster: LocalCluster) -> None:
     with st.connect(cluster.address, name="reader") as reader, st.connect(cluster.address, name="writer") as writer:
         seqs = [writer.send("reader", str(number).encode()) for number in range(5)]
@@ -68,7 +86,7 @@ def test_nobody_can_be_sent_to_who_is_not_there(cluster: LocalCluster) -> None:
         with pytest.raises(st.InvalidName, match="peer name"):
             rt.send("Not a name", b"x")
         with pytest.raises(st.InvalidArgument, match="encode"):
-            rt.send("nobody", "text")  # type: ignore[arg-type]
+            rt.send("nobody", "text")
 
 
 def test_whoever_left_and_came_back_is_found_anew(cluster: LocalCluster) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import TracebackType
+from typing import Any
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
@@ -221,20 +222,22 @@ class Connection(Discovery):
     async def send(
         self,
         peer: str | PeerInfo,
-        payload: bytes,
+        payload: Any,
         timeout: float | None = None,
         *,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
+        codec: str | Codec | None = None,
     ) -> int:
         """Put a message into the mailbox of a participant, named or as `peers` gave it; its seq there is returned.
 
+        `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`.
         A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
-        limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge; Unavailable
-        if the mailbox's host cannot be reached.
+        limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge, CodecError;
+        Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer
-        return await self._sending.send(parse_name(name, "peer"), payload, timeout, attributes, content_type)
+        return await self._sending.send(parse_name(name, "peer"), payload, timeout, attributes, content_type, codec)
 
     async def mailbox_stats(self, peer: str) -> QueueStats:
         """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""

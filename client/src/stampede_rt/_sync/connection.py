@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import TracebackType
+from typing import Any
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cross_section import cross_section
@@ -220,20 +221,22 @@ class Connection(Discovery):
     def send(
         self,
         peer: str | PeerInfo,
-        payload: bytes,
+        payload: Any,
         timeout: float | None = None,
         *,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
+        codec: str | Codec | None = None,
     ) -> int:
         """Put a message into the mailbox of a participant, named or as `peers` gave it; its seq there is returned.
 
+        `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`.
         A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
-        limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge; Unavailable
-        if the mailbox's host cannot be reached.
+        limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge, CodecError;
+        Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer
-        return self._sending.send(parse_name(name, "peer"), payload, timeout, attributes, content_type)
+        return self._sending.send(parse_name(name, "peer"), payload, timeout, attributes, content_type, codec)
 
     def mailbox_stats(self, peer: str) -> QueueStats:
         """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""

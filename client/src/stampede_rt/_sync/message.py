@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt._sync.attempts import Place, attempt
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.binding import Binding
-from stampede_rt.codecs import Coding
+from stampede_rt.codecs import Codec, Coding
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.policy import duration_of
 from stampede_rt.queueing import parse_lease
@@ -108,6 +108,14 @@ class Message:
         if self._coding is None:
             return self.payload
         return self._coding.decode(self.payload, self.content_type, f"item #{self.seq}")
+
+    def decode(self, codec: str | Codec) -> Any:
+        """The payload as `codec` decodes it: for a mailbox, to whose senders each its own codec may be right.
+
+        Raises CodecError, also if the message's content type is not the codec's.
+        """
+        coding = Coding.parse(codec, "the message")
+        return coding.decode(self.payload, self.content_type, f"item #{self.seq}") if coding else self.payload
 
     @property
     def lease_left(self) -> float:

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.puts import Numbers, Puts, Single
 from stampede_rt._sync.session import Session
+from stampede_rt.codecs import Codec, Coding
 from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_sync import Mutex
 from stampede_rt.transports.grpc_sync import Port
@@ -27,13 +29,15 @@ class Sending:
     def send(
         self,
         peer: str,
-        payload: bytes,
+        payload: Any,
         timeout: float | None,
         attributes: Mapping[str, str] | None,
         content_type: str | None,
+        codec: str | Codec | None,
     ) -> int:
         """Put one message; its seq. See `Connection.send`."""
-        item = Single.parse(None, payload, None, None, attributes, content_type)
+        coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
+        item = Single.parse(coding, payload, None, None, attributes, content_type)
         return (self._way(peer).put(self._numbers, item, Wait.parse(timeout))).first_seq
 
     def _way(self, peer: str) -> Puts:
