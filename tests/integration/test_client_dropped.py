@@ -140,6 +140,34 @@ async def test_subscriptions_and_producers_that_are_dropped_end(cluster: LocalCl
         await until(lambda: len(asyncio.all_tasks()) <= before)
 
 
+async def test_awaited_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: LocalCluster) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("dropped/produced", max_items=500)
+        await channel.put(b"x")
+        before = len(asyncio.all_tasks())
+        for number in range(50):
+            producer = channel.producer()
+            for _ in range(3):
+                await producer.put(b"%d" % number)
+        del producer
+        await until(lambda: len(asyncio.all_tasks()) <= before)
+        assert (await channel.stats()).accepted == 151
+
+
+def test_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = rt.channel("dropped/produced-by-threads", max_items=500)
+        channel.put(b"x")
+        before = threading.active_count()
+        for number in range(50):
+            producer = channel.producer()
+            for _ in range(3):
+                producer.put(b"%d" % number)
+        del producer
+        wait_until(lambda: threading.active_count() <= before)
+        assert channel.stats().accepted == 151
+
+
 def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from types import TracebackType
 from typing import Any
+from weakref import WeakMethod
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.batching import NumberedRun, RunBuilder
@@ -19,7 +20,7 @@ from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.retry import Backoff
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
-from stampede_rt.transports.concurrency_sync import Mutex, Signal, sleep
+from stampede_rt.transports.concurrency_sync import Mutex, Signal, sleep, when_dropped
 from stampede_rt.transports.grpc_sync import PutDuplex
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.wire.put_frames import put_head, put_request
@@ -28,12 +29,14 @@ IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
 IN_FLIGHT_RUNS_MAX = 64
 REJECTIONS_KEPT_MAX = 1024
 ITEM_OVERHEAD_BYTES = 64
+_in_flight: set[Producer] = set()  # held until their items are acked, even if nobody else holds them any more
 
 
 class Producer:
     """Puts that do not wait for their acks, with bounded bytes in flight (see `Channel.producer`).
 
-    Use it as a context manager, from one thread or task; leaving it flushes. `accepted` counts acked items,
+    Use it as a context manager, from one thread or task; leaving it flushes. One that is dropped without being closed
+    lets go of its stream once its items are acked. `accepted` counts acked items,
     `rejections` refused ones; `rejected` holds the errors since the last flush, the first 1024 of them.
     """
 
@@ -47,6 +50,7 @@ class Producer:
         self._mutex = Mutex()  # guards the builder and the order of writes
         self._moved = Signal()
         self._stream: PutDuplex | None = None
+        self._opened: list[PutDuplex] = []  # the one last opened, for whoever closes it when this is dropped
         self._generation = 0  # tells the acks of a stream that was given up from those of its successor
         self._opening = False  # while what is unacked is sent again, nothing new may go between
         self._failure: StampedeError | None = None
@@ -55,6 +59,7 @@ class Producer:
         self.accepted = 0
         self.rejections = 0
         self.rejected: list[StampedeError] = []
+        when_dropped(self, partial(_give_up, self._opened))
 
     def __enter__(self) -> Producer:
         return self
@@ -91,6 +96,7 @@ class Producer:
             self._send()
         with self._mutex:
             self._builder.add(payload, instant, nanos, attributes, kind)
+            _in_flight.add(self)
         if not self._unacked:  # nothing is under way: no reason to wait for company
             self._send()
 
@@ -111,6 +117,7 @@ class Producer:
         with self._mutex:
             self._generation += 1
             stream, self._stream = self._stream, None
+            _in_flight.discard(self)
         if stream is not None:
             stream.cancel()
 
@@ -176,10 +183,12 @@ class Producer:
         def open_at(binding: Binding) -> None:
             self._failure = None
             port = self._session.ports.to(binding.target)
-            on_acks, on_end = partial(self._acked, self._generation), partial(self._ended, self._generation)
+            on_acks = partial(_weakly(self._acked), self._generation)
+            on_end = partial(_weakly(self._ended), self._generation)
             head = put_head(binding.channel_id, binding.epoch, self._producer_id)
             with self._mutex:
                 self._stream = port.duplex(on_acks, on_end)
+                self._opened[:] = [self._stream]
                 self._write(head)
                 for run in tuple(self._unacked):
                     self._write(put_request(b"", run.first_number, (run.encoded,)))
@@ -195,6 +204,8 @@ class Producer:
             for ack in response.acks:
                 if generation == self._generation and self._failure is None:
                     self._count(ack)
+            if self._failure is not None or not (self._unacked or len(self._builder)):
+                _in_flight.discard(self)
         self._moved.set()
         if self._may_follow(generation) and len(self._builder) and self._has_room():
             self._send_filled()
@@ -220,4 +231,22 @@ class Producer:
         with self._mutex:
             if generation == self._generation:
                 self._failure = self._failure or error
+                _in_flight.discard(self)
         self._moved.set()
+
+
+def _weakly(method: Callable[..., None]) -> Callable[..., None]:
+    """`method`, without holding what it belongs to: nothing is to be done for what is gone."""
+    reference = WeakMethod(method)
+
+    def call(*arguments: Any) -> None:
+        found = reference()
+        if found is not None:
+            found(*arguments)
+
+    return call
+
+
+def _give_up(streams: list[PutDuplex]) -> None:
+    for stream in streams:
+        stream.cancel()
