@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+from unittest import mock
 
 import pytest
 from hypothesis import HealthCheck, given, note, settings
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
-from stampede_rt_channel_host.core.channel import Offer, Position, Query
+from stampede_rt_channel_host.core.channel import Offer, Position, Query, holdings
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice
 
@@ -172,11 +173,19 @@ STEPS = (
 
 
 def play(numbers: list[int]) -> None:
-    """One story: a policy, then a step for each number; with `hasty` nobody looks between the steps."""
+    """One story: a policy, then a step for each number; with `hasty` nobody looks between the steps.
+
+    What is held is counted in blocks, as small as the few items of a story.
+    """
     first = Dice(numbers[0])
     pair = ChannelPair(first.pick(POLICIES), FIRST_CLOCK)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
-    for number in numbers[1:]:
+    with mock.patch.object(holdings, "ITEMS_PER_BLOCK", first.pick((2, 1, 3, 1024))):
+        _play_steps(pair, numbers[1:], hasty=hasty, counts=counts)
+
+
+def _play_steps(pair: ChannelPair, numbers: list[int], *, hasty: bool, counts: bool) -> None:
+    for number in numbers:
         dice = Dice(number)
         step = consume if counts and dice.one_in(3) else dice.pick(STEPS)
         note(step.__name__)

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+
 from stampede_rt.model import Policy
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Match
+from stampede_rt_channel_host.core.channel.holdings import ITEMS_PER_BLOCK
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.run import Slice
 from tests.unit.core.channels import CLOCK, a_channel, get, put, times_of
 
 
@@ -76,6 +84,51 @@ def test_what_is_outdated_is_never_returned_though_its_memory_is_freed_in_small_
     assert not channel.collect(later, entries_max=10_000)
     assert channel.next_deadline(later) is None
     assert times_of(get(channel, now=later).slices) == [CLOCK + 499]
+
+
+def test_age_looks_at_a_bounded_part_of_what_it_outdates_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A million items that went together once stalled the host for most of a second."""
+    channel = a_channel(max_age_nanos=1_000_000)
+    for time in range(CLOCK, CLOCK + 9000):
+        put(channel, time, now=time)
+    looked = count_slices(monkeypatch)
+    counters = channel.counters(CLOCK + 1_008_000)
+    assert (counters.held, counters.held_bytes, counters.collected["age"]) == (1000, 10_000, 8000)
+    assert (channel.oldest, channel.frontier) == (CLOCK + 8000, CLOCK + 8000)
+    assert len(looked) <= ITEMS_PER_BLOCK + 10
+
+
+def count_slices(monkeypatch: pytest.MonkeyPatch) -> list[Slice]:
+    """Every slice that is looked at from now on."""
+    looked: list[Slice] = []
+    for name in ("slices", "slices_from"):
+        found = getattr(ChannelIndex, name)
+
+        def look(*places: object, found: Callable[..., Iterator[Slice]] = found) -> Iterator[Slice]:
+            for part in found(*places):
+                looked.append(part)
+                yield part
+
+        monkeypatch.setattr(ChannelIndex, name, look)
+    return looked
+
+
+def test_age_counts_what_it_outdates_however_late_it_came_and_whatever_went_before() -> None:
+    rng = random.Random(5)
+    channel = a_channel(max_age_nanos=1_000_000, max_items=4500)
+    held: list[int] = []
+    now = CLOCK
+    for step in range(1, 4001):
+        now += 500 if step % 1000 else 900_000  # so long a pause outdates a few blocks at once
+        late = rng.choice((1, 1, 300_000))
+        times = [now - rng.randrange(late) for _ in range(rng.randrange(1, 5))]
+        put(channel, *times, now=now)
+        held = sorted(held + times)
+        past = [time for time in held if time <= now - 1_000_000]
+        held = [time for time in held if not past or time >= past[-1]][-4500:]
+        if step % 50 == 0:
+            counters = channel.counters(now)
+            assert (counters.held, counters.held_bytes, channel.oldest) == (len(held), 10 * len(held), held[0])
 
 
 def test_freeing_keeps_pace_with_puts_so_that_memory_stays_bounded() -> None:

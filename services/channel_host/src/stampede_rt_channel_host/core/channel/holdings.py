@@ -12,8 +12,12 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
+from stampede_rt_channel_host.core.channel.tally import Tally
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+
+ITEMS_PER_BLOCK = 1024
+"""About so many items that came in order are counted as one, so that ageing walks hardly more than so many."""
 
 
 class Front(NamedTuple):
@@ -39,9 +43,9 @@ class Holdings:
     """
 
     __slots__ = (
-        "_following",
-        "_stored_bytes", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index",
-        "items", "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
+        "_following", "_stored_bytes", "_tally",
+        "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
+        "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -61,6 +65,7 @@ class Holdings:
         self.last_cause = AGE
         self.on_gone: Callable[[int, int], None] | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
+        self._tally = Tally()  # of what is held, without the newest items
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
 
     @property
@@ -95,6 +100,8 @@ class Holdings:
         if low < self.floor[0]:
             self._make_way()
         self.index.insert(run)
+        if low < self._tally.end:
+            self._tally.add_late(run, payload_bytes, low, high)
         self._count_in(len(run), payload_bytes, low, high)
 
     def store_item(self, run: Run, at: int, payload_bytes: int) -> None:
@@ -103,6 +110,8 @@ class Holdings:
         if time < self.floor[0]:
             self._make_way()
         self.index.insert_item(run, at)
+        if time < self._tally.end:
+            self._tally.add_late_item(payload_bytes, time)
         self._count_in(1, payload_bytes, time, time)
 
     def _make_way(self) -> None:
@@ -115,6 +124,8 @@ class Holdings:
 
     def _count_in(self, items: int, payload_bytes: int, low: int, high: int) -> None:
         self._following = (None, None)
+        if self.items - self._tally.items >= ITEMS_PER_BLOCK and self.newest is not None and low > self.newest:
+            self._tally.close(low, self.items - self._tally.items, self.payload_bytes - self._tally.payload_bytes)
         self.items += items
         self.payload_bytes += payload_bytes
         self.accepted += items
@@ -185,6 +196,19 @@ class Holdings:
                 return Front(items, payload_bytes, tail, Slice(part.run, part.lo + taken, part.hi))
         return Front(items, payload_bytes, tail, None)
 
+    def front_before(self, time: int) -> Front:
+        """The held items before `time`, however many there are: walks only those that whole blocks do not count."""
+        items, payload_bytes, end = self._tally.whole_before(time)
+        if not items:
+            return self.front(before(time))
+        for part in self.slices((end, 0), (time, 0)):
+            items += part.items
+            payload_bytes += part.payload_bytes
+        last_time = self.index.floor_time(time - 1)
+        assert last_time is not None, "there are items"
+        tail = list(self.slices((last_time, 0), (time, 0)))
+        return Front(items, payload_bytes, tail, next(self.slices((time, 0)), None))
+
     def time_behind(self, front: Front) -> int | None:
         """The time of the bucket behind the last one that a front, which is not empty, takes of."""
         if front.rest is None:
@@ -207,6 +231,7 @@ class Holdings:
         self.floor = last.last_time, last.end_seq
         self.items -= front.items
         self.payload_bytes -= front.payload_bytes
+        self._tally.take(front.items, front.payload_bytes)
         self.collected[cause] += front.items
         self.oldest = None if front.rest is None else front.rest.first_time
         self.newest = None if front.rest is None else self.newest
@@ -263,3 +288,12 @@ def _end_of_newest(bucket: Iterator[Slice], time: int, now: int) -> int:
         for duration in (ABSENT,) if durations is None else durations[part.lo : part.hi]:
             ends.append(max(now, time) if duration == ABSENT else time + duration)
     return max(ends)
+
+
+def before(time: int) -> Going:
+    """Takes items before `time`."""
+
+    def going(part: Slice) -> int:
+        return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
+
+    return going

@@ -10,10 +10,8 @@ but items age by the clock alone, so that a producer whose clock runs ahead shor
 
 from __future__ import annotations
 
-from bisect import bisect_left
-
 from stampede_rt_channel_host.core.channel.consumption import Consumers
-from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Going, Holdings
+from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Going, Holdings, before
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
@@ -79,7 +77,7 @@ class Retention:
         if bound is not None and self.limits.max_age_unconsumed_nanos is not None:
             bound = self._prolonged(bound, clock - self.limits.max_age_unconsumed_nanos)
         if bound is not None:
-            held.outdate(held.front(_before(bound)), AGE, clock)
+            held.outdate(held.front_before(bound), AGE, clock)
 
     def _age_bound(self, cutoff: int) -> int | None:
         """The time of the first bucket that age leaves. Span ends ascend with the buckets, so one bucket decides."""
@@ -142,7 +140,7 @@ class Retention:
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
             return
-        going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else _before(held.newest))
+        going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest))
         front = held.front(going)
         self.has_more = going.held_back
         if front.items:
@@ -203,7 +201,7 @@ class Retention:
         oldest = self._held.oldest
         following = None if oldest is None else self._held.next_time(oldest)
         if following is not None:
-            self._held.outdate(self._held.front(_before(following)), AGE, clock)
+            self._held.outdate(self._held.front_before(following), AGE, clock)
 
     def retry_at(self, time: int, own_end: int | None) -> int | None:
         """When time next makes room, judged as if an item were in at `time`; `own_end` is its end by duration, if any.
@@ -276,14 +274,5 @@ def oldest_bytes(charged_bytes: int) -> Going:
                 return at - lo
             charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
         return part.items
-
-    return going
-
-
-def _before(time: int) -> Going:
-    """Takes items before `time`."""
-
-    def going(part: Slice) -> int:
-        return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
 
     return going
