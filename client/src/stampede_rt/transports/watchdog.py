@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import heapq
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 IDLE_S = 30.0
+_log = logging.getLogger("stampede_rt")
 
 
 class Watchdog:
@@ -52,20 +54,30 @@ class Watchdog:
                 self._changed.notify()
 
     def _watch(self) -> None:
+        while (on_overdue := self._next_overdue()) is not None:
+            try:  # without the lock: cancelling takes locks of gRPC, and nobody who sets a limit may wait for those
+                on_overdue()
+            except Exception:  # noqa: BLE001  # a defect at one limit must not end the others
+                _log.exception("what was overdue could not be cancelled")
+
+    def _next_overdue(self) -> Callable[[], object] | None:
+        """Block until something is overdue; None once the thread is to end."""
         with self._changed:
             while not self._closed:
-                now_s = time.monotonic()
-                while self._limits and (self._limits[0][4] or self._limits[0][0] <= now_s):
-                    _, _, on_overdue, overdue, done = heapq.heappop(self._limits)
-                    if not done:
-                        overdue.append(True)
-                        on_overdue()
+                while self._limits and self._limits[0][4]:
+                    heapq.heappop(self._limits)
                 self._wakes_at_s = self._limits[0][0] if self._limits else float("inf")
+                left_s = self._wakes_at_s - time.monotonic()
+                if left_s <= 0:
+                    _, _, on_overdue, overdue, _ = heapq.heappop(self._limits)
+                    overdue.append(True)
+                    return on_overdue
                 if self._limits:
-                    self._changed.wait(self._wakes_at_s - now_s)
+                    self._changed.wait(left_s)
                 elif not self._changed.wait(IDLE_S) and not self._limits:
                     break
             self._thread = None
+            return None
 
     def close(self) -> None:
         """End the thread."""
