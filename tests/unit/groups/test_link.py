@@ -92,9 +92,12 @@ async def test_the_other_side_is_told_only_what_it_wants_to_hear_and_the_latest_
         wire.link.tell_floor(b"group")
         await asyncio.sleep(0)
     wire.may_write.set()
-    said = [(await wire.sent.get()).update for _ in range(2)]
-    assert [len(one.times) for one in said] == [1, 1]  # one was under way; all others became one
-    assert (said[-1].times[0].newest_unix_nano, said[-1].floors[0].cut_unix_nano) == (99, 99)
+    said = [(await wire.sent.get()).update]
+    while said[-1].times[0].newest_unix_nano < 99:
+        said.append((await wire.sent.get()).update)
+    assert len(said) <= 2  # one may have been under way; all others became one
+    assert [len(one.times) for one in said] == [1] * len(said)
+    assert said[-1].floors[0].cut_unix_nano == 99
     assert notebook.asked == [{b"one", b"two"}]
     await wire.end()
 

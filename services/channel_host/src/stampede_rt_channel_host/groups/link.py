@@ -1,6 +1,8 @@
 """One stream between two hosts that share a group: how far channels are, and cuts have come (paper, section 4.1).
 
-Both sides do the same. What has changed is gathered while a message is being written; only the latest of it is sent.
+Both sides do the same. What has changed is gathered while a message is being written, and for PACE_SECONDS after it;
+only the latest of it is sent. So what is new after a silence goes at once, and busy channels cost a bounded number of
+messages.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_runtime.version import PROTOCOL_VERSION
 
+PACE_SECONDS = 0.005
 LIFE_SECONDS = 1.0
 BROKEN_AFTER_SECONDS = 5.0
 ENTRIES_MAX = 1024
@@ -138,6 +141,7 @@ class Link:
     async def _write_all(self) -> None:
         while True:  # ends with the stream; paced by news and signs of life
             await self._write(self._message(update=self._gather()))
+            await asyncio.sleep(PACE_SECONDS)
             if not (self._times or self._floors):
                 await self._wait()
 
