@@ -30,6 +30,7 @@ PALE = {BLUE: "#cfe3f1", ORANGE: "#fbe8c3", GREEN: "#cbe9df"}
 INK, FAINT, BAND = "#222222", "#767676", "#eef2f6"
 WIDTH_INCHES, DOTS_PER_INCH = 11.0, 150
 LANE, HEIGHT = 1.0, 0.56
+READ_SECONDS = 10.0
 HOLDS_S = 0.004  # a span of no length is drawn so wide that it can be seen
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 
@@ -37,12 +38,13 @@ IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 @dataclass(frozen=True)
 class Drawn:
     """One item on its lane, in seconds since the beginning; `end` None: it holds up to now. `row` 1: beneath another of
-    its bucket."""
+    its bucket. `visible`: a reader through the group got it."""
 
     start_s: float
     end_s: float | None
     text: str
     row: int = 0
+    visible: bool = True
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Lane:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn; `cut_s`: where a group's cut lies, with everything that is visible to the left of it."""
+    """What is drawn; `cut_s`: where a group's cut lies."""
 
     title: str
     subtitle: str
@@ -68,14 +70,17 @@ class Picture:
     cut_s: float | None = None
 
 
-def drawn(items: Sequence[st.Item], base: int, texts: bool = True) -> list[Drawn]:
-    """Items as they were read; those of one time are drawn beneath each other."""
+def drawn(
+    items: Sequence[st.Item], base: int, texts: bool = True, shown: Sequence[st.Item] | None = None
+) -> list[Drawn]:
+    """Items as they were read; those of one time are drawn beneath each other. `shown`: those that a group shows."""
+    visible = {item.seq for item in (items if shown is None else shown)}
     found: list[Drawn] = []
     for item in items:
         row = sum(one.start_s == (item.time - base) / SECOND for one in found)
         end_s = None if item.end is None else (item.end - base) / SECOND
         text = (item.payload or b"").decode() if texts else ""
-        found.append(Drawn((item.time - base) / SECOND, end_s, text, row))
+        found.append(Drawn((item.time - base) / SECOND, end_s, text, row, item.seq in visible))
     return found
 
 
@@ -115,21 +120,21 @@ def figure_3(rt: st.Connection) -> Picture:
         text.put(word, time=base + second * SECOND, duration="1s")
     for block in range(28):
         audio.put(b"%d" % block, time=base + block * 125 * MS, duration="125ms")
-    newest = text.newest()
-    assert newest is not None
-    assert newest.end is not None
+    group = rt.group(f"pictures/figure-3-{st.now()}", [text, audio], reference=text, bound="end")
     now = base + 3_500 * MS
+    texts, blocks = (group[one].get(base, now, match="start", timeout=READ_SECONDS) for one in (text, audio))
+    assert blocks.cut is not None
     return Picture(
-        "What text and audio may show together (the paper's Figure 3)",
-        "shaded: what lies before the end of the newest text item; dashed: audio that waits for the next one",
+        "What text and audio show together (the paper's Figure 3)",
+        "shaded: what a reader of the group gets, its reference the text and its bound the end of the newest text item",
         [
-            Lane("text\n1 s", ORANGE, drawn(text.get(st.OLDEST, now), base)),
-            Lane("audio\n125 ms", GREEN, drawn(audio.get(st.OLDEST, now), base, texts=False)),
+            Lane("text\n1 s", ORANGE, drawn(text.get(st.OLDEST, now), base, shown=texts)),
+            Lane("audio\n125 ms", GREEN, drawn(audio.get(st.OLDEST, now), base, texts=False, shown=blocks)),
         ],
         now_s=3.5,
         start_s=-0.12,
         end_s=3.85,
-        cut_s=(newest.end - base) / SECOND,
+        cut_s=(blocks.cut - base) / SECOND,
     )
 
 
@@ -182,7 +187,7 @@ def _draw_item(axes: Axes, picture: Picture, colour: str, item: Drawn, top: floa
     """A box with its beginning marked; one that is open at its end has none there."""
     end_s = picture.now_s if item.end_s is None else item.end_s
     low = top - height * (item.row + 1)
-    visible = picture.cut_s is None or item.start_s < picture.cut_s
+    visible = item.visible
     width = max(end_s - item.start_s, HOLDS_S)
     face = PALE[colour] if visible else "white"
     gap = 0.012 * (picture.end_s - picture.start_s) / 10
