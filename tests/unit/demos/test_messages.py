@@ -13,7 +13,7 @@ STEP = Step(
     counts={"video": 25},
     complete=False,
     features_keep_times=True,
-    received_unix_nano={"video": 1_700_000_000_123_456_789},
+    received_unix_nano=1_700_000_000_123_456_789,
 )
 
 

@@ -23,6 +23,7 @@ from stampede_rt_demos.tv_watcher.programme import (
     AUDIO,
     CAPTION_NANOS,
     CAPTIONS,
+    GROUP,
     SOURCE_OF_FEATURE,
     STREAM_MAX_AGE,
     STREAMS,
@@ -114,9 +115,9 @@ def _run_programme(
 
 
 def _create_channels(rt: st.Connection) -> Mapping[str, st.Channel]:
-    """All channels, spread over both hosts."""
+    """All channels, spread over both hosts, and the group that the captions set the pace of."""
     hosts = sorted(host.name for host in rt.hosts())
-    return {
+    channels = {
         stream.name: rt.channel(
             stream.channel,
             max_age=STREAM_MAX_AGE,
@@ -125,6 +126,8 @@ def _create_channels(rt: st.Connection) -> Mapping[str, st.Channel]:
         )
         for stream in STREAMS
     }
+    rt.group(GROUP, list(channels.values()), reference=channels[CAPTIONS.name])
+    return channels
 
 
 def _wait_ready(roles: RoleProcesses) -> None:
@@ -170,7 +173,6 @@ def _report(
                 accepted=accepted[stream.name],
                 receipts=receipts[stream.name],
                 steps=collected.steps,
-                reference=CAPTIONS.name,
                 seconds=seconds,
             )
             for stream in STREAMS

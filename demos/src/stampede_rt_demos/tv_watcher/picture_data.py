@@ -13,6 +13,7 @@ import stampede_rt as st
 from stampede_rt_demos.staging.thumbnails import jpeg_thumbnail
 from stampede_rt_demos.tv_watcher.features import envelope
 from stampede_rt_demos.tv_watcher.programme import AUDIO, CAPTIONS, LOUDNESS, MOTION, VIDEO
+from stampede_rt_demos.tv_watcher.spans import Span
 
 PICTURE_SPANS_MAX = 6
 THUMBNAIL_WIDTH = 272
@@ -39,7 +40,7 @@ class PictureSpan:
     loudness: Sequence[tuple[int, int, float]]
 
 
-def picture_record(spans: Iterable[Mapping[str, st.Items]], start: int) -> dict[str, object]:
+def picture_record(spans: Iterable[Span], start: int) -> dict[str, object]:
     """The spans as the fields of a `picture` event; spans without a caption or without frames are left out."""
     return {"spans": [_span_record(span, start) for span in spans if span[CAPTIONS.name] and span[VIDEO.name]]}
 
@@ -51,7 +52,7 @@ def picture_spans(record: Mapping[str, object]) -> list[PictureSpan]:
     return [PictureSpan(**{**span, "thumbnail": _decoded(*span["thumbnail"])}) for span in spans]
 
 
-def _span_record(span: Mapping[str, st.Items], start: int) -> dict[str, object]:
+def _span_record(span: Span, start: int) -> dict[str, object]:
     caption, frames = span[CAPTIONS.name][0], span[VIDEO.name]
     middle = frames[len(frames) // 2]
     features = [(item, json.loads(item.payload or b"{}")) for item in span[MOTION.name]]

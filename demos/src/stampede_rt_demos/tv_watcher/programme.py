@@ -13,6 +13,7 @@ FRAME_WIDTH = 640
 FRAME_HEIGHT = 360
 JPEG_QUALITY = 85
 STREAM_MAX_AGE = "15s"
+GROUP = "tv/programme"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,12 +10,8 @@ from stampede_rt_demos.staging.statistics import percentile
 from stampede_rt_demos.tv_watcher.statistics import Step, StreamFigures
 
 LINE_CHARS = 100
-_TIMINGS = ("latency p50", "p99 ms", "skew p50", "p99 ms")
-_HEADINGS = ("stream", "host", "items", "in step", "per s", "bytes", *_TIMINGS, "lost")
-_LEGEND = (
-    "latency: from the put to the stream's reader (video, audio: the analysers; the others: the viewer)",
-    "skew: for one caption's span, between the stream's answer and the captions' answer at the viewer",
-)
+_HEADINGS = ("stream", "host", "items", "in step", "per s", "bytes", "latency p50", "p99 ms", "lost")
+_LEGEND = "latency: from the put to the stream's reader (video, audio: the analysers; the others: the viewer)"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,7 +43,7 @@ class RunReport:
 def render(report: RunReport) -> str:
     """The table and what there is to say about it."""
     sentences = (textwrap.fill(sentence, LINE_CHARS, subsequent_indent="  ") for sentence in _sentences(report))
-    return "\n".join([table(report.figures), *_LEGEND, "", *sentences])
+    return "\n".join([table(report.figures), _LEGEND, "", *sentences])
 
 
 def subtitle(report: RunReport) -> str:
@@ -87,8 +83,6 @@ def _row(figure: StreamFigures) -> tuple[str, ...]:
         bytes_text(figure.payload_bytes),
         _millis(figure.latency_p50_nanos),
         _millis(figure.latency_p99_nanos),
-        _millis(figure.skew_p50_nanos),
-        _millis(figure.skew_p99_nanos),
         str(figure.lost),
     )
 
@@ -130,7 +124,7 @@ def _delay_sentence(steps: Sequence[Step]) -> str:
 
 def _delays(steps: Sequence[Step]) -> list[int]:
     """From each span's end to the instant at which all of it was in hand, in nanoseconds."""
-    return [max(step.received_unix_nano.values()) - step.end for step in steps]
+    return [step.received_unix_nano - step.end for step in steps]
 
 
 def _loss_sentence(report: RunReport) -> str:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from stampede_rt_demos.staging.statistics import percentile
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Step:
     """One caption's span as the viewer got it: how many items of each stream, all there or not, and when.
 
-    `received_unix_nano` holds, by stream, when its answer was in the viewer's hands.
+    `complete`: every stream had come to the span's end when it was handed over, and nothing of it had been collected.
+    `received_unix_nano`: when all of it was in the viewer's hands.
     """
 
     time: int
@@ -21,16 +20,12 @@ class Step:
     counts: Mapping[str, int]
     complete: bool
     features_keep_times: bool
-    received_unix_nano: Mapping[str, int]
-
-    def skew_nanos(self, stream: str, reference: str) -> int:
-        """How far apart the answers of `stream` and of `reference` came (the measure of the paper's Figure 7)."""
-        return abs(self.received_unix_nano[stream] - self.received_unix_nano[reference])
+    received_unix_nano: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StreamFigures:
-    """One line of the final table. Latencies and skews in nanoseconds; None: nothing to measure."""
+    """One line of the final table. Latencies in nanoseconds; None: nothing to measure."""
 
     name: str
     host: str
@@ -41,8 +36,6 @@ class StreamFigures:
     seconds: float
     latency_p50_nanos: int | None
     latency_p99_nanos: int | None
-    skew_p50_nanos: int | None
-    skew_p99_nanos: int | None
 
     @property
     def lost(self) -> int:
@@ -57,11 +50,9 @@ def stream_figures(
     accepted: int,
     receipts: Mapping[str, int | None],
     steps: Sequence[Step],
-    reference: str,
     seconds: float,
 ) -> StreamFigures:
     """Put together what the host counted, what the stream's reader noted and what the viewer saw in step."""
-    skews = [step.skew_nanos(name, reference) for step in steps]
     return StreamFigures(
         name=name,
         host=host,
@@ -72,6 +63,4 @@ def stream_figures(
         seconds=seconds,
         latency_p50_nanos=receipts["latency_p50_nanos"],
         latency_p99_nanos=receipts["latency_p99_nanos"],
-        skew_p50_nanos=percentile(skews, 50),
-        skew_p99_nanos=percentile(skews, 99),
     )

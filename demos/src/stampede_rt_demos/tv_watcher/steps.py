@@ -15,7 +15,7 @@ def step_fields(step: Step) -> dict[str, object]:
         "counts": dict(step.counts),
         "complete": step.complete,
         "features_keep_times": step.features_keep_times,
-        "received_unix_nano": dict(step.received_unix_nano),
+        "received_unix_nano": step.received_unix_nano,
     }
 
 

@@ -1,0 +1,62 @@
+"""Divides what a group made visible at its captions: one span each, with everything that lies in it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import stampede_rt as st
+from stampede_rt_demos.tv_watcher.programme import CAPTIONS, SOURCE_OF_FEATURE, STREAMS
+from stampede_rt_demos.tv_watcher.statistics import Step
+
+Span = Mapping[str, Sequence[st.Item]]
+"""Items by stream, of one caption or of a whole cut event."""
+
+
+def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[Step, Span]]:
+    """The spans that a cut event brought, and what to report of each.
+
+    Items that come late belong to a span that was reported before as one that lacks them; they are in no other.
+    """
+    event = {stream.name: cut[stream.channel] for stream in STREAMS}
+    complete = not cut.incomplete and not any(items.truncated for items in event.values())
+    return [
+        (_step(span, end, complete=complete, received_unix_nano=received_unix_nano), span)
+        for end, span in spans_of(event, cut.time)
+    ]
+
+
+def spans_of(event: Span, cut: int) -> list[tuple[int, Span]]:
+    """The spans in one event, which brought what lies before `cut`, and where each ends: the next caption or the cut.
+
+    An event brings one caption as a rule. It brings none when the cut comes to the first caption, before which there is
+    nothing, and several when the reader was slower than the captions.
+    """
+    bounds = [*sorted({caption.time for caption in event[CAPTIONS.name]}), cut]
+    return [
+        (end, {name: [item for item in items if start <= item.time < end] for name, items in event.items()})
+        for start, end in pairwise(bounds)
+    ]
+
+
+def features_keep_times(span: Span) -> bool:
+    """Every feature has the time and the duration of the item that it was made from, one for one."""
+    return all(_times(span[feature]) == _times(span[source]) for feature, source in SOURCE_OF_FEATURE.items())
+
+
+def _step(span: Span, end: int, *, complete: bool, received_unix_nano: int) -> Step:
+    """What the viewer reports of a span: counts, not items."""
+    caption = span[CAPTIONS.name][0]
+    return Step(
+        time=caption.time,
+        end=end,
+        text=(caption.payload or b"").decode(),
+        counts={name: len(items) for name, items in span.items()},
+        complete=complete,
+        features_keep_times=features_keep_times(span),
+        received_unix_nano=received_unix_nano,
+    )
+
+
+def _times(items: Sequence[st.Item]) -> list[tuple[int, int | None]]:
+    return [(item.time, item.duration) for item in items]
