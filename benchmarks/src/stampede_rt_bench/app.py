@@ -10,7 +10,7 @@ from typing import Any
 
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
-from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost, skew
+from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost, skew, visibility
 from stampede_rt_bench.tables import Table
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
@@ -21,6 +21,7 @@ Figure = Callable[[Effort, Path], Table]
 FIGURES: dict[str, tuple[str, Figure]] = {
     "get": ("cost of a get by time as a channel grows (Figure 4)", get_cost.measure),
     "interval": ("cost of an interval get as it returns more (section 6)", interval_cost.measure),
+    "visibility": ("what a group of text and audio shows (Figure 3)", visibility.measure),
     "skew": ("skew between consumers with a group and without (Figure 7)", skew.measure),
     "memory": ("memory of held items of 64 B", memory_cost.measure),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import matplotlib
 
@@ -54,6 +55,34 @@ def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Sequence[tuple[float,
         plot.grid(color=GRID, which="major")
         plot.spines[["top", "right"]].set_visible(False)
         plot.legend(frameon=False)
+        figure.savefig(path, dpi=150)
+    finally:
+        plt.close(figure)
+
+
+class Span(NamedTuple):
+    """One item's span in seconds, and whether it was visible."""
+
+    start_s: float
+    end_s: float
+    visible: bool
+
+
+def draw_spans(path: Path, title: str, lanes: Sequence[tuple[str, Sequence[Span]]]) -> None:
+    """Spans on lanes below each other: filled if visible, else with a dashed edge. Raises OSError."""
+    plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
+    figure, plot = plt.subplots(figsize=(9, 1.2 + 0.8 * len(lanes)), layout="constrained")
+    try:
+        for place, (_, spans) in enumerate(lanes):
+            colour = COLOURS[place % 2]
+            for shown, style in ((True, {"facecolor": colour, "alpha": 0.45}),
+                                 (False, {"facecolor": "white", "linestyle": "--"})):  # fmt: skip
+                parts = [(span.start_s, span.end_s - span.start_s) for span in spans if span.visible is shown]
+                plot.broken_barh(parts, (-place - 0.3, 0.6), edgecolor=INK, linewidth=0.8, **style)
+        plot.set_yticks([-place for place in range(len(lanes))], [label for label, _ in lanes])
+        plot.set(xlabel="seconds")
+        plot.set_title(f"{title}\nfilled: visible through the group; dashed: hidden", loc="left", fontsize=11)
+        plot.spines[["top", "right", "left"]].set_visible(False)
         figure.savefig(path, dpi=150)
     finally:
         plt.close(figure)
