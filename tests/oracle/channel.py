@@ -218,9 +218,10 @@ class OracleChannel:
         self.held = sorted([*self.held, item])
 
     def retain(self, clock: int) -> None:
-        """What time brings about, then count, then bytes."""
+        """What time brings about, then count, then bytes, then what nobody holds back behind those."""
         self.age(clock)
         self.drop_excess(clock)
+        self.use_up(clock)
 
     def drop_excess(self, clock: int) -> None:
         if not self.drops_oldest:
