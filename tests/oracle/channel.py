@@ -218,10 +218,10 @@ class OracleChannel:
         self.held = sorted([*self.held, item])
 
     def retain(self, clock: int) -> None:
-        """What time brings about, then count, then bytes, then what nobody holds back behind those."""
+        """What time brings about, then count, then bytes; then time again, for what these have laid bare."""
         self.age(clock)
         self.drop_excess(clock)
-        self.use_up(clock)
+        self.age(clock)
 
     def drop_excess(self, clock: int) -> None:
         if not self.drops_oldest:

@@ -274,3 +274,15 @@ def test_what_everybody_has_consumed_goes_by_consumption_once_bytes_took_what_st
     pair.tick(1000)
     pair.check()
     assert pair.oracle.collected == {"age": 2, "count": 0, "bytes": 3, "consumption": 1}
+
+
+def test_what_bytes_laid_bare_goes_by_age_if_it_is_old_enough_though_everybody_has_consumed_it() -> None:
+    policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
+    pair = ChannelPair(policy, FIRST_CLOCK)
+    pair.consume(3, [], 3)
+    pair.put(Offer(times=[100, 101], durations=[3, 0], lengths=[40, 0]))
+    pair.consume(2, [2, 2], 40)
+    pair.tick(9)
+    pair.put(_untimed(40, 8, 8, 500, 40, 0))
+    pair.check()
+    assert pair.oracle.collected == {"age": 1, "count": 0, "bytes": 1, "consumption": 0}
