@@ -1,0 +1,10 @@
+"""What holds for every test."""
+
+from __future__ import annotations
+
+import signal
+
+# A job that a shell started in the background ignores Ctrl-C, and all its children inherit that; tests that interrupt a
+# child would then wait for ever. A handler of one's own is not inherited: children begin with the default again.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
