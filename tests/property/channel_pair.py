@@ -66,8 +66,11 @@ def ends_as_read(items: Sequence[Item], next_time: int | None) -> list[int | Non
 
 
 def check_causes(collected: Mapping[str, int], expected: Mapping[str, int]) -> None:
-    """How much each limit took. What two limits are due to take at the same moment counts under either: the core settles
-    a run's excess in one go, the oracle item by item, so that a bucket cut in half may age in between."""
+    """How much each limit took.
+
+    What two limits are due to take at the same moment counts under either: the core settles a run's excess in one go,
+    the oracle item by item, so that a bucket that was cut in half may age in between.
+    """
     assert collected.keys() == expected.keys()
     assert sum(collected.values()) == sum(expected.values())
     differing = [cause for cause in collected if collected[cause] != expected[cause]]
