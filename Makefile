@@ -28,7 +28,7 @@ demo: setup  ## the TV watcher: a real film through a real cluster, with a pictu
 	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
 
 test: setup  ## the whole test suite
-	$(RUN)/pytest -n 2 --dist loadfile
+	$(RUN)/pytest -n 3 --dist loadfile
 
 check: setup  ## lint, types, import rules, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)

@@ -173,6 +173,8 @@ def test_a_dockerfile_knows_every_member_of_the_workspace_and_the_uv_of_the_make
     manifests = [path for member in members for path in ROOT.glob(f"{member}/pyproject.toml")]
     copied = set(re.findall(r"^COPY (\S+/pyproject\.toml) ", text, re.MULTILINE))
     assert copied == {str(path.relative_to(ROOT)) for path in manifests}
+    let_in = [line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")]
+    assert all(any(path == one or path.startswith(f"{one}/") for one in let_in) for path in copied)
     version = re.search(r"^UV_VERSION := (\S+)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert version is not None
     assert f"uv=={version[1]}" in text
