@@ -73,18 +73,7 @@ class ChannelHost:
             lease_held=self._registration.lease_held,
             memory=memory,
         )
-        queue_directory = QueueDirectory(self._supernodes)
-        self.queues = QueueStore(
-            identity,
-            queue_directory,
-            memory,
-            now=self.store.now,
-            lease_held=self._registration.lease_held,
-            on_departures=lambda hosted: self._dead_letters.departures(hosted),
-        )
-        self._dead_letters = DeadLetterMover(
-            queue_directory, dial, may_move=self.queues.holds, on_defect=lambda failure: self._on_defect(failure)
-        )
+        self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(
             identity, self.store, GroupDirectory(self._supernodes), dial, lambda: self._supernodes.cluster_id
         )
@@ -94,6 +83,22 @@ class ChannelHost:
         self._on_defect = on_defect
         self._tasks: list[asyncio.Task[None]] = []
         self._entering: asyncio.Future[None] | None = None
+
+    def _make_queues(
+        self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
+    ) -> tuple[QueueStore, DeadLetterMover]:
+        """The queues, and who takes what leaves them to their dead-letter queues: each asks the other."""
+        directory = QueueDirectory(self._supernodes)
+        queues = QueueStore(
+            self.identity,
+            directory,
+            memory,
+            now=self.store.now,
+            lease_held=self._registration.lease_held,
+            on_departures=lambda hosted: mover.departures(hosted),
+        )
+        mover = DeadLetterMover(directory, self._dial, may_move=queues.holds, on_defect=on_defect)
+        return queues, mover
 
     def add_to(self, server: grpc.aio.Server) -> None:
         """Serve gatekeeper and data on `server`."""
