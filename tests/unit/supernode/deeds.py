@@ -71,7 +71,7 @@ def expire(number: int, *, boot: int = 1, registered_index: int, tenure: int = 1
     return ExpireHost(host_id=id_of(number), boot_incarnation=boot, registered_index=registered_index, tenure=tenure)
 
 
-_channel_numbers = count(500)
+_made = count(2**64)  # beyond every number that a test gives itself, so that no id is had twice and their order is told
 
 
 def open_channel(
@@ -82,7 +82,7 @@ def open_channel(
         policy=Policy(**policy),  # type: ignore[arg-type]
         create=create,
         host_name=host,
-        new_channel_id=id_of(next(_channel_numbers)),
+        new_channel_id=id_of(next(_made)),
         new_incarnation=incarnation,
     )
 
@@ -103,7 +103,7 @@ def open_group(
         name=name,
         spec=None if members is None else GroupSpec(channel_ids=members, **spec),
         create=create,
-        new_group_id=id_of(next(_channel_numbers)),
+        new_group_id=id_of(next(_made)),
         new_incarnation=incarnation,
     )
 
@@ -152,7 +152,7 @@ def open_queue(
         spec=QueueSpec(**spec),
         create=create,
         host_name=host,
-        new_queue_id=id_of(next(_channel_numbers)),
+        new_queue_id=id_of(next(_made)),
         new_incarnation=incarnation,
         as_of_index=as_of,
     )
@@ -175,7 +175,7 @@ def register_peer(
         name=name,
         boot_incarnation=boot,
         proof_sha256=bytes([proof]) * 32 if proof else b"",
-        new_mailbox_id=id_of(next(_channel_numbers)),
+        new_mailbox_id=id_of(next(_made)),
         new_incarnation=incarnation,
         **fields,
     )
