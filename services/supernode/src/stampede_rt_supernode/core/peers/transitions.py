@@ -7,6 +7,7 @@ has a mailbox from the step that registers it to the step that ends it.
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 
 from stampede_rt.errors import LeaseExpired, Overloaded
 from stampede_rt_supernode.core.lookups import host_by_id
@@ -154,8 +155,7 @@ def expire_peers(tables: Tables, deed: ExpirePeers, tenure: int) -> int:
     """End the leases for which the words do not come too late: `tenure` is the one in force. Returns how many."""
     if deed.tenure != tenure:
         return 0
-    ending = sorted({lease.peer_id: lease for lease in deed.leases}.items())
-    return sum(_expire(tables, lease) for _, lease in ending)
+    return sum(_expire(tables, lease) for lease in sorted(deed.leases, key=attrgetter("peer_id")))
 
 
 def _expire(tables: Tables, lease: PeerLease) -> bool:
