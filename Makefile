@@ -7,9 +7,10 @@ UV_VERSION := 0.13.8
 UV := .tools/bin/uv
 RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools
+PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/test_,directory_properties.py peer_properties.py lease_safety.py)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test check format stubs robustness images bench clean
+.PHONY: help setup demo test explore check format stubs robustness images bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -29,6 +30,9 @@ demo: setup  ## the TV watcher: a real film through a real cluster, with a pictu
 
 test: setup  ## the whole test suite
 	$(RUN)/pytest -n 3 --dist loadfile
+
+explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
+	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)
 
 check: setup  ## lint, types, import rules, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)

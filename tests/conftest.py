@@ -4,6 +4,13 @@ from __future__ import annotations
 
 import signal
 
+from hypothesis import settings
+
+# The suite plays the same stories each time: it fails by a change, not by a draw. `make explore` plays others.
+settings.register_profile("suite", derandomize=True, database=None, deadline=None)
+settings.register_profile("explore", database=None, deadline=None, print_blob=True)
+settings.load_profile("suite")
+
 # A job that a shell started in the background ignores Ctrl-C, and all its children inherit that; tests that interrupt a
 # child would then wait for ever. A handler of one's own is not inherited: children begin with the default again.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

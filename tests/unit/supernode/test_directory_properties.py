@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, rule
@@ -229,4 +231,6 @@ class DirectoryMachine(ThreeDirectories):
 
 
 TestDirectory = DirectoryMachine.TestCase
-TestDirectory.settings = settings(max_examples=40, stateful_step_count=40, deadline=None, database=None)
+TestDirectory.settings = settings(
+    max_examples=int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "40")), stateful_step_count=40
+)

@@ -6,6 +6,8 @@ was acknowledged. Messages and proposals wait in flight for as long as hypothesi
 
 from __future__ import annotations
 
+import os
+
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
@@ -114,4 +116,6 @@ class LeaseMachine(RuleBasedStateMachine):
 
 
 TestLeases = LeaseMachine.TestCase
-TestLeases.settings = settings(max_examples=300, stateful_step_count=30, deadline=None, database=None)
+TestLeases.settings = settings(
+    max_examples=int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "300")), stateful_step_count=30
+)

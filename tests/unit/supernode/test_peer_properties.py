@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TypeVar
 
 from hypothesis import settings
@@ -201,4 +202,6 @@ class PeerMachine(ThreeDirectories):
 
 
 TestPeers = PeerMachine.TestCase
-TestPeers.settings = settings(max_examples=25, stateful_step_count=30, deadline=None, database=None)
+TestPeers.settings = settings(
+    max_examples=int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "25")), stateful_step_count=30
+)
