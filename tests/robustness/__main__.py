@@ -17,6 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import (
     HOST_FAULTS,
     OPEN_FAULTS,
@@ -28,7 +29,6 @@ from tests.robustness.campaign import (
     run_weathers,
 )
 from tests.robustness.directory.simulate import run_seeds
-from tests.robustness.network import unavailable_because
 from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.

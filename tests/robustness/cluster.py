@@ -15,9 +15,10 @@ import grpc
 
 from stampede_rt.tls import TlsFiles
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_local.namespaces import Place
 from stampede_rt_runtime.identity import Role
 from tests.robustness.certificates import Certificates
-from tests.robustness.network import Network, Place
+from tests.robustness.network import Network
 from tests.robustness.placed_process import READY_SECONDS, PlacedProcess
 from tests.robustness.supernode import PORT, Supernode
 from tests.unit.supernode.processes import clean_environment

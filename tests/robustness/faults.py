@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 
 import grpc
 
-from tests.robustness.network import Place
+from stampede_rt_local.namespaces import Place
 from tests.robustness.placed_process import DidNotBite, PlacedProcess
 from tests.robustness.scene import (
     FROZEN_LEADER_SECONDS_MAX,

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_local.namespaces import unavailable_because
 from stampede_rt_runtime.identity import Role
 from tests.robustness.__main__ import write_page
 from tests.robustness.certificates import Certificates
-from tests.robustness.network import Network, unavailable_because
+from tests.robustness.network import Network
 from tests.robustness.noise import giant_frame
 from tests.robustness.relay import Weather
 from tests.robustness.report import TITLE

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,53 +12,69 @@ import matplotlib
 
 matplotlib.use("Agg")
 
+from matplotlib import axes as plots
 from matplotlib import pyplot as plt
+from matplotlib.ticker import FuncFormatter, NullLocator
 
 from stampede_rt_bench.measuring import Spread
 
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#767676")
 MARKS = ("o", "s", "^", "D", "v")
-INK, GRID = "#222222", "#dddddd"
+INK, GRID, FAINT, CUT = "#222222", "#dddddd", "#767676", "#D55E00"
+DOTS_PER_INCH = 150
+
+Points = Sequence[tuple[float, Spread]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axes:
-    """What a chart says besides its lines."""
+    """What a chart says besides its lines; `goal` is a bound that is drawn across."""
 
     title: str
     x: str
     y: str
     log_y: bool = False
     log_x: bool = True
+    goal: float | None = None
 
 
-def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Sequence[tuple[float, Spread]]]) -> None:
+def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Points]) -> None:
     """Lines, medians with bars from the least to the most. Raises OSError."""
-    plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
-    figure, plot = plt.subplots(figsize=(7.5, 4.6), layout="constrained")
-    try:
+    with _drawn(path, axes.title, (7.5, 4.6)) as plot:
+        plot.set(xscale="log" if axes.log_x else "linear", yscale="log" if axes.log_y else "linear")
         for number, (label, points) in enumerate(lines.items()):
-            xs, medians = [x for x, _ in points], [value.median for _, value in points]
-            bars = [
-                [value.median - value.least for _, value in points],
-                [value.most - value.median for _, value in points],
-            ]
-            colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
-            plot.errorbar(
-                xs, medians, yerr=bars, capsize=3, linewidth=1.8, markersize=6, color=colour, marker=mark, label=label
-            )
-        plot.set(xscale="log" if axes.log_x else "linear", xlabel=axes.x, ylabel=axes.y)
-        if axes.log_y:
-            plot.set_yscale("log")
-        else:
+            _draw_line(plot, number, label, points)
+        if axes.goal is not None:
+            plot.axhline(axes.goal, color=FAINT, linestyle="--", linewidth=1.2, label=f"goal: {axes.goal:g}")
+        if not axes.log_y:
             plot.set_ylim(bottom=0)
-        plot.set_title(axes.title, loc="left", fontweight="bold")
+        _set_scales(plot, axes, sorted({x for points in lines.values() for x, _ in points}))
         plot.grid(color=GRID, which="major")
-        plot.spines[["top", "right"]].set_visible(False)
-        plot.legend(frameon=False)
-        figure.savefig(path, dpi=150)
-    finally:
-        plt.close(figure)
+        if len(lines) > 1:
+            plot.legend(facecolor="white", edgecolor="none", framealpha=1.0)
+        else:
+            _write_medians(plot, next(iter(lines.values())))
+
+
+def _draw_line(plot: plots.Axes, number: int, label: str, points: Points) -> None:
+    xs, medians = [x for x, _ in points], [value.median for _, value in points]
+    bars = [[value.median - value.least for _, value in points], [value.most - value.median for _, value in points]]
+    colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+    plot.plot(xs, medians, linewidth=1.8, markersize=6, color=colour, marker=mark, label=label)
+    plot.errorbar(xs, medians, yerr=bars, capsize=3, linestyle="none", color=colour)
+
+
+def _set_scales(plot: plots.Axes, axes: Axes, xs: Sequence[float]) -> None:
+    """A tick at every measured x, and numbers written out."""
+    plot.set(xlabel=axes.x, ylabel=axes.y)
+    plot.set_xticks(xs, [f"{x:,g}" if x < 1e6 else f"{x:,.0f}" for x in xs])
+    plot.xaxis.set_minor_locator(NullLocator())
+    plot.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:,g}" if y < 1e6 else f"{y:,.0f}"))
+
+
+def _write_medians(plot: plots.Axes, points: Points) -> None:
+    for x, value in points:
+        plot.annotate(f"{value.median:,.0f}", (x, value.most), (0, 7), textcoords="offset points", ha="center")
 
 
 class Span(NamedTuple):
@@ -68,21 +85,40 @@ class Span(NamedTuple):
     visible: bool
 
 
-def draw_spans(path: Path, title: str, lanes: Sequence[tuple[str, Sequence[Span]]]) -> None:
+class Lane(NamedTuple):
+    """A stream's spans, and where the cut stood."""
+
+    label: str
+    spans: Sequence[Span]
+    cut_s: float
+
+
+def draw_spans(path: Path, title: str, lanes: Sequence[Lane]) -> None:
     """Spans on lanes below each other: filled if visible, else with a dashed edge. Raises OSError."""
-    plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
-    figure, plot = plt.subplots(figsize=(9, 1.2 + 0.8 * len(lanes)), layout="constrained")
-    try:
-        for place, (_, spans) in enumerate(lanes):
+    with _drawn(path, title, (9, 1.4 + 0.75 * len(lanes))) as plot:
+        for place, lane in enumerate(lanes):
             colour = COLOURS[place % 2]
             for shown, style in ((True, {"facecolor": colour, "alpha": 0.45}),
                                  (False, {"facecolor": "white", "linestyle": "--"})):  # fmt: skip
-                parts = [(span.start_s, span.end_s - span.start_s) for span in spans if span.visible is shown]
+                parts = [(span.start_s, span.end_s - span.start_s) for span in lane.spans if span.visible is shown]
                 plot.broken_barh(parts, (-place - 0.3, 0.6), edgecolor=INK, linewidth=0.8, **style)
-        plot.set_yticks([-place for place in range(len(lanes))], [label for label, _ in lanes])
-        plot.set(xlabel="seconds")
-        plot.set_title(f"{title}\nfilled: visible through the group; dashed: hidden", loc="left", fontsize=11)
-        plot.spines[["top", "right", "left"]].set_visible(False)
-        figure.savefig(path, dpi=150)
+            plot.vlines(lane.cut_s, -place - 0.42, -place + 0.42, color=CUT, linewidth=2.5)
+        plot.annotate("the cut", (lanes[0].cut_s, 0.42), (0, 3), textcoords="offset points", ha="center", color=CUT)
+        plot.set_yticks([-place for place in range(len(lanes))], [lane.label for lane in lanes])
+        plot.tick_params(axis="y", length=0)
+        plot.spines["left"].set_visible(False)
+        plot.set(xlabel="seconds; filled: visible through the group, dashed: hidden")
+
+
+@contextmanager
+def _drawn(path: Path, title: str, inches: tuple[float, float]) -> Iterator[plots.Axes]:
+    """An empty plot under its title, written to `path` afterwards."""
+    plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
+    figure, plot = plt.subplots(figsize=inches, layout="constrained")
+    try:
+        plot.spines[["top", "right"]].set_visible(False)
+        plot.set_title(title, loc="left", fontweight="bold")
+        yield plot
+        figure.savefig(path, dpi=DOTS_PER_INCH)
     finally:
         plt.close(figure)

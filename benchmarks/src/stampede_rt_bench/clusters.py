@@ -1,4 +1,4 @@
-"""A cluster of its own for a benchmark: one host as a process of its own, and a connection to it."""
+"""A cluster of its own for a benchmark: every host a process of its own, and a connection to it."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from contextlib import contextmanager
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.namespaces import Network
 
 SECRET_VARIABLE = "STAMPEDE_SECRET_FILE"
 
 
 @contextmanager
-def running(*, hosts: int = 1) -> Iterator[str]:
-    """The address of a fresh cluster of one supernode and `hosts` hosts on this machine; gone afterwards.
+def running(*, hosts: int = 1, network: Network | None = None) -> Iterator[str]:
+    """The address of a fresh cluster of one supernode and `hosts` hosts, gone afterwards.
 
-    This process and those that it starts find the secret by themselves.
+    It is on this machine's loopback, or with a `network` on that: hosts in its first places, the rest beside this
+    process. This process and those that it starts find the secret by themselves.
     """
-    with LocalCluster(hosts=hosts, supernodes=1, durable=False) as cluster:
+    with _cluster(hosts, network) as cluster:
         before = os.environ.get(SECRET_VARIABLE)
         os.environ[SECRET_VARIABLE] = str(cluster.secret_file)
         try:
@@ -28,6 +30,19 @@ def running(*, hosts: int = 1) -> Iterator[str]:
                 del os.environ[SECRET_VARIABLE]
             else:
                 os.environ[SECRET_VARIABLE] = before
+
+
+def _cluster(hosts: int, network: Network | None) -> LocalCluster:
+    if network is None:
+        return LocalCluster(hosts=hosts, supernodes=1, durable=False)
+    return LocalCluster(
+        hosts=hosts,
+        supernodes=1,
+        durable=False,
+        listen=f"{network.address}:0",
+        host_places=network.places[:hosts],
+        allow_insecure_anywhere=True,  # the network ends at this machine
+    )
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import stampede_rt as st
-from stampede_rt_bench.charts import Span, draw_spans
+from stampede_rt_bench.charts import Lane, Span, draw_spans
 from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.tables import Table
@@ -47,28 +47,28 @@ def _put(channel: st.Channel, base: int, places: range, period_nanos: int) -> No
         channel.put(b"x", time=base + place * period_nanos, duration=f"{period_nanos}ns")
 
 
-def _look(
-    table: Table, when: str, group: st.Group, channels: Sequence[st.Channel], base: int
-) -> list[tuple[str, Sequence[Span]]]:
+def _look(table: Table, when: str, group: st.Group, channels: Sequence[st.Channel], base: int) -> list[Lane]:
     """What each channel holds, and which of it a reader of the group gets, once the cut stands where it must."""
     end = base + 60 * NANOS_PER_SECOND
     newest = channels[0].newest()
     assert newest is not None
     assert newest.end is not None
-    lanes: list[tuple[str, Sequence[Span]]] = []
+    lanes: list[Lane] = []
     for channel in channels:
         group[channel].get(base, newest.end, bounds="[)", match="start", complete=True, timeout=READ_SECONDS)
         shown, held = (one.get(base, end, match="start") for one in (group[channel], channel))
+        assert shown.cut is not None
+        cut_s = (shown.cut - base) / NANOS_PER_SECOND
         table.rows.append(
             [
                 f"{channel.name}, {when}",
                 str(len(held)),
                 str(len(shown)),
                 str(len(held) - len(shown)),
-                "-" if shown.cut is None else f"{(shown.cut - base) / NANOS_PER_SECOND:.3f}",
+                f"{cut_s:.3f}",
             ]
         )
         visible = {item.seq for item in shown}
         spans = [Span((item.time - base) / 1e9, ((item.end or end) - base) / 1e9, item.seq in visible) for item in held]
-        lanes.append((f"{channel.name.removeprefix('bench/')}\n{when}", spans))
+        lanes.append(Lane(f"{channel.name.removeprefix('bench/')},\n{when}", spans, cut_s))
     return lanes

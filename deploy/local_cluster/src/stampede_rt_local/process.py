@@ -13,6 +13,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import IO
 
+from stampede_rt_local.namespaces import Place
+
 LAST_LINES_MAX = 50
 LINE_CHARS_MAX = 4096
 STOP_SECONDS = 6.0  # more than a service's own bound for its drain (2 * 2 s)
@@ -28,7 +30,7 @@ class ServiceProcess:
 
     `name` is for people; `module` is run as `python -m`. `on_line` hears of each line that the process prints once it
     is ready, `on_exit` of each end of the process, wanted or not; both are called on a thread of their own and must not
-    block. Not to be used by several threads at once.
+    block. It runs in the namespace of `place`, if one is given. Not to be used by several threads at once.
     """
 
     def __init__(
@@ -39,9 +41,11 @@ class ServiceProcess:
         *,
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
+        place: Place | None = None,
     ) -> None:
         self.name = name
         self.arguments = list(arguments)
+        self._place = place
         self._module = module
         self._on_line = on_line
         self._on_exit = on_exit
@@ -85,6 +89,8 @@ class ServiceProcess:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
         # -P: modules of the folder that the user happens to be in must not stand in for ours.
         command = [sys.executable, "-P", "-m", "stampede_rt_local.leash", self._module, *self.arguments]
+        if self._place is not None:
+            command = self._place.command(*command)
         self._run = _Run(command, self._hear_line, self._hear_exit)
 
     def wait_ready(self, timeout: float) -> str:

@@ -1,0 +1,111 @@
+"""Machines that are none: network namespaces on a bridge, each with an address of its own (Linux, root, iproute2)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+CLONE_NEWNET = 0x40000000  # sched.h
+
+
+def unavailable_because() -> str | None:
+    """Why namespaces cannot be used here, or None."""
+    if os.geteuid() != 0:
+        return "network namespaces need root"
+    if shutil.which("ip") is None:
+        return "network namespaces need the command `ip` (package iproute2)"
+    tried = subprocess.run(["ip", "netns", "add", name := f"rt{os.getpid()}"], capture_output=True, text=True)
+    if tried.returncode != 0:
+        return f"this machine allows no network namespaces: {tried.stderr.strip()}"
+    ip("netns", "del", name)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One namespace: its name, and the address of what runs in it."""
+
+    namespace: str
+    outer_link: str
+    address: str
+
+    def command(self, *words: str) -> list[str]:
+        """The same command, to be run inside; its process id is that of the command itself."""
+        return ["ip", "netns", "exec", self.namespace, *words]
+
+    def enter(self) -> None:
+        """Put the calling thread, and those that it starts from now on, inside; sockets made before stay outside."""
+        descriptor = os.open(f"/run/netns/{self.namespace}", os.O_RDONLY)
+        try:
+            if ctypes.CDLL(None, use_errno=True).setns(descriptor, CLONE_NEWNET) != 0:
+                raise OSError(ctypes.get_errno(), f"cannot enter the namespace {self.namespace}")
+        finally:
+            os.close(descriptor)
+
+
+class Network:
+    """`size` places that reach each other and this process. Use as a context manager; leaves nothing behind.
+
+    `address` is this process's own on the bridge.
+    """
+
+    def __init__(self, size: int) -> None:
+        tag, third = f"{os.getpid() % 100_000}", 1 + os.getpid() % 250
+        self._bridge = f"rtb{tag}"
+        prefix = f"10.213.{third}"
+        self.address = f"{prefix}.1"
+        self.places = [
+            Place(f"rt{tag}-{number}", f"rtv{tag}-{number}", f"{prefix}.{10 + number}") for number in range(size)
+        ]
+
+    def __enter__(self) -> Self:
+        try:
+            ip("link", "add", self._bridge, "type", "bridge")
+            ip("addr", "add", f"{self.address}/24", "dev", self._bridge)
+            ip("link", "set", self._bridge, "up")
+            for place in self.places:
+                self._make(place)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Take everything down; what was not made yet is passed over."""
+        for place in self.places:
+            subprocess.run(["ip", "netns", "del", place.namespace], capture_output=True, check=False)
+            subprocess.run(["ip", "link", "del", place.outer_link], capture_output=True, check=False)
+        subprocess.run(["ip", "link", "del", self._bridge], capture_output=True, check=False)
+
+    def _make(self, place: Place) -> None:
+        inner = "eth0"
+        ip("netns", "add", place.namespace)
+        ip("link", "add", place.outer_link, "type", "veth", "peer", "name", inner, "netns", place.namespace)
+        ip("link", "set", place.outer_link, "master", self._bridge)
+        ip("link", "set", place.outer_link, "up")
+        ip("-n", place.namespace, "addr", "add", f"{place.address}/24", "dev", inner)
+        for link in (inner, "lo"):
+            ip("-n", place.namespace, "link", "set", link, "up")
+
+
+def ip(*words: str) -> None:
+    """Run `ip`. Raises OSError with what it said if it fails."""
+    run(["ip", *words])
+
+
+def run(command: list[str], *, check: bool = True) -> bool:
+    """Whether the command succeeded; with `check`, raises OSError with what it said if not."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if check and done.returncode != 0:
+        raise OSError(f"{' '.join(command)} failed: {done.stderr.strip()}")
+    return done.returncode == 0

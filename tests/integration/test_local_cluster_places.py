@@ -1,0 +1,39 @@
+"""A local cluster whose hosts are in network namespaces: its clients reach them there, and from other ones."""
+
+from __future__ import annotations
+
+import multiprocessing
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.namespaces import Network, unavailable_because
+from tests.support.cluster import running_cluster
+
+WHY_NOT = unavailable_because()
+
+
+def read_newest(address: str, name: str) -> bytes | None:
+    """In a process of its own."""
+    with st.connect(address) as rt:
+        item = rt.channel(name, create=False).newest()
+    return None if item is None else item.payload
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
+def test_a_client_in_a_namespace_reads_from_a_host_in_another() -> None:
+    with Network(2) as network:
+        host, consumer = network.places
+        settings = {"listen": f"{network.address}:0", "host_places": [host], "allow_insecure_anywhere": True}
+        with running_cluster(hosts=1, supernodes=1, durable=False, **settings) as cluster:
+            assert cluster.hosts[0].address.startswith(f"{host.address}:")
+            with st.connect(cluster.address) as rt:
+                rt.channel("cam", max_age="10s").put(b"there")
+            with multiprocessing.get_context("spawn").Pool(1, initializer=consumer.enter) as pool:
+                assert pool.apply(read_newest, (cluster.address, "cam")) == b"there"
+
+
+def test_hosts_in_namespaces_cannot_have_certificates_of_one_address() -> None:
+    with pytest.raises(ValueError, match="leave out one of the two"):
+        LocalCluster(tls=True, host_places=Network(1).places)

@@ -1,0 +1,51 @@
+"""How `stampede bench paper --figure skew` judges what two consumers got."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_bench.paper.captioned_video import (
+    FRAME_NANOS,
+    FRAMES_PER_CAPTION,
+    NANOS_PER_MS,
+    NANOS_PER_SECOND,
+    Receipt,
+)
+from stampede_rt_bench.paper.skew import judge
+
+CAPTION_NANOS = NANOS_PER_SECOND // 2
+CAPTIONS = [Receipt(number * CAPTION_NANOS, number * CAPTION_NANOS + 10) for number in range(3)]
+
+
+def frames(count: int, late: dict[int, int] | None = None) -> list[Receipt]:
+    """Each with its caption, but for those in `late`, by so many milliseconds."""
+    delays = late or {}
+    times = [number * NANOS_PER_SECOND // 30 for number in range(count)]
+    return [
+        Receipt(at, CAPTIONS[number // FRAMES_PER_CAPTION].received + delays.get(number, 0) * NANOS_PER_MS)
+        for number, at in enumerate(times)
+    ]
+
+
+def test_frames_that_come_with_their_caption_have_no_skew() -> None:
+    run = judge(frames(31), CAPTIONS)
+    assert run.skew_ms == 0
+    assert run.frames_together == [15, 15]
+
+
+def test_the_skew_of_a_run_is_the_root_of_the_mean_square_of_its_frames() -> None:
+    run = judge(frames(31, late={14: 30}), CAPTIONS)
+    assert run.skew_ms == pytest.approx(30 / 30**0.5)
+    assert run.frames_together == [14, 15]
+    assert [place for place, ms in run.skews_ms if ms] == [14]
+
+
+def test_frames_of_captions_between_frames_have_their_places_too() -> None:
+    late = [Receipt(caption.time + FRAME_NANOS // 2, caption.received) for caption in CAPTIONS]
+    run = judge(frames(40), late)
+    assert [place for place, _ in run.skews_ms] == [*range(15), *range(15)]
+
+
+def test_a_run_that_misses_frames_is_refused() -> None:
+    with pytest.raises(AssertionError, match="3 captions came, and not 15 frames with those: \\[1\\]"):
+        judge(frames(29), CAPTIONS)
