@@ -275,7 +275,7 @@ class World:
         late = [one for one in items if follower.cut is not None and one.time < follower.cut]
         lost = follower.end_step(horizon.cut, [one for one in items if one not in late], late)
         assert missed == lost
-        assert items[len(items) - len(late) :] == late
+        assert items[: len(late)] == late
         assert reader.lowest_owed_seq(self.clock) == min([*follower.owed, len(pair.oracle.log) + 1])
 
     def _check_ends(self, pair: ChannelPair, slices: object, cut: int) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, TimesBoard
+from stampede_rt.model import Policy
+from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, OwnTimes, TimesBoard
+from tests.unit.groups.channels import INCARNATION, NOW, channel, put
 
 A, B = b"a", b"b"
 S = 10**9
@@ -152,3 +154,37 @@ def test_words_of_a_former_owner_change_nothing() -> None:
     found = board.find(A)
     assert found is not None
     assert found.times == at(60, epoch=4, incarnation=9)
+
+
+def test_an_item_that_everybody_consumed_before_the_group_was_made_counts_as_one_that_was_there() -> None:
+    """A channel that never had an item or an advance has no cut; this one had one."""
+    used = channel(100, 120, policy=Policy(consumers=1, max_items=10))
+    used.consume(1, [1, 2], NOW)
+    assert used.newest is None
+    assert OwnTimes(used, NOW).times(1).newest == 120
+    put(used, 110)  # late, which consumption allows
+    assert OwnTimes(used, NOW).times(1) == ChannelTimes(1, INCARNATION, 120)
+
+
+def test_a_host_that_goes_on_as_owner_without_being_it_neither_counts_nor_stops_its_ears() -> None:
+    board = TimesBoard()
+    board.tell_own(A, at(50, epoch=3), 0)
+    assert board.hear(A, at(60, epoch=4), 0, 10)
+    board.tell_own(A, at(99, epoch=3), 20)  # it has not heard yet that it lost the channel
+    assert board.hear(A, at(70, epoch=4), 0, 30)
+    found = board.find(A)
+    assert found is not None
+    assert (found.times, found.known_until) == (at(70, epoch=4), 30)
+
+
+def test_a_channel_that_began_anew_holds_the_cut_until_it_is_past_it() -> None:
+    cut, board = group(a=at(100), b=at(70))
+    board.hear(B, at(90), 0, 0)
+    cut.refresh(0)
+    board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # its host was lost
+    board.hear(A, at(150), 0, 0)
+    assert not cut.refresh(0)
+    assert (cut.cut, cut.waiting_on(0)) == (90, [B])
+    board.hear(B, at(95, epoch=2, incarnation=8), 0, 0)
+    cut.refresh(0)
+    assert cut.cut == 95

@@ -141,3 +141,23 @@ def test_a_place_from_before_the_host_was_lost_is_told_as_lost() -> None:
     assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([20], [10])
     assert step.loss is not None
     assert (step.loss.reason, step.loss.is_exact) == ("LOST", False)
+
+
+def test_items_that_all_consumers_used_up_before_they_were_shown_are_counted_up_to_where_they_lay() -> None:
+    made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
+    follower = CutFollower(made, 5, NOW)
+    made.consume(1, [1, 2], NOW)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert step.loss is not None
+    assert (step.loss.items, step.loss.before) == (2, 21)
+
+
+def test_a_reader_who_resumes_hears_that_something_was_used_up_meanwhile() -> None:
+    made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
+    made.consume(1, [1, 2], NOW)
+    follower = CutFollower(made, 15, NOW, next_seq=2, incarnation=INCARNATION)
+    follower.begin(25)
+    loss = follower.take(NOW, 10**6).loss
+    assert loss is not None
+    assert (loss.before, loss.is_exact) == (21, False)

@@ -107,4 +107,16 @@ def test_a_subscription_with_a_start_begins_with_what_is_visible_from_there() ->
 def test_a_resumed_subscription_leaves_nothing_out() -> None:
     made = channel(10, 20, 30, 15)  # the last one came late
     reader = VisibleAll(made, horizon(40), CLOCK, after=Position(20, 2, INCARNATION))
-    assert delivered(reader, 40) == [30, 15]
+    assert delivered(reader, 40) == [15, 30]
+
+
+def test_a_subscription_resumed_amid_a_step_leaves_out_no_late_item() -> None:
+    """The item at 5 was readable before the one at 20, and comes before it: 20 has the higher seq."""
+    made = channel(10)
+    reader = VisibleAll(made, horizon(15), CLOCK)
+    put(made, 5)
+    put(made, 20)
+    first = times([one.slice for one in reader.take(horizon(25), CLOCK, 1).slices])
+    assert first == [5]
+    resumed = VisibleAll(made, horizon(25), CLOCK, after=Position(5, 2, INCARNATION))
+    assert delivered(resumed, 25)[-1] == 20

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from heapq import heapreplace
 from typing import NamedTuple
 
 from stampede_rt.timeline import clamp
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, TimesBoard
 
 MAX_LEAD_NANOS_DEFAULT = 5_000_000_000
+_BEFORE_ALL = -(1 << 64)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,7 +69,9 @@ class GroupCut:
         self._board = board
         self._floor: int | None = None
         self._settled = False
-        self._holder = b""  # the member that held the cut back when it was last looked at
+        self._holder = b""  # the member whose cut was the lowest when all were last looked at
+        self._lows: list[tuple[int, bytes]] = []  # a heap: for each member a cut that it had once, and is not behind
+        self._setbacks = -1  # of the board, when the heap was made
 
     @property
     def definition(self) -> GroupDefinition:
@@ -89,6 +93,7 @@ class GroupCut:
         if definition.incarnation != self._definition.incarnation:
             self._floor, self._settled = None, False
         self._definition = definition
+        self._holder, self._setbacks = b"", -1
 
     def merge_floor(self, cut: int) -> bool:
         """Another host of the group has come so far; True if that is further. Never call this with a client's word."""
@@ -119,8 +124,8 @@ class GroupCut:
     def waiting_on(self, now: int) -> list[bytes]:
         """The members that hold the cut back: of those that count, the ones that are not past it."""
         cut = self.cut
-        counting = self._counting(now)
-        return sorted(one.channel_id for one in counting if one.cut is None or (cut is not None and one.cut <= cut))
+        owns = ((channel_id, self._own_cut(channel_id)) for channel_id in self._counting(now))
+        return sorted(channel_id for channel_id, own in owns if own is None or (cut is not None and own <= cut))
 
     def next_idle(self, now: int) -> int | None:
         """When a member of this host next falls idle, so that the cut moves without anything being put; None: never.
@@ -130,55 +135,71 @@ class GroupCut:
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:
             return None
-        heard = (member.heard for member in self.members(now) if not member.is_idle)
-        return min(
-            (one.silent_since + after for one in heard if one is not None and one.known_until is None), default=None
-        )
+        heard = (self._board.find(channel_id) for channel_id in self._definition.members)
+        own = (one for one in heard if one is not None and one.known_until is None)
+        return min((one.silent_since + after for one in own if one.silent_nanos(now) < after), default=None)
 
     def _reached(self, now: int) -> int | None:
         """The smallest cut of the members that count; None if one of them has none, or holds the group where it is."""
-        if self._definition.idle_after_nanos is None and self._definition.reference is None:
+        definition = self._definition
+        if definition.reference is None and not definition.by_end and definition.idle_after_nanos is None:
             return self._lowest_of_all()
-        lowest: int | None = None
-        for member in self._counting(now):
-            if member.cut is None:
-                return None
-            lowest = member.cut if lowest is None else min(lowest, member.cut)
-        return lowest
-
-    def _lowest_of_all(self) -> int | None:
-        """As `_reached`, with "oldest" and nobody left out. Most changes find the same member holding the cut."""
-        if self._holder in self._definition.members and self._holds(self._own_cut(self._holder)):
+        if self._holder and self._still_holds(now):
             return None
         lowest: int | None = None
-        for channel_id in self._definition.members:
+        for channel_id in self._counting(now):
             cut = self._own_cut(channel_id)
-            if cut is None or self._holds(cut):
-                self._holder = channel_id
+            if cut is None or lowest is None or cut < lowest:
+                lowest, self._holder = cut, channel_id
+            if cut is None:
                 return None
-            lowest = cut if lowest is None else min(lowest, cut)
         return lowest
 
-    def _holds(self, cut: int | None) -> bool:
+    def _still_holds(self, now: int) -> bool:
+        """The member that held the cut back still does. Most changes are those of others."""
+        heard = self._board.find(self._holder)
+        if self._is_idle(heard, now):
+            return False
+        cut = self._own_cut(self._holder)
         return cut is None or (self._floor is not None and cut <= self._floor)
+
+    def _lowest_of_all(self) -> int | None:
+        """As `_reached`, with "oldest" and nobody left out, and cuts by start: these only grow between setbacks.
+
+        So the first in the heap that is where the heap has it is the lowest. Costs the members that have moved since.
+        """
+        if self._setbacks != self._board.setbacks:
+            self._setbacks = self._board.setbacks
+            self._lows = [(_BEFORE_ALL, channel_id) for channel_id in self._definition.members]
+        while self._lows:
+            seen, channel_id = self._lows[0]
+            cut = self._own_cut(channel_id)
+            if cut is None or cut == seen:
+                return cut
+            heapreplace(self._lows, (cut, channel_id))
+        return None
 
     def _own_cut(self, channel_id: bytes) -> int | None:
         heard = self._board.find(channel_id)
         return None if heard is None else self._definition.cut_of(heard.times)
 
-    def _counting(self, now: int) -> list[Member]:
+    def _counting(self, now: int) -> Iterable[bytes]:
         """Whose cuts make the group's: the reference, or all members that are not idle.
 
         If all are, the last one to fall idle was alone before, and its cut was the group's: so it stays.
         """
-        if self._definition.reference is not None:
-            return [self.member(self._definition.reference, now)]
-        members = [self.member(channel_id, now) for channel_id in self._definition.members]
-        awake = [member for member in members if not member.is_idle]
+        definition = self._definition
+        if definition.reference is not None:
+            return (definition.reference,)
+        if definition.idle_after_nanos is None:
+            return definition.members
+        known = {channel_id: self._board.find(channel_id) for channel_id in definition.members}
+        awake = [channel_id for channel_id, heard in known.items() if not self._is_idle(heard, now)]
         if awake:
             return awake
-        last = max((member.heard.silent_since for member in members if member.heard is not None), default=None)
-        return [member for member in members if member.heard is not None and member.heard.silent_since == last]
+        silences = {channel_id: heard.silent_since for channel_id, heard in known.items() if heard is not None}
+        last = max(silences.values(), default=None)
+        return [channel_id for channel_id, since in silences.items() if since == last]
 
     def _is_idle(self, heard: Heard | None, now: int) -> bool:
         after = self._definition.idle_after_nanos

@@ -12,7 +12,7 @@ from stampede_rt.model import Reason
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, DeliveredSlice, Slice
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
-from stampede_rt_channel_host.core.group.ledger import Ledger, below_place
+from stampede_rt_channel_host.core.group.ledger import Ledger, below_place, newest_gone
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -32,7 +32,8 @@ class Loss:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Step:
-    """A part of a step: first what became visible, then what came late, each ascending by (time, seq).
+    """A part of a step: first what came late, which was readable before, then what became visible by the step, each
+    ascending by (time, seq). So whatever comes later is later in time or in seq than all that came, and either resumes.
 
     `is_last` ends the step; only then `loss` says what it should have brought and cannot.
     """
@@ -110,8 +111,8 @@ class CutFollower:
         """The next part of the step, about `limit_bytes` (payload and overhead; at least one slice if any is left)."""
         assert self.under_way, "begin a step first"
         held, _ = self._channel.look(now)
-        slices, left = self._take_range(held, limit_bytes)
-        late, left = self._take_late(held, left) if left > 0 else ([], left)
+        late, left = self._take_late(held, limit_bytes)
+        slices, left = self._take_range(held, left)
         if left <= 0:
             return Step(slices=slices, late=late, is_last=False)
         return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
@@ -170,8 +171,8 @@ def _charge(part: Slice) -> int:
 
 
 def _reaches(held: Holdings, cut: int | None) -> bool:
-    """Retention has taken items at or past the cut."""
-    gone = held.newest_collected
+    """Items at or past the cut are gone."""
+    gone = newest_gone(held)
     return gone is not None and (cut is None or gone >= cut)
 
 
@@ -182,7 +183,7 @@ def _lost_with_host(channel: Channel, cut: int | None) -> Loss:
 
 
 def _collected(channel: Channel, held: Holdings, items: int, first_seq: int, *, is_exact: bool = True) -> Loss:
-    gone = held.newest_collected
+    gone = newest_gone(held)
     before = channel.newest if gone is None else gone
     return Loss(
         before=0 if before is None else before + 1,

@@ -13,7 +13,7 @@ STEP_BYTES_MAX = 2**20
 
 
 class VisibleAll:
-    """Every item once: what the cut lays open in (time, seq) order, and what comes late as it comes.
+    """Every item once: what comes late as it comes, and what the cut lays open in (time, seq) order.
 
     With `start`, visible items from there on come first; with `after`, those that are later in time or in seq than an
     item that the reader has. Where items were put out of order, resuming so may repeat some; it never leaves one out.
@@ -56,7 +56,7 @@ class VisibleAll:
                 follower.begin(horizon.cut)
             step = follower.take(now, limit_bytes)
             self._gap = None if step.loss is None else _gap(step.loss)
-            slices = step.slices + step.late
+            slices = step.late + step.slices
             if slices:
                 self.delivered += sum(one.slice.items for one in slices)
                 return Delivery(slices=slices)

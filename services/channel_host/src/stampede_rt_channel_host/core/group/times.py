@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from stampede_rt.timeline import clamp
 from stampede_rt_channel_host.core.channel import ABSENT, Channel, Slice
+from stampede_rt_channel_host.core.group.ledger import newest_gone
 
 
 class ChannelTimes(NamedTuple):
@@ -82,6 +83,9 @@ class OwnTimes:
         held, _ = channel.look(now)
         for part in held.slices_by_seq(self._seen_seq, channel.next_seq):
             self._take(part)
+        gone = newest_gone(held)
+        if gone is not None and (self._newest is None or gone > self._newest):  # before this began to look
+            self._newest, self._newest_end = gone, None
         self._seen_seq, self._advance, self.silent_since = channel.next_seq, channel.advanced_to, now
         return before != (self._newest, self._newest_end, self._advance)
 
@@ -124,9 +128,14 @@ class Heard:
 
 
 class TimesBoard:
-    """What a host knows of all channels that its groups have: one for each host, shared by the groups."""
+    """What a host knows of all channels that its groups have: one for each host, shared by the groups.
+
+    `setbacks`: how often a channel fell behind what was known of it, since its host was lost or it was forgotten.
+    Otherwise what is known only grows.
+    """
 
     def __init__(self) -> None:
+        self.setbacks = 0
         self._heard: dict[bytes, Heard] = {}
 
     def find(self, channel_id: bytes) -> Heard | None:
@@ -134,10 +143,11 @@ class TimesBoard:
         return self._heard.get(channel_id)
 
     def tell_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
-        """The host owns the channel, and this is how far it is."""
+        """The host owns the channel, and this is how far it is; nothing, if another owner has been heard of since."""
         held = self._heard.get(channel_id)
-        merged = times if held is None else held.times.merged(times)
-        self._heard[channel_id] = Heard(merged, silent_since, None)
+        if held is not None and times.epoch < held.times.epoch:
+            return
+        self._heard[channel_id] = Heard(times if held is None else self._merged(held, times), silent_since, None)
 
     def disown(self, channel_id: bytes, now: int) -> None:
         """The host does not own the channel any more: from now on others have to tell how far it is."""
@@ -153,7 +163,7 @@ class TimesBoard:
             return True
         if times.epoch < held.times.epoch or (held.known_until is None and times.epoch == held.times.epoch):
             return False
-        merged = held.times.merged(times)
+        merged = self._merged(held, times)
         news = merged != held.times
         held.times, held.silent_since, held.known_until = merged, now - silent_nanos, now
         return news
@@ -169,3 +179,8 @@ class TimesBoard:
         """Forget all other channels: no group has them any more."""
         for channel_id in [one for one in self._heard if one not in channel_ids]:
             del self._heard[channel_id]
+            self.setbacks += 1
+
+    def _merged(self, held: Heard, told: ChannelTimes) -> ChannelTimes:
+        self.setbacks += told.incarnation != held.times.incarnation
+        return held.times.merged(told)
