@@ -16,6 +16,7 @@ matplotlib.use("Agg")
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from PIL import Image
 
 from stampede_rt_demos.staging.film import ATTRIBUTION
@@ -25,6 +26,7 @@ from stampede_rt_demos.stereo.report import StereoReport, subtitle
 
 BLUE, ORANGE, GREEN, INK, FAINT = "#0072B2", "#E69F00", "#009E73", "#222222", "#767676"
 TITLE = "Two cameras, paired by time: disparity of every pair"
+BELOW_TITLE = ConstrainedLayoutEngine(rect=(0, 0, 1, 0.905))
 
 
 def draw(report: StereoReport, frames: Sequence[bytes], frame_nanos: int, path: Path) -> None:
@@ -33,10 +35,11 @@ def draw(report: StereoReport, frames: Sequence[bytes], frame_nanos: int, path: 
         raise ValueError("the consumer got no pair, so there is nothing to draw; run for longer")
     plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK})
     figure, lanes = plt.subplot_mosaic(
-        [["left", "right"], ["time", "time"]], figsize=(12, 7), height_ratios=(1, 1.1), layout="constrained"
+        [["left", "right"], ["time", "time"]], figsize=(12, 7), height_ratios=(1, 1.1), layout=BELOW_TITLE
     )
     try:
-        figure.suptitle(f"{TITLE}\n{subtitle(report)}", x=0.01, ha="left", fontsize=12)
+        figure.text(0.012, 0.955, TITLE, fontsize=15, weight="bold")
+        figure.text(0.012, 0.915, subtitle(report), fontsize=10.5, color=FAINT)
         for name, frame in zip(("left", "right"), frames, strict=True):
             _draw_frame(lanes[name], name, frame)
         _draw_disparity(lanes["time"], report, frame_nanos)
@@ -49,7 +52,7 @@ def draw(report: StereoReport, frames: Sequence[bytes], frame_nanos: int, path: 
 def _draw_frame(lane: Axes, name: str, jpeg: bytes) -> None:
     with Image.open(io.BytesIO(jpeg)) as image:
         lane.imshow(np.asarray(image.convert("L")), cmap="gray")
-    lane.set_title(f"{name} camera, the last pair", loc="left")
+    lane.set_title(f"{name} camera, the last pair", loc="left", fontsize=10.5)
     lane.set(xticks=[], yticks=[])
 
 
@@ -61,7 +64,7 @@ def _draw_disparity(lane: Axes, report: StereoReport, frame_nanos: int) -> None:
         at = [number * frame_nanos / NANOS_PER_SECOND for number in report.alone_told[side]]
         label = f"{side.name.lower()} frame without a partner"
         lane.plot(at, [height] * len(at), mark, color=GREEN, markersize=6, label=label)
-    lane.axvline(report.seconds / 2, color=FAINT, linestyle="--", linewidth=1)
+    lane.vlines(report.seconds / 2, 0, DISPARITY_MAX + 3, color=FAINT, linestyle="--", linewidth=1)
     lane.text(report.seconds / 2, DISPARITY_MAX + 1, " a second consumer joins", color=FAINT, va="bottom")
     lane.set(xlabel="seconds", ylabel="disparity, pixels", ylim=(0, DISPARITY_MAX + 8), xlim=(0, report.seconds))
     lane.spines[["top", "right"]].set_visible(False)
