@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+
 import pytest
 
 import stampede_rt as st
@@ -23,6 +26,46 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A live host gives a sign of life only every 5 s, but these are stopped before that."""
     monkeypatch.setattr(grpc_sync, "SILENCE_S_MAX", 3.0)
     monkeypatch.setattr(grpc_async, "SILENCE_S_MAX", 3.0)
+
+
+def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: LocalCluster) -> None:
+    """None needs to be tried again by its caller: the silence is noticed before the time for one call is over."""
+    with st.connect(cluster.address) as rt, ThreadPoolExecutor(8) as pool:
+        channel = rt.channel("cam/a", max_age="60s")
+        queue = rt.queue("work/a", host=channel.host)
+        channel.put(b"lost")
+        queue.put(b"lost")
+        frozen = owner(cluster, channel)
+        frozen.pause()
+        calls = [
+            pool.submit(channel.put, b"goes on elsewhere"),
+            pool.submit(channel.newest, timeout=30),
+            pool.submit(channel.stats),
+            pool.submit(queue.put, b"waits for room if there is none"),
+        ]
+        put, item, _, seq = (call.result() for call in calls)
+        assert put.incarnation == channel.incarnation
+        assert (item.payload, seq) == (b"goes on elsewhere", 1)
+        frozen.resume()
+
+
+async def test_awaited_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: LocalCluster) -> None:
+    async with aio.connect(cluster.address) as rt:
+        channel = await rt.channel("cam/a", max_age="60s")
+        queue = await rt.queue("work/a", host=channel.host)
+        await channel.put(b"lost")
+        await queue.put(b"lost")
+        frozen = owner(cluster, channel)
+        frozen.pause()
+        put, item, _, seq = await asyncio.gather(
+            channel.put(b"goes on elsewhere"),
+            channel.newest(timeout=30),
+            channel.stats(),
+            queue.put(b"waits for room if there is none"),
+        )
+        assert put.incarnation == channel.incarnation
+        assert (item.payload, seq) == (b"goes on elsewhere", 1)
+        frozen.resume()
 
 
 def test_a_subscription_does_not_wait_for_ever(cluster: LocalCluster) -> None:

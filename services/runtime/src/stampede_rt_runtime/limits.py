@@ -23,7 +23,7 @@ class Limits:
     concurrent_rpcs_max: int = 4096
     keepalive_millis: int = 20_000
     keepalive_timeout_millis: int = 10_000
-    ping_interval_millis_min: int = 4_000
+    ping_interval_millis_min: int = 2_000
     reconnect_millis_max: int = 1_000
 
     def server_options(self) -> list[Option]:
@@ -54,6 +54,7 @@ class Limits:
             ("grpc.absolute_max_metadata_size", 2 * self.metadata_bytes_max),
             ("grpc.keepalive_time_ms", self.keepalive_millis),
             ("grpc.keepalive_timeout_ms", self.keepalive_timeout_millis),
+            ("grpc.http2.ping_timeout_ms", self.keepalive_timeout_millis),  # what ends the connection: see the client's
             ("grpc.keepalive_permit_without_calls", 1),
             ("grpc.http2.max_pings_without_data", 0),
         ]
