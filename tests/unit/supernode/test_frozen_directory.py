@@ -1,11 +1,15 @@
-"""A frozen directory stands still while the one it was made from goes on."""
+"""A snapshot is of one moment while the directory goes on, and the next one writes only what has changed since."""
 
 from __future__ import annotations
 
-from stampede_rt_supernode.codecs.snapshot_codec import encode_snapshot
+import pytest
+
+from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, encode_snapshot
+from stampede_rt_supernode.core.change_ring import CHANGES_MAX
 from stampede_rt_supernode.core.frozen_directory import frozen
 from tests.unit.supernode.deeds import (
     Log,
+    delete,
     deregister,
     deregister_peer,
     open_channel,
@@ -15,7 +19,8 @@ from tests.unit.supernode.deeds import (
 )
 
 
-def test_what_happens_afterwards_is_not_in_it() -> None:
+@pytest.fixture
+def log() -> Log:
     log = Log()
     for number in (1, 2):
         log.apply(register(number))
@@ -24,8 +29,10 @@ def test_what_happens_afterwards_is_not_in_it() -> None:
         log.apply(open_queue(name, host="host-1"))
     for number in (7, 8):
         log.apply(register_peer(number, f"peer-{number}"))
-    before = encode_snapshot(log.directory)
-    still = frozen(log.directory)
+    return log
+
+
+def go_on(log: Log) -> None:
     for name in ("0", "aa", "z"):
         log.apply(open_channel(name, host="host-2", max_items=5))
         log.apply(open_queue(name, host="host-2", max_items=5))
@@ -33,4 +40,53 @@ def test_what_happens_afterwards_is_not_in_it() -> None:
     log.apply(register_peer(9, "peer-7"))
     log.apply(deregister(2))
     log.apply(register(3))
-    assert encode_snapshot(still) == before != encode_snapshot(log.directory)
+
+
+@pytest.mark.parametrize("snapshots_before", [0, 1])
+def test_what_happens_afterwards_is_not_in_it(log: Log, snapshots_before: int) -> None:
+    writer = SnapshotWriter()
+    for _ in range(snapshots_before):
+        writer.begin(log.directory)()
+    before = encode_snapshot(log.directory)
+    encode = writer.begin(log.directory)
+    go_on(log)
+    assert encode() == before != encode_snapshot(log.directory)
+    assert writer.begin(log.directory)() == encode_snapshot(log.directory)
+
+
+def test_a_later_one_takes_only_the_channels_that_changed(log: Log) -> None:
+    position = frozen(log.directory).position
+    go_on(log)
+    still = frozen(log.directory, position)
+    assert still.changes is not None
+    assert still.channels == ()
+    assert len(still.changes) < len(log.directory.tables.changes._changes)
+
+
+def test_a_channel_that_was_made_again_is_the_new_one(log: Log) -> None:
+    writer = SnapshotWriter()
+    writer.begin(log.directory)()
+    log.apply(delete(log.directory.tables.channel_ids["a"]))
+    log.apply(open_channel("a", host="host-2"))
+    log.apply(delete(log.directory.tables.channel_ids["b"]))
+    assert writer.begin(log.directory)() == encode_snapshot(log.directory)
+
+
+def test_all_channels_are_written_when_there_were_too_many_changes(log: Log) -> None:
+    writer = SnapshotWriter()
+    writer.begin(log.directory)()
+    position = frozen(log.directory).position
+    for change in [*log.directory.tables.changes._changes][:1] * (CHANGES_MAX + 1):
+        log.directory.tables.changes.append(change)
+    go_on(log)
+    assert len(frozen(log.directory, position).channels) == len(log.directory.tables.channels)
+    assert writer.begin(log.directory)() == encode_snapshot(log.directory)
+
+
+def test_one_that_was_never_encoded_does_no_harm(log: Log) -> None:
+    writer = SnapshotWriter()
+    writer.begin(log.directory)()
+    log.apply(open_channel("d", host="host-1"))
+    writer.begin(log.directory)
+    log.apply(open_channel("e", host="host-1"))
+    assert writer.begin(log.directory)() == encode_snapshot(log.directory)

@@ -15,7 +15,6 @@ from stampede_rt_supernode.codecs.command_codec import decode_command, encode_re
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
-from stampede_rt_supernode.core.frozen_directory import frozen
 
 T = TypeVar("T")
 
@@ -50,8 +49,7 @@ class DirectoryReplica:
 
         No lock is needed: only this thread changes it.
         """
-        still, snapshots = frozen(self._directory), self._snapshots
-        return lambda: snapshots.write(still)
+        return self._snapshots.begin(self._directory)
 
     def restore(self, snapshot: bytes) -> None:
         """Replace the whole state. Raises for a damaged snapshot: going on without it would answer wrongly."""

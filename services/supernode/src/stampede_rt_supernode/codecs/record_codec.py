@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -27,6 +28,7 @@ _CHANGE_KINDS = {
 }
 _LIMIT_FIELDS = ("max_age_nanos", "max_items", "max_bytes", "consumers", "max_age_unconsumed_nanos")
 _SPEC_FIELDS = ("max_future_nanos", "content_type", "max_item_bytes")
+_POLICIES_MAX = 1024
 
 
 def policy_from(spec: channel_pb2.ChannelSpec) -> Policy:
@@ -59,10 +61,17 @@ def channel_from(record: channel_pb2.ChannelRecord) -> Channel:
         host_id=record.host_id,
         epoch=record.epoch,
         incarnation=record.incarnation,
-        policy=policy_from(record.spec),
+        policy=_held_policy(record.spec.SerializeToString()),
         policy_version=record.spec_version,
         proxy_host_ids=tuple(record.proxy_host_ids),
     )
+
+
+@lru_cache(_POLICIES_MAX)
+def _held_policy(spec: bytes) -> Policy:
+    """One value for all channels of one set-up: to read it takes more time than the rest of a record. What is held was
+    checked, so the keys are short."""
+    return policy_from(channel_pb2.ChannelSpec.FromString(spec))
 
 
 def channel_record(channel: Channel) -> channel_pb2.ChannelRecord:
@@ -73,10 +82,16 @@ def channel_record(channel: Channel) -> channel_pb2.ChannelRecord:
         host_id=channel.host_id,
         epoch=channel.epoch,
         incarnation=channel.incarnation,
-        spec=spec_of(channel.policy),
+        spec=_held_spec(channel.policy),
         spec_version=channel.policy_version,
         proxy_host_ids=channel.proxy_host_ids,
     )
+
+
+@lru_cache(_POLICIES_MAX)
+def _held_spec(policy: Policy) -> channel_pb2.ChannelSpec:
+    """As `_held_policy`, the other way. Not to be changed: only to be copied into a record."""
+    return spec_of(policy)
 
 
 def change_message(change: Change) -> directory_pb2.DirectoryChange:

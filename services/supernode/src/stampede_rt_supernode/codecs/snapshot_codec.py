@@ -1,14 +1,16 @@
 """The whole directory, to and from the bytes of a snapshot.
 
-Snapshots are written on the log's own thread, which must not stand still. The values are immutable, so what was written
-for one is kept and used again: a snapshot costs time for what changed, and a copy of the rest. Each part is an encoded
-message of its own, since to parse joined messages is to merge them (protobuf.dev, "Encoding", "Last One Wins").
+Snapshots are encoded beside a log that must not stand still. The values are immutable, so what was written for one is
+kept and used again: a snapshot costs time for what changed, and a copy of the rest. Each part is an encoded message of
+its own, since to parse joined messages is to merge them (protobuf.dev, "Encoding", "Last One Wins").
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
+
+from sortedcontainers import SortedDict
 
 from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
@@ -22,8 +24,9 @@ from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_rec
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.frozen_directory import Still, frozen
 from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
-from stampede_rt_supernode.core.records import Channel, Peer, Queue, Replica
+from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Peer, Queue, Replica
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
@@ -37,7 +40,7 @@ class SnapshotWriter:
     """Writes one snapshot after the other of one directory. Holds the encoded form of everything but the hosts."""
 
     def __init__(self) -> None:
-        self._channels: _Parts[Channel] = _Parts(lambda one: pb.DirectorySnapshot(channels=[channel_record(one)]))
+        self._channels = _ChannelParts()
         self._groups: _Parts[GroupWithWitnesses] = _Parts(lambda one: pb.DirectorySnapshot(groups=[group_entry(*one)]))
         self._replicas: _Parts[tuple[Replica, ...]] = _Parts(
             lambda copies: pb.DirectorySnapshot(replicas=[replica_record(one) for one in copies])
@@ -48,21 +51,57 @@ class SnapshotWriter:
             lambda answer: pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
         )
 
-    def write(self, directory: Directory) -> bytes:
-        """The state as of its applied index. The same state gives the same bytes on every replica."""
-        tables = directory.tables
-        ids = tables.channel_ids.values()
+    def begin(self, directory: Directory) -> Callable[[], bytes]:
+        """Take the state as of now; what is returned encodes it, on any thread, before the next one begins.
+
+        The same state gives the same bytes on every replica.
+        """
+        still = frozen(directory, self._channels.position)
+        return lambda: self._write(still)
+
+    def _write(self, still: Still) -> bytes:
+        directory, tables = still.directory, still.directory.tables
         return b"".join(
             [
                 _head(directory),
-                *self._channels.encode((one, tables.channels[one]) for one in ids),
+                *self._channels.encode(still),
                 *self._groups.encode(tables.groups.entries()),
-                *self._replicas.encode((one, copies) for one in ids if (copies := tables.replicas.of(one))),
+                *self._replicas.encode(tables.replicas.entries()),
                 *self._queues.encode(sorted(tables.queues.by_id.items())),
                 *self._peers.encode(sorted(tables.peers.by_id.items())),
                 *self._answers.encode((answer.op_id, answer) for answer in directory.answered),
             ]
         )
+
+
+class _ChannelParts:
+    """The encoded forms of all channels as of `position` among the changes, None before the first snapshot."""
+
+    def __init__(self) -> None:
+        self.position: int | None = None
+        self._by_name: SortedDict[str, bytes] = SortedDict()
+
+    def encode(self, still: Still) -> Iterable[bytes]:
+        """A part for each channel, in the order of names."""
+        if still.changes is None:
+            self._by_name = SortedDict({channel.name: _channel_part(channel) for channel in still.channels})
+        else:
+            self._follow(still.changes)
+        self.position = still.position
+        return self._by_name.values()
+
+    def _follow(self, changes: Iterable[Change]) -> None:
+        last = {change.subject.name: change for change in changes if isinstance(change.subject, Channel)}
+        for name, change in last.items():
+            assert isinstance(change.subject, Channel)
+            if change.kind is ChangeKind.REMOVED:
+                self._by_name.pop(name, None)
+            else:
+                self._by_name[name] = _channel_part(change.subject)
+
+
+def _channel_part(channel: Channel) -> bytes:
+    return pb.DirectorySnapshot(channels=[channel_record(channel)]).SerializeToString(deterministic=True)
 
 
 class _Parts(Generic[T]):
@@ -111,7 +150,7 @@ def _remembered(answer: Answer) -> pb.RememberedOperation:
 
 def encode_snapshot(directory: Directory) -> bytes:
     """One snapshot, with nothing kept."""
-    return SnapshotWriter().write(directory)
+    return SnapshotWriter().begin(directory)()
 
 
 def decode_snapshot(encoded: bytes) -> Directory:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from operator import itemgetter
 
 from stampede_rt_supernode.core.records import Replica
 
@@ -20,6 +21,10 @@ class ReplicaTable:
     def of(self, channel_id: bytes) -> tuple[Replica, ...]:
         """The copies of a channel, as they were added."""
         return self._by_channel.get(channel_id, ())
+
+    def entries(self) -> list[tuple[bytes, tuple[Replica, ...]]]:
+        """(channel id, its copies) in the order of ids; only channels with a copy."""
+        return sorted(self._by_channel.items(), key=itemgetter(0))
 
     def at(self, channel_id: bytes, host_id: bytes) -> Replica | None:
         """The copy of a channel at a host, if there is one."""
