@@ -13,15 +13,20 @@ import grpc
 import pytest
 
 from stampede_rt.cli.main import main as stampede
+from stampede_rt.errors import NotLeader
+from stampede_rt.status import abort
 from stampede_rt.v1 import (
     directory_pb2,
     directory_service_pb2_grpc,
     frontend_service_pb2_grpc,
     gatekeeper_service_pb2_grpc,
+    peer_pb2,
+    peer_service_pb2_grpc,
 )
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.version import VERSION
 from stampede_rt_runtime.server import serving
 
@@ -34,6 +39,7 @@ class Everything(
     frontend_service_pb2_grpc.FrontendServiceServicer,
     directory_service_pb2_grpc.DirectoryServiceServicer,
     gatekeeper_service_pb2_grpc.GatekeeperServiceServicer,
+    peer_service_pb2_grpc.PeerServiceServicer,
 ):
     """One server that is the front-end, the only supernode and the only host."""
 
@@ -41,6 +47,8 @@ class Everything(
     host_ahead_nanos = 0
     all_ahead_nanos = 0
     host_version = VERSION
+    peers: tuple[peer_pb2.PeerRecord, ...] = ()
+    leads = True
 
     def _now(self) -> int:
         return time.time_ns() + self.all_ahead_nanos
@@ -58,6 +66,18 @@ class Everything(
             name="h1", alive=True, gatekeepers=[directory_pb2.Endpoint(target=self.address)]
         )
         return directory_pb.ListHostsResponse(hosts=[host])
+
+    async def ListPeers(self, request: peer_pb.ListPeersRequest, context: Any) -> peer_pb.ListPeersResponse:
+        """A peer on each page."""
+        if request.with_clocks and not self.leads:
+            await abort(context, NotLeader("this one follows"))
+        place = int(request.page_token or 0)
+        more = "" if place + 1 >= len(self.peers) else str(place + 1)
+        page = peer_pb.ListPeersResponse(peers=self.peers[place : place + 1], next_page_token=more)
+        if not request.with_clocks:
+            for peer in page.peers:
+                peer.ClearField("clock")
+        return page
 
     def _members(self) -> list[directory_pb2.SupernodeRecord]:
         place = directory_pb2.Endpoint(target=self.address)
@@ -81,6 +101,7 @@ async def running(everything: Everything) -> AsyncIterator[None]:
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(everything, server)
         directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(everything, server)
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(everything, server)
+        peer_service_pb2_grpc.add_PeerServiceServicer_to_server(everything, server)
 
     async with serving(register) as server:
         everything.address = server.address
@@ -122,3 +143,53 @@ async def test_a_host_of_another_version_is_named(capsys: pytest.CaptureFixture[
     assert code == 1, said
     assert "9.9.9: host h1" in said
     assert f"{VERSION}: this caller, front-end and supernode s1" in said
+
+
+def peer(name: str, *, ahead_nanos: int | None = None, supernode: str = "s1") -> peer_pb2.PeerRecord:
+    clock = peer_pb2.ClockOffset(offset_nanos=ahead_nanos or 0, uncertainty_nanos=10**6, supernode_id=supernode)
+    return peer_pb2.PeerRecord(name=name, alive=True, version="3.1", clock=None if ahead_nanos is None else clock)
+
+
+def row(said: str, part: str) -> str:
+    [found] = [line for line in said.splitlines() if line.startswith(f"{part} ")]
+    return found
+
+
+async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    everything = Everything()
+    everything.peers = (
+        peer("robot/good", ahead_nanos=0),
+        peer("robot/late", ahead_nanos=-2 * HOUR_NANOS),
+        peer("robot/new"),
+        peer("robot/stray", ahead_nanos=5 * HOUR_NANOS, supernode="s9"),  # which nobody has asked
+    )
+    code, said = await said_of(everything, capsys)
+    assert code == 1, said
+    assert re.search(r"^clocks: that of peer robot/late is (2|1.9\d+|2.0\d+) h behind the others'; sync", said, re.M), (
+        said
+    )
+    assert re.search(r"^peer robot/late +- +ok .* -(2|1.9\d+|2.0\d+) h +3\.1$", said, re.M), said
+    assert re.search(r" (ns|us|ms) +3\.1$", row(said, "peer robot/good")), said
+    for unknown in ("robot/new", "robot/stray"):
+        assert re.search(r"ok +- +unknown +3\.1$", row(said, f"peer {unknown}")), said
+
+
+async def test_clocks_that_all_agree_against_this_machine_are_those_of_peers_too(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    everything = Everything()
+    everything.all_ahead_nanos = HOUR_NANOS
+    everything.peers = (peer("robot/good", ahead_nanos=0),)
+    code, said = await said_of(everything, capsys)
+    assert (code, said.count("synchronise")) == (1, 1), said
+    assert re.search(r" (1|1.0\d+|0.9\d+|59.\d+) [hm] +3\.1$", row(said, "peer robot/good")), said
+
+
+async def test_without_a_leader_peers_are_shown_without_their_clocks(capsys: pytest.CaptureFixture[str]) -> None:
+    everything = Everything()
+    everything.leads = False
+    everything.peers = (peer("robot/good", ahead_nanos=0), peer("robot/late", ahead_nanos=-2 * HOUR_NANOS))
+    code, said = await said_of(everything, capsys)
+    assert (code, said.count("unknown")) == (0, 2), said

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.cli.diagnosis import FRONTEND, HOST, SUPERNODE, Finding, Observation, diagnose
+from stampede_rt.cli.diagnosis import FRONTEND, HOST, PEER, SUPERNODE, Finding, Observation, diagnose
 
 DAY_S = 86400.0
 MS = 1_000_000
@@ -57,6 +57,33 @@ def test_if_all_are_off_alike_it_is_this_machine_that_is_off() -> None:
 def test_a_long_round_trip_leaves_room_for_doubt() -> None:
     assert not found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=50 * MS), "clocks").advice
     assert found(changed("h1", clock_offset_nanos=90 * MS, round_trip_nanos=30 * MS), "clocks").advice
+
+
+def test_a_peer_whose_clock_is_off_is_told_as_a_host_would_be() -> None:
+    clocks = found([*WELL, seen(PEER, "robot/3", clock_offset_nanos=-1500 * MS)], "clocks")
+    assert clocks.advice == "that of peer robot/3 is 1.5 s behind the others'; synchronise it (chrony, ntpd)"
+    assert clocks.state == "1.5 s apart, 50 ms are allowed"
+
+
+def test_peers_have_no_say_in_which_clocks_are_right() -> None:
+    peers = [seen(PEER, f"phone/{number}", clock_offset_nanos=200 * MS) for number in range(20)]
+    advice = found([*WELL, *peers], "clocks").advice
+    assert (advice.count("that of peer phone/"), "host" in advice, "this machine" in advice) == (20, False, False)
+
+
+def test_a_peer_that_measured_badly_is_given_room_and_nobody_else() -> None:
+    vague = seen(PEER, "far", clock_offset_nanos=300 * MS, round_trip_nanos=800 * MS)
+    off = replace(WELL[-1], clock_offset_nanos=300 * MS)
+    assert found([*WELL[:-1], off, vague], "clocks").advice.startswith("that of host h1 is 300 ms ahead of the others'")
+    assert "far" not in found([*WELL[:-1], off, vague], "clocks").advice
+
+
+def test_a_peer_that_told_nothing_of_its_clock_is_not_taken_to_be_right_or_wrong() -> None:
+    peer = seen(PEER, "older", clock_offset_nanos=None, round_trip_nanos=None, version="0.7 of something else")
+    findings = diagnose([*WELL, peer], own_version="1.0", certificate_s_min=14 * DAY_S)
+    assert [finding for finding in findings if finding.advice] == []
+    assert found([*WELL, peer], "clocks").state.startswith("0 ns apart")
+    assert found([*WELL, peer], "peer older").state == "ok"
 
 
 def test_two_versions_are_told_with_who_runs_which() -> None:

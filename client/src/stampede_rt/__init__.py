@@ -68,7 +68,7 @@ from stampede_rt.model import (
     Reason,
     SupernodeInfo,
 )
-from stampede_rt.peering import PeerChange, PeerInfo
+from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
 from stampede_rt.tls import TlsFiles
@@ -87,6 +87,7 @@ __all__ = [
     "ChannelInfo",
     "ChannelNotFound",
     "ChannelStats",
+    "ClockOffset",
     "Codec",
     "CodecError",
     "Connection",

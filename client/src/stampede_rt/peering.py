@@ -12,8 +12,40 @@ PROOF_CHARACTERS_MIN = 16
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ClockOffset:
+    """How far a participant's clock is ahead of that of a supernode (negative: behind), as it measured it itself.
+
+    The true offset is at most `uncertainty_nanos` more or less.
+    """
+
+    offset_nanos: int
+    uncertainty_nanos: int
+    supernode: str
+
+    @classmethod
+    def measured(
+        cls, *, sent_unix_nano: int, took_nanos: int, told_unix_nano: int, supernode: str, held_nanos: int = 0
+    ) -> ClockOffset:
+        """Of a call that was sent at `sent_unix_nano` by the own clock, in which a supernode told its time.
+
+        It told it at the end of the `held_nanos` for which it had the request. The rest was the way there and back:
+        counted as halves, it is wrong by half of it at the most.
+        """
+        uncertainty = (max(0, took_nanos - held_nanos) + 1) // 2
+        return cls(
+            offset_nanos=sent_unix_nano + took_nanos - uncertainty - told_unix_nano,
+            uncertainty_nanos=uncertainty,
+            supernode=supernode,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class PeerInfo:
-    """A participant as the directory knows it. `registered` is an instant in nanoseconds since the epoch."""
+    """A participant as the directory knows it. `registered` is an instant in nanoseconds since the epoch.
+
+    `clock` is what it told last of its clock; None: unknown. It told nothing (its software is older), or not yet, or
+    the leader of the supernodes could not be asked, who alone hears it. Changes that are watched never tell it.
+    """
 
     peer_id: bytes
     name: str
@@ -25,6 +57,7 @@ class PeerInfo:
     version: str
     attributes: Mapping[str, str]
     registered: int
+    clock: ClockOffset | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as any_of
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
-from stampede_rt.peering import PeerIdentity
+from stampede_rt.peering import ClockOffset, PeerIdentity
 from stampede_rt.queueing import QueuePolicy, parse_queue_policy
+from stampede_rt.wire.peers import clock_message, clock_offset
 from stampede_rt.wire.queues import queue_policy_from_spec, queue_policy_to_spec
 
 
@@ -43,3 +46,30 @@ def test_a_wrong_lease_is_named() -> None:
     with pytest.raises(InvalidArgument, match="lease is '2h'; it is 1 h at most"):
         parse_queue_policy(lease="2h")
     assert isinstance(error_for("PEER_NOT_FOUND", "x"), StampedeError)
+
+
+def test_a_clock_is_compared_with_what_was_told_halfway() -> None:
+    """Sent at 5000 by the own clock, 600 on the way there and back, and held for 400 before 4000 was told."""
+    found = ClockOffset.measured(
+        sent_unix_nano=5000, took_nanos=1000, told_unix_nano=4000, supernode="s1", held_nanos=400
+    )
+    assert found == ClockOffset(offset_nanos=1700, uncertainty_nanos=300, supernode="s1")
+
+
+nanos = any_of.integers(0, 10**12)
+
+
+@given(there=nanos, held=nanos, back=nanos, ahead=any_of.integers(-(10**18), 10**18))
+def test_the_true_offset_of_a_clock_is_never_further_off_than_it_is_said_to_be(
+    there: int, held: int, back: int, ahead: int
+) -> None:
+    sent = 10**18
+    told = sent - ahead + there + held
+    found = ClockOffset.measured(
+        sent_unix_nano=sent, took_nanos=there + held + back, told_unix_nano=told, supernode="s1", held_nanos=held
+    )
+    assert abs(found.offset_nanos - ahead) <= found.uncertainty_nanos
+    assert found.uncertainty_nanos <= (there + back + 1) // 2
+    message = clock_message(found)
+    assert message is not None
+    assert clock_offset(message) == found

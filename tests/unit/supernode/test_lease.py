@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from stampede_rt.peering import ClockOffset
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.records import Host
 
@@ -105,3 +106,32 @@ def test_nothing_is_granted_or_ended_without_a_tenure(table: LeaseTable) -> None
     assert table.tenure == 0
     table.follow([replace(host(1))], 0)
     assert table.due(100 * SECOND) == []
+
+
+AHEAD = ClockOffset(offset_nanos=7, uncertainty_nanos=1, supernode="s1")
+
+
+def test_what_a_holder_told_last_of_its_clock_is_kept_beside_its_lease(table: LeaseTable) -> None:
+    assert table.clock(host(1)) is None
+    assert table.renew(host(1), SECOND, AHEAD)
+    assert (table.clock(host(1)), table.clock(host(2)), table.clock(host(3))) == (AHEAD, None, None)
+    assert table.renew(host(1), 2 * SECOND)  # it does not know any more
+    assert table.clock(host(1)) is None
+    table.note_clock(host(1), AHEAD, 3 * SECOND)
+    assert table.clock(host(1, registered_index=9)) is None  # another registration, of which nothing is known
+    table.follow([], 4 * SECOND)
+    assert table.clock(host(1)) is None
+
+
+def test_a_clock_told_with_a_registration_does_not_lengthen_a_lease_that_is_known(table: LeaseTable) -> None:
+    table.note_clock(host(1), AHEAD, 3 * SECOND)
+    assert (b"\x01", 1, 1) in pass_time(table, 0, TTL)
+
+
+def test_clocks_are_forgotten_with_the_tenure_and_noted_only_under_one(table: LeaseTable) -> None:
+    table.note_clock(host(1), AHEAD, SECOND)
+    table.lead(8, [host(1)], SECOND, ttl_nanos=TTL)
+    assert table.clock(host(1)) is None
+    table.resign()
+    table.note_clock(host(1), AHEAD, SECOND)
+    assert table.clock(host(1)) is None

@@ -32,8 +32,8 @@ def entering(number: int, name: str = "", *, boot: int = 1, **fields: Any) -> pb
     )
 
 
-def renewal(number: int, *, boot: int = 1) -> pb.RenewPeerLeaseRequest:
-    return pb.RenewPeerLeaseRequest(peer_id=id_of(number), boot_incarnation=boot)
+def renewal(number: int, *, boot: int = 1, **fields: Any) -> pb.RenewPeerLeaseRequest:
+    return pb.RenewPeerLeaseRequest(peer_id=id_of(number), boot_incarnation=boot, **fields)
 
 
 def leaving(number: int, *, boot: int = 1) -> pb.DeregisterPeerRequest:
@@ -206,3 +206,85 @@ async def test_a_mailbox_without_a_host_is_refused_and_a_peer_without_a_name_nee
         assert (await reason_of(node.peers.RegisterPeer(entering(7, "planner")))).reason == "NO_HOST"
         registered = await node.peers.RegisterPeer(entering(7))
         assert not registered.HasField("mailbox")
+
+
+BEHIND = peer_pb2.ClockOffset(offset_nanos=-80_000_000, uncertainty_nanos=500_000, supernode_id="s1")
+AHEAD = peer_pb2.ClockOffset(offset_nanos=30_000_000, uncertainty_nanos=700_000, supernode_id="s1")
+
+
+async def clocks(node: Node, **fields: Any) -> dict[str, peer_pb2.ClockOffset | None]:
+    """By the names of the peers; None where it is unknown."""
+    listed = await Node.call(node.peers.ListPeers(pb.ListPeersRequest(with_clocks=True, **fields)))
+    return {peer.name: peer.clock if peer.HasField("clock") else None for peer in listed.peers}
+
+
+async def test_the_leader_tells_what_peers_told_it_of_their_clocks_and_only_if_asked(node: Node) -> None:
+    registered = await node.peers.RegisterPeer(entering(7, "planner", clock=BEHIND))
+    await node.peers.RegisterPeer(entering(8, "older"))
+    assert await clocks(node) == {"older": None, "planner": BEHIND}
+    await node.peers.RenewPeerLease(renewal(7, clock=AHEAD))
+    assert await clocks(node) == {"older": None, "planner": AHEAD}
+    found = await node.peers.ResolvePeer(pb.ResolvePeerRequest(name="planner", with_clocks=True))
+    assert found.peer.clock == AHEAD
+    unasked = await node.peers.ResolvePeer(pb.ResolvePeerRequest(name="planner"))
+    assert unasked.peer == registered.peer
+    assert not any(peer.HasField("clock") for peer in (await node.peers.ListPeers(pb.ListPeersRequest())).peers)
+
+
+async def test_what_peers_tell_of_their_clocks_comes_into_no_log_and_no_snapshot(node: Node) -> None:
+    await node.peers.RegisterPeer(entering(7, "planner"))
+    index, snapshot = node.log.index, node.replica.begin_snapshot()()
+    await node.peers.RenewPeerLease(renewal(7, clock=BEHIND))
+    assert await clocks(node) == {"planner": BEHIND}
+    assert (node.log.index, node.replica.begin_snapshot()()) == (index, snapshot)
+
+
+async def test_a_renewal_tells_the_time_of_the_leader_and_how_long_it_was_held(node: Node) -> None:
+    await node.peers.RegisterPeer(entering(7))
+    node.log.reads_may_end.clear()
+    node.log.read_waits.clear()
+    renewing = node.peers.RenewPeerLease(renewal(7))
+    await node.log.read_waits.wait()
+    node.clock.advance(3_000_000)
+    node.log.reads_may_end.set()
+    renewed = await renewing
+    assert (renewed.supernode_id, renewed.time_unix_nano) == ("s1", node.clock.time_unix_nano())
+    assert renewed.held_nanos == 3_000_000
+
+
+async def test_a_new_leader_knows_the_clocks_that_it_was_told_and_a_follower_sends_to_the_leader(node: Node) -> None:
+    await node.peers.RegisterPeer(entering(7, "planner", clock=BEHIND))
+    node.log.tenure = 2
+    await node.leases.tick()
+    assert await clocks(node) == {"planner": None}
+    await node.peers.RenewPeerLease(renewal(7, clock=AHEAD))
+    assert await clocks(node) == {"planner": AHEAD}
+    node.log.leader_id = "s2"
+    assert (await reason_of(clocks(node, stale_ok=True))).metadata["leader"] == "s2"
+    lookup = pb.ResolvePeerRequest(name="planner", with_clocks=True)
+    assert (await reason_of(node.peers.ResolvePeer(lookup))).reason == "NOT_LEADER"
+    await node.leases.tick()
+    await node.peers.RegisterPeer(entering(8, "late", clock=BEHIND))  # of a follower, which passes over its clock
+    node.log.leader_id, node.log.tenure = "s1", 3
+    await node.leases.tick()
+    assert await clocks(node) == {"late": None, "planner": None}
+
+
+async def test_the_clock_of_a_peer_goes_with_its_lease_and_its_registration(node: Node) -> None:
+    await node.peers.RegisterPeer(entering(7, "planner", proof=PROOF, clock=BEHIND))
+    await node.peers.RegisterPeer(entering(7, "planner", boot=2, proof=PROOF))
+    assert await clocks(node) == {"planner": None}
+    await node.peers.RenewPeerLease(renewal(7, boot=2, clock=AHEAD))
+    await seconds_with_the_host(node, 6)
+    assert await clocks(node, include_dead=True) == {"planner": None}
+
+
+async def test_what_cannot_be_a_clock_is_refused(node: Node) -> None:
+    for wrong in (
+        peer_pb2.ClockOffset(offset_nanos=1, uncertainty_nanos=-1, supernode_id="s1"),
+        peer_pb2.ClockOffset(offset_nanos=1, uncertainty_nanos=1),
+        peer_pb2.ClockOffset(offset_nanos=1, uncertainty_nanos=1, supernode_id="s" * 129),
+    ):
+        error = await reason_of(node.peers.RegisterPeer(entering(7, "planner", clock=wrong)))
+        assert (error.reason, "clock." in error.message) == ("INVALID_ARGUMENT", True)
+        assert (await reason_of(node.peers.RenewPeerLease(renewal(7, clock=wrong)))).reason == "INVALID_ARGUMENT"

@@ -27,7 +27,7 @@ from stampede_rt.grouping import (
     parse_members,
     parse_reference,
 )
-from stampede_rt.peering import PeerInfo
+from stampede_rt.peering import ClockOffset, PeerInfo
 from stampede_rt.policy import parse_name, parse_policy
 from stampede_rt.queueing import QueueStats, parse_prefetch, parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
@@ -74,6 +74,14 @@ class Connection(Discovery):
     def cluster_id(self) -> str:
         """Which cluster this is."""
         return self._session.supernodes.cluster_id
+
+    @property
+    def clock(self) -> ClockOffset | None:
+        """How far this machine's clock is ahead of the nearest supernode's, or of the leader's for a named connection.
+
+        Measured when it connects; later with each renewal of its lease, and at times with other calls to supernodes.
+        """
+        return self._session.supernodes.clock
 
     async def channel(
         self,

@@ -7,7 +7,7 @@ from typing import Any
 from stampede_rt._async.peer_place import peer_not_found
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt._async.watch import PeerWatch, Watch
-from stampede_rt.errors import HostNotFound, QueueNotFound
+from stampede_rt.errors import DeadlineExceeded, HostNotFound, PeerNotFound, Unavailable
 from stampede_rt.grouping import GroupInfo
 from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.peering import PeerInfo
@@ -24,6 +24,7 @@ from stampede_rt.wire.queues import queue_info
 from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
 
 PAGES_MAX = 10_000
+LEADER_TIMEOUT_S = 2.5  # then what the leader alone knows is left out
 
 
 class Discovery:
@@ -56,22 +57,21 @@ class Discovery:
         return found
 
     async def peers(self, name_glob: str = "*", *, include_dead: bool = False) -> list[PeerInfo]:
-        """The participants whose names match, see `channels`; in the order of names."""
+        """The participants whose names match, see `channels`; in the order of names. Live ones with their clocks."""
         found: list[PeerInfo] = []
-        async for page in self._pages("ListPeers", peer_pb.ListPeersRequest(name_glob=name_glob)):
-            found += [peer_info(record) for record in page.peers if record.alive or include_dead]
+        request = peer_pb.ListPeersRequest(name_glob=name_glob, include_dead=include_dead)
+        async for page in self._pages("ListPeers", request, self._ask_with_clocks):
+            found += [peer_info(record) for record in page.peers]
         return found
 
     async def peer(self, name: str) -> PeerInfo:
-        """The live participant with that name. Raises PeerNotFound."""
+        """The live participant with that name, and its clock. Raises PeerNotFound."""
         request = peer_pb.ResolvePeerRequest(name=parse_name(name, "peer"))
         try:
-            found = peer_info((await self._session.supernodes.call("ResolvePeer", request, CALL_TIMEOUT_S)).peer)
-        except QueueNotFound as error:  # how the contract says it
+            response = await self._ask_with_clocks("ResolvePeer", request)
+        except PeerNotFound as error:
             raise peer_not_found(name) from error
-        if not found.alive:
-            raise peer_not_found(name)
-        return found
+        return peer_info(response.peer)
 
     async def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
         """The channel hosts, in the order of names."""
@@ -100,13 +100,25 @@ class Discovery:
             page_request.page_token = page.next_page_token
         return stats
 
-    async def _pages(self, method: str, request: Any) -> Any:
+    async def _pages(self, method: str, request: Any, ask: Any = None) -> Any:
         for _ in range(PAGES_MAX):
-            page = await self._session.supernodes.call(method, request, CALL_TIMEOUT_S)
+            page = await (ask or self._ask)(method, request)
             yield page
             if not page.next_page_token:
                 return
             request.page_token = page.next_page_token
+
+    async def _ask(self, method: str, request: Any) -> Any:
+        return await self._session.supernodes.call(method, request, CALL_TIMEOUT_S)
+
+    async def _ask_with_clocks(self, method: str, request: Any) -> Any:
+        """Ask the leader, who alone knows clocks; if it does not answer, whoever does."""
+        request.with_clocks = True
+        try:
+            return await self._session.supernodes.call_leader(method, request, LEADER_TIMEOUT_S)
+        except (Unavailable, DeadlineExceeded):
+            request.with_clocks = False
+            return await self._ask(method, request)
 
     async def supernodes(self) -> list[SupernodeInfo]:
         """The supernodes, as the nearest one sees them."""

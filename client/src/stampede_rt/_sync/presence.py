@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 import os
 import random
+import time
 
 from stampede_rt._sync.listener import worth_a_line
 from stampede_rt._sync.queue import Taking
@@ -15,23 +16,20 @@ from stampede_rt.binding import Binding
 from stampede_rt.errors import (
     DeadlineExceeded,
     LeaseExpired,
-    NotLeader,
     PeerExists,
     QueueNotFound,
     StampedeError,
     Unavailable,
 )
-from stampede_rt.peering import PeerIdentity, PeerInfo
+from stampede_rt.peering import ClockOffset, PeerIdentity, PeerInfo
 from stampede_rt.queueing import QueuePolicy
 from stampede_rt.transports.concurrency_sync import Background, Signal
-from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.version import VERSION
-from stampede_rt.wire.peers import peer_info
+from stampede_rt.wire.peers import clock_message, peer_info
 
 LEAVE_TIMEOUT_S = 1.0
 RENEWALS_IN_LEASE = 3
-LEADERS_ASKED_MAX = 3  # in one renewal: one that was, one that was said to be, and one more
 _log = logging.getLogger("stampede_rt")
 
 
@@ -47,7 +45,6 @@ class Presence:
         self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1
         self._name = name
         self._lease_s = 0.0
-        self._leader = ""
         self._wake = Signal()
         self._left = False
         self._registered = False
@@ -78,6 +75,7 @@ class Presence:
             proof=self._identity.proof,
             zone=self._session.zone,
             version=VERSION,
+            clock=clock_message(self._session.supernodes.clock),
         )
         try:
             response = self._session.supernodes.call("RegisterPeer", request, timeout_s)
@@ -147,28 +145,24 @@ class Presence:
             _log.warning("the lease of peer %r %s, which is tried again: %s", self._name, how, error)
 
     def _renew(self, timeout_s: float) -> None:
-        """Ask the leader, who alone renews."""
-        request = peer_pb.RenewPeerLeaseRequest(peer_id=self.peer_id, boot_incarnation=self._boot_incarnation)
-        for _ in range(LEADERS_ASKED_MAX):
-            leader = self._leader or self._find_leader(timeout_s)
-            self._leader = ""
-            port = self._session.ports.to(leader)
-            try:
-                port.call(port.directory.RenewPeerLease, request, timeout_s)
-            except NotLeader as error:
-                self._leader = error.metadata.get("leader_endpoint", "")
-                continue
-            self._leader = leader
-            return
-        raise Unavailable("the supernodes have no leader at present")
-
-    def _find_leader(self, timeout_s: float) -> str:
-        request = directory_pb.ListSupernodesRequest()
-        response = self._session.supernodes.call("ListSupernodes", request, timeout_s)
-        for record in response.supernodes:
-            if record.is_leader:
-                return str(record.endpoint.target)
-        raise Unavailable("the supernodes have no leader at present")
+        """Ask the leader, who alone renews; it hears how far this machine's clock is off, and tells its own time."""
+        supernodes = self._session.supernodes
+        request = peer_pb.RenewPeerLeaseRequest(
+            peer_id=self.peer_id,
+            boot_incarnation=self._boot_incarnation,
+            clock=clock_message(supernodes.clock),
+        )
+        sent, began = time.time_ns(), time.monotonic_ns()
+        response = supernodes.call_leader("RenewPeerLease", request, timeout_s)
+        took = time.monotonic_ns() - began
+        if response.supernode_id:  # an older one tells no time
+            supernodes.clock = ClockOffset.measured(
+                sent_unix_nano=sent,
+                took_nanos=took,
+                told_unix_nano=response.time_unix_nano,
+                supernode=response.supernode_id,
+                held_nanos=response.held_nanos,
+            )
 
     def end(self) -> None:
         """Leave: the name is free and the mailbox gone at once; if nobody hears it, once the lease has ended."""

@@ -10,7 +10,8 @@ from typing import Any
 
 from stampede_rt._sync.ports import Ports
 from stampede_rt.binding import order_by_round_trip
-from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.peering import ClockOffset
 from stampede_rt.retry import Backoff
 from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt.transports.concurrency_sync import at_once, in_thread, sleep
@@ -24,6 +25,7 @@ PING_TIMEOUT_S = 1.0
 TRY_TIMEOUT_S = 2.5  # for one supernode while there are others: one that is stopped must not use up all the time
 CONNECT_TIMEOUT_S = 5.0
 EXPLAIN_TIMEOUT_S = 1.0  # after it no other front-end is looked at
+LEADERS_ASKED_MAX = 3  # for one call: one that was, one that was said to be, and one more
 
 
 class Supernodes:
@@ -37,7 +39,9 @@ class Supernodes:
         self._targets: list[str] = []
         self._elsewhere: frozenset[str] = frozenset()  # those of another zone than ours, if we have one
         self._measure_again_s = float("-inf")
+        self._leader = ""  # who led when it was looked for last
         self.cluster_id = ""
+        self.clock: ClockOffset | None = None  # this machine's, by the last call that told a supernode's time
 
     def bind(self, timeout_s: float) -> None:
         """Ask the front-ends, one after the other, for the supernodes, and put the nearest first.
@@ -105,19 +109,27 @@ class Supernodes:
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
-        took_s = at_once([functools.partial(self._round_trip_s, target) for target in targets])
-        answered = {target: seconds for target, seconds in zip(targets, took_s, strict=True) if seconds is not None}
-        self._targets = order_by_round_trip(self._targets, answered, self._elsewhere)
+        clocks = at_once([functools.partial(self._ping, target) for target in targets])
+        answered = {target: clock for target, clock in zip(targets, clocks, strict=True) if clock is not None}
+        round_trips_s = {target: 2e-9 * clock.uncertainty_nanos for target, clock in answered.items()}
+        self._targets = order_by_round_trip(self._targets, round_trips_s, self._elsewhere)
+        if self._targets:
+            self.clock = answered.get(self._targets[0], self.clock)
 
-    def _round_trip_s(self, target: str) -> float | None:
-        """How far away a supernode is; None if it cannot serve."""
-        started_s = time.monotonic()
+    def _ping(self, target: str) -> ClockOffset | None:
+        """How far away a supernode is, and its clock; None if it cannot serve."""
+        sent, began = time.time_ns(), time.monotonic_ns()
         try:
             port = self._ports.to(target)
-            response = port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), PING_TIMEOUT_S)
+            pong = port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), PING_TIMEOUT_S)
         except StampedeError:
             return None
-        return time.monotonic() - started_s if response.ready else None
+        took = time.monotonic_ns() - began
+        if not pong.ready:
+            return None
+        return ClockOffset.measured(
+            sent_unix_nano=sent, took_nanos=took, told_unix_nano=pong.time_unix_nano, supernode=pong.supernode_id
+        )
 
     def call(self, method: str, request: Any, timeout_s: float) -> Any:
         """One call of the directory. Goes to the next supernode if one cannot serve, and to the front-ends after all.
@@ -173,6 +185,28 @@ class Supernodes:
             self.bind(max(min(left_s, CONNECT_TIMEOUT_S), 0.1))
         except (Unavailable, DeadlineExceeded):
             self._measure_again_s = float("-inf")
+
+    def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
+        """One call of the leader, who alone can answer it. Raises what it answers; Unavailable if nobody leads, for
+        this is not tried again."""
+        for _ in range(LEADERS_ASKED_MAX):
+            self._leader = target = self._leader or self._find_leader(timeout_s)
+            port = self._ports.to(target)
+            try:
+                return port.call(getattr(port.directory, method), request, timeout_s)
+            except NotLeader as error:
+                self._leader = error.metadata.get("leader_endpoint", "")
+            except (Unavailable, DeadlineExceeded):
+                self._leader = ""
+                raise
+        raise Unavailable("the supernodes have no leader at present")
+
+    def _find_leader(self, timeout_s: float) -> str:
+        response = self.call("ListSupernodes", directory_pb.ListSupernodesRequest(), timeout_s)
+        for record in response.supernodes:
+            if record.is_leader:
+                return str(record.endpoint.target)
+        raise Unavailable("the supernodes have no leader at present")
 
     def stream(self, method: str, request: Any) -> Stream[Any]:
         """The responses of one streaming call, from the nearest supernode."""

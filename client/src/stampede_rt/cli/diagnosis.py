@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from stampede_rt.timeline import format_duration
 
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
-FRONTEND, SUPERNODE, HOST, CALLER = "front-end", "supernode", "host", "this caller"
+UNKNOWN = "unknown"  # how the clock of a peer is shown that told nothing of it
+FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "peer", "this caller"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -16,7 +17,8 @@ class Observation:
     """What one part said when it was asked, or why it said nothing (`failure`).
 
     `clock_offset_nanos` is of its clock against the caller's, give or take half of the round trip. `alive`: what the
-    directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end.
+    directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end. A peer cannot
+    be asked: it told the leader, and its round trip is the caller's and its own to the supernode between them.
     """
 
     kind: str
@@ -140,30 +142,40 @@ def _hosts(seen: Sequence[Observation]) -> Iterator[Finding]:
 
 
 def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
-    """Whose clock is off, against the others' and the caller's. Those of most are taken to be right."""
+    """Whose clock is off, against the services' and the caller's. Those of most services are taken to be right."""
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
-    if not offsets:
+    services = [one for one in offsets if one.kind != PEER]
+    if not services:
         return
-    middle = sorted(offsets.values())[(len(offsets) - 1) // 2]
-    doubt = max(one.round_trip_nanos or 0 for one in offsets)
-    allowed = CLOCK_OFFSET_NANOS_MAX + doubt
-    off = {one: offset - middle for one, offset in offsets.items() if abs(offset - middle) > allowed}
-    advice = [f"that of {one.part} is {_ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]
-    if abs(middle) > allowed:
-        advice.append(f"this machine's is {_ahead(-middle)} the cluster's; synchronise this one")
+    middle = sorted(offsets[one] for one in services)[(len(services) - 1) // 2]
+    doubt = max(one.round_trip_nanos or 0 for one in services) // 2
+    off = {one: offset - middle for one, offset in offsets.items() if is_off(offset - middle, doubt + _doubt(one))}
+    advice = [f"that of {one.part} is {ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]
+    if is_off(middle, 2 * doubt):
+        advice.append(f"this machine's is {ahead(-middle)} the cluster's; synchronise this one")
     apart = max(*offsets.values(), 0) - min(*offsets.values(), 0)
     state = f"{format_duration(apart)} apart, {format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
     yield Finding("clocks", "-", state, f"{'; '.join(advice)} (chrony, ntpd)" if advice else "")
 
 
-def _ahead(nanos: int) -> str:
-    return f"{format_duration(abs(nanos))} {'ahead of' if nanos > 0 else 'behind'}"
+def _doubt(one: Observation) -> int:
+    return (one.round_trip_nanos or 0) // 2
+
+
+def is_off(offset_nanos: int, uncertainty_nanos: int) -> bool:
+    """Whether a clock is certainly further from another than is allowed."""
+    return abs(offset_nanos) > CLOCK_OFFSET_NANOS_MAX + uncertainty_nanos
+
+
+def ahead(offset_nanos: int) -> str:
+    """An offset in words, to be followed by what it is against."""
+    return f"{format_duration(abs(offset_nanos))} {'ahead of' if offset_nanos > 0 else 'behind'}"
 
 
 def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[Finding]:
     who: dict[str, list[str]] = {own_version: [CALLER]}
     for one in seen:
-        if one.version:
+        if one.version and one.kind != PEER:  # theirs may be of any program
             who.setdefault(one.version, []).append(one.part)
     advice = ""
     if len(who) > 1:

@@ -8,7 +8,7 @@ from typing import Any
 
 from stampede_rt._sync.ports import Ports
 from stampede_rt.cli.arguments import add_verb
-from stampede_rt.cli.diagnosis import Finding, diagnose
+from stampede_rt.cli.diagnosis import PEER, UNKNOWN, Finding, diagnose
 from stampede_rt.cli.examining import Examination
 from stampede_rt.cli.output import print_rows
 from stampede_rt.connecting import parse_target
@@ -50,14 +50,14 @@ def _where(finding: Finding) -> str:
 def _row(finding: Finding, form: str) -> dict[str, Any]:
     people, seen = form == "table", finding.seen
 
-    def duration(nanos: int | None) -> Any:
-        return format_duration(nanos) if people and nanos is not None else nanos
+    def duration(nanos: int | None, if_none: str | None = None) -> Any:
+        return nanos if not people else if_none if nanos is None else format_duration(nanos)
 
     return {
         "part": finding.part,
         "address": finding.address,
         "state": finding.state,
         "round_trip": duration(seen.round_trip_nanos) if seen else None,
-        "clock_offset": duration(seen.clock_offset_nanos) if seen else None,
+        "clock_offset": duration(seen.clock_offset_nanos, UNKNOWN if seen.kind == PEER else None) if seen else None,
         "version": (seen.version or None) if seen else None,
     } | ({} if people else {"advice": finding.advice})

@@ -1,26 +1,31 @@
-"""Asks every part of a cluster how it is, many at once: front-ends, then the supernodes they name, then the hosts."""
+"""Asks every part of a cluster how it is, many at once: front-ends, then the supernodes they name, then the hosts.
+
+Peers cannot be asked; the leader tells what they told it.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from stampede_rt._sync.ports import Ports
-from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, SUPERNODE, Observation
+from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Observation
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import DETAILS_KEY
 from stampede_rt.tls_diagnosis import certificate_end_unix_s, check_own_certificate, explain_refusal, seconds_of
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for 2 s before it answers
 ASKED_AT_ONCE_MAX = 16
 PATIENT_NANOS_MAX = 10**9
+PAGES_MAX = 10_000
 
 
 class _Part(NamedTuple):
@@ -56,7 +61,9 @@ class Examination:
                     named |= {record.endpoint.target: record.supernode_id for record in answer.response.supernodes}
             supernodes = self._supernodes(named)
             hosts = self._hosts(supernodes)
-        return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts))]
+            by_name = {answer.seen.name: answer.seen for answer in supernodes}
+            peers = [_peer(record, by_name) for record in self._peers(supernodes)]
+        return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts)), *peers]
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
         """Those that are named and those that they name: who has lost its majority still knows the others."""
@@ -66,12 +73,12 @@ class Examination:
         return sorted((_named(one, listed) for one in (*first, *more)), key=lambda one: one.seen.name)
 
     def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
-        request = directory_pb.ListSupernodesRequest()
-        return self._first(answers, "ListSupernodes", request, "supernodes")
+        response = self._first(answers, "ListSupernodes", directory_pb.ListSupernodesRequest())
+        return response.supernodes if response else ()
 
     def _hosts(self, supernodes: Iterable[_Answer]) -> list[_Answer]:
-        request = directory_pb.ListHostsRequest(include_dead=True, stale_ok=True)
-        hosts = self._first(supernodes, "ListHosts", request, "hosts")
+        response = self._first(supernodes, "ListHosts", directory_pb.ListHostsRequest(include_dead=True, stale_ok=True))
+        hosts = response.hosts if response else ()
         alive = [host for host in hosts if host.alive]
         lost = [
             Observation(kind=HOST, name=one.name, address=_gatekeeper(one), alive=False)
@@ -80,19 +87,31 @@ class Examination:
         ]
         return [*self._ask(map(_host, alive)), *(_Answer(None, one) for one in lost)]
 
-    def _first(self, supernodes: Iterable[_Answer], method: str, request: Any, field: str) -> Sequence[Any]:
-        """What the first of them that answers says; nothing if none does."""
+    def _peers(self, supernodes: Sequence[_Answer]) -> Iterator[Any]:
+        """The records of those that live, with the clocks that they told the leader; without a leader, without them."""
+        request = peer_pb.ListPeersRequest(stale_ok=True, with_clocks=True)
+        for _ in range(PAGES_MAX):
+            page = self._first(supernodes, "ListPeers", request)
+            if page is None:
+                request.with_clocks = False
+                page = self._first(supernodes, "ListPeers", request)
+            if page is None:
+                return
+            yield from page.peers
+            if not page.next_page_token:
+                return
+            request.page_token = page.next_page_token
+
+    def _first(self, supernodes: Iterable[_Answer], method: str, request: Any) -> Any:
+        """What the first of them says that answers this; None if none does."""
         for one in supernodes:
             if one.response is not None:
                 port = self._ports.to(one.seen.address)
                 try:
-                    found: Sequence[Any] = getattr(
-                        port.call(getattr(port.directory, method), request, TIMEOUT_S), field
-                    )
+                    return port.call(getattr(port.directory, method), request, TIMEOUT_S)
                 except StampedeError:
                     continue  # what is wrong with it, its own finding says
-                return found
-        return ()
+        return None
 
     def _ask(self, parts: Iterable[_Part]) -> list[_Answer]:
         return list(self._pool.map(self._probe, parts))
@@ -165,6 +184,19 @@ def _supernode(name: str, address: str) -> _Part:
 def _host(host: Any) -> _Part:
     request = gatekeeper_pb.GatekeeperServicePingRequest()
     return _Part(HOST, host.name, _gatekeeper(host), "gatekeeper", "Ping", request)
+
+
+def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
+    """What it told of its clock is against a supernode's, whose own is known if it answered the caller."""
+    seen = Observation(kind=PEER, name=record.name or record.peer_id.hex(), address="-", version=record.version)
+    between = supernodes.get(record.clock.supernode_id) if record.HasField("clock") else None
+    if between is None or between.round_trip_nanos is None or between.clock_offset_nanos is None:
+        return seen
+    return replace(
+        seen,
+        round_trip_nanos=between.round_trip_nanos + 2 * record.clock.uncertainty_nanos,
+        clock_offset_nanos=between.clock_offset_nanos + record.clock.offset_nanos,
+    )
 
 
 def _gatekeeper(host: Any) -> str:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import asdict
 from typing import Any
 
 from stampede_rt import PeerInfo, connect
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute
+from stampede_rt.cli.diagnosis import UNKNOWN, ahead, is_off
 from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import PeerNotFound
-from stampede_rt.timeline import format_instant
+from stampede_rt.timeline import format_duration, format_instant
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -43,7 +45,20 @@ def run_peers(arguments: argparse.Namespace) -> int:
         hosts = {host.host_id: host.name for host in rt.hosts()}
     rows = [_row(peer, hosts, arguments.output) for peer in peers]
     print_rows(rows, arguments.output, none=f"no participant matches {arguments.glob!r}")
+    advice = _advice(peers)
+    if advice and arguments.output == "table":
+        print("\n" + "\n".join(advice))
     return 0
+
+
+def _advice(peers: list[PeerInfo]) -> list[str]:
+    """What to do about clocks that are off, by the rule of `stampede doctor`, which knows whose is right."""
+    return [
+        f"{peer.name or peer.peer_id.hex()}: its clock is {ahead(peer.clock.offset_nanos)} that of supernode "
+        f"{peer.clock.supernode}; synchronise it (chrony, ntpd), or see `stampede doctor` for which of the two is wrong"
+        for peer in peers
+        if peer.clock is not None and is_off(peer.clock.offset_nanos, peer.clock.uncertainty_nanos)
+    ]
 
 
 def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
@@ -56,7 +71,17 @@ def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
         "host": hosts.get(peer.host_id) if peer.host_id is not None else None,
         "zone": peer.zone or None,
         "version": peer.version,
-    }
+    } | _clock(peer, people)
+
+
+def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
+    """Against the supernode that it was compared with: that of the leader, as a rule."""
+    if not people:
+        return {"clock": None if peer.clock is None else asdict(peer.clock)}
+    if peer.clock is None:
+        return {"clock_offset": UNKNOWN if peer.alive else None}
+    offset, uncertainty = (format_duration(nanos) for nanos in (peer.clock.offset_nanos, peer.clock.uncertainty_nanos))
+    return {"clock_offset": f"{offset} +/- {uncertainty}"}
 
 
 def run_send(arguments: argparse.Namespace) -> int:

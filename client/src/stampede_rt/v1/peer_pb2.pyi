@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class PeerRecord(_message.Message):
-    __slots__ = ("peer_id", "name", "boot_incarnation", "alive", "mailbox_queue_id", "host_id", "zone", "version", "attributes", "registered_unix_nano")
+    __slots__ = ("peer_id", "name", "boot_incarnation", "alive", "mailbox_queue_id", "host_id", "zone", "version", "attributes", "registered_unix_nano", "clock")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -26,6 +26,7 @@ class PeerRecord(_message.Message):
     VERSION_FIELD_NUMBER: _ClassVar[int]
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     name: str
     boot_incarnation: int
@@ -36,7 +37,18 @@ class PeerRecord(_message.Message):
     version: str
     attributes: _containers.ScalarMap[str, str]
     registered_unix_nano: int
-    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., mailbox_queue_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., registered_unix_nano: _Optional[int] = ...) -> None: ...
+    clock: ClockOffset
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., mailbox_queue_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., registered_unix_nano: _Optional[int] = ..., clock: _Optional[_Union[ClockOffset, _Mapping]] = ...) -> None: ...
+
+class ClockOffset(_message.Message):
+    __slots__ = ("offset_nanos", "uncertainty_nanos", "supernode_id")
+    OFFSET_NANOS_FIELD_NUMBER: _ClassVar[int]
+    UNCERTAINTY_NANOS_FIELD_NUMBER: _ClassVar[int]
+    SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
+    offset_nanos: int
+    uncertainty_nanos: int
+    supernode_id: str
+    def __init__(self, offset_nanos: _Optional[int] = ..., uncertainty_nanos: _Optional[int] = ..., supernode_id: _Optional[str] = ...) -> None: ...
 
 class PeerChange(_message.Message):
     __slots__ = ("index", "kind", "peer")

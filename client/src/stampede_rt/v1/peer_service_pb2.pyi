@@ -10,7 +10,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RegisterPeerRequest(_message.Message):
-    __slots__ = ("request_id", "peer_id", "name", "boot_incarnation", "proof", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes")
+    __slots__ = ("request_id", "peer_id", "name", "boot_incarnation", "proof", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "clock")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -29,6 +29,7 @@ class RegisterPeerRequest(_message.Message):
     ZONE_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     peer_id: bytes
     name: str
@@ -40,7 +41,8 @@ class RegisterPeerRequest(_message.Message):
     zone: str
     version: str
     attributes: _containers.ScalarMap[str, str]
-    def __init__(self, request_id: _Optional[bytes] = ..., peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    clock: _peer_pb2.ClockOffset
+    def __init__(self, request_id: _Optional[bytes] = ..., peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., clock: _Optional[_Union[_peer_pb2.ClockOffset, _Mapping]] = ...) -> None: ...
 
 class RegisterPeerResponse(_message.Message):
     __slots__ = ("peer", "lease_ttl_nanos", "mailbox", "mailbox_host", "mailbox_kept", "cluster_id")
@@ -59,20 +61,28 @@ class RegisterPeerResponse(_message.Message):
     def __init__(self, peer: _Optional[_Union[_peer_pb2.PeerRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., mailbox_host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., mailbox_kept: bool = ..., cluster_id: _Optional[str] = ...) -> None: ...
 
 class RenewPeerLeaseRequest(_message.Message):
-    __slots__ = ("peer_id", "boot_incarnation")
+    __slots__ = ("peer_id", "boot_incarnation", "clock")
     PEER_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CLOCK_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     boot_incarnation: int
-    def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
+    clock: _peer_pb2.ClockOffset
+    def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., clock: _Optional[_Union[_peer_pb2.ClockOffset, _Mapping]] = ...) -> None: ...
 
 class RenewPeerLeaseResponse(_message.Message):
-    __slots__ = ("lease_ttl_nanos", "tenure")
+    __slots__ = ("lease_ttl_nanos", "tenure", "time_unix_nano", "supernode_id", "held_nanos")
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
+    TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
+    HELD_NANOS_FIELD_NUMBER: _ClassVar[int]
     lease_ttl_nanos: int
     tenure: int
-    def __init__(self, lease_ttl_nanos: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
+    time_unix_nano: int
+    supernode_id: str
+    held_nanos: int
+    def __init__(self, lease_ttl_nanos: _Optional[int] = ..., tenure: _Optional[int] = ..., time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., held_nanos: _Optional[int] = ...) -> None: ...
 
 class DeregisterPeerRequest(_message.Message):
     __slots__ = ("request_id", "peer_id", "boot_incarnation")
@@ -89,14 +99,16 @@ class DeregisterPeerResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class ResolvePeerRequest(_message.Message):
-    __slots__ = ("peer_id", "name", "stale_ok")
+    __slots__ = ("peer_id", "name", "stale_ok", "with_clocks")
     PEER_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    WITH_CLOCKS_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     name: str
     stale_ok: bool
-    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., stale_ok: bool = ...) -> None: ...
+    with_clocks: bool
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., stale_ok: bool = ..., with_clocks: bool = ...) -> None: ...
 
 class ResolvePeerResponse(_message.Message):
     __slots__ = ("peer", "applied_index")
@@ -107,18 +119,20 @@ class ResolvePeerResponse(_message.Message):
     def __init__(self, peer: _Optional[_Union[_peer_pb2.PeerRecord, _Mapping]] = ..., applied_index: _Optional[int] = ...) -> None: ...
 
 class ListPeersRequest(_message.Message):
-    __slots__ = ("name_glob", "page_size", "page_token", "stale_ok", "include_dead")
+    __slots__ = ("name_glob", "page_size", "page_token", "stale_ok", "include_dead", "with_clocks")
     NAME_GLOB_FIELD_NUMBER: _ClassVar[int]
     PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
     PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
     STALE_OK_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_DEAD_FIELD_NUMBER: _ClassVar[int]
+    WITH_CLOCKS_FIELD_NUMBER: _ClassVar[int]
     name_glob: str
     page_size: int
     page_token: str
     stale_ok: bool
     include_dead: bool
-    def __init__(self, name_glob: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., stale_ok: bool = ..., include_dead: bool = ...) -> None: ...
+    with_clocks: bool
+    def __init__(self, name_glob: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., stale_ok: bool = ..., include_dead: bool = ..., with_clocks: bool = ...) -> None: ...
 
 class ListPeersResponse(_message.Message):
     __slots__ = ("peers", "next_page_token", "applied_index")

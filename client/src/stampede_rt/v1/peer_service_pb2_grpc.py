@@ -101,14 +101,15 @@ class PeerServiceServicer(object):
 
     def ResolvePeer(self, request, context):
         """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
-        Errors: PEER_NOT_FOUND.
+        Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListPeers(self, request, context):
-        """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing).
+        """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing);
+        NOT_LEADER (with_clocks).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -49,10 +49,12 @@ class PeerServiceStub:
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
     """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
-    Errors: PEER_NOT_FOUND.
+    Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]
-    """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
+    """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing);
+    NOT_LEADER (with_clocks).
+    """
     WatchPeers: _grpc.UnaryStreamMultiCallable[_peer_service_pb2.WatchPeersRequest, _peer_service_pb2.WatchPeersResponse]
     """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
 
@@ -77,10 +79,12 @@ class PeerServiceAsyncStub(PeerServiceStub):
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
     """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
-    Errors: PEER_NOT_FOUND.
+    Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]  # type: ignore[assignment]
-    """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
+    """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing);
+    NOT_LEADER (with_clocks).
+    """
     WatchPeers: _aio.UnaryStreamMultiCallable[_peer_service_pb2.WatchPeersRequest, _peer_service_pb2.WatchPeersResponse]  # type: ignore[assignment]
     """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
 
@@ -126,7 +130,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.ResolvePeerResponse, _abc.Awaitable[_peer_service_pb2.ResolvePeerResponse]]:
         """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
-        Errors: PEER_NOT_FOUND.
+        Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
 
     @_abc_1.abstractmethod
@@ -135,7 +139,9 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.ListPeersRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.ListPeersResponse, _abc.Awaitable[_peer_service_pb2.ListPeersResponse]]:
-        """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
+        """List peers by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing);
+        NOT_LEADER (with_clocks).
+        """
 
     @_abc_1.abstractmethod
     def WatchPeers(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.peering import PeerChange, PeerInfo
+from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.v1 import peer_pb2
 from stampede_rt.wire.records import CHANGE_KINDS
 
@@ -20,6 +20,27 @@ def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
         version=record.version,
         attributes=dict(record.attributes),
         registered=record.registered_unix_nano,
+        clock=clock_offset(record.clock) if record.HasField("clock") else None,
+    )
+
+
+def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
+    """How far a participant's clock is off."""
+    return ClockOffset(
+        offset_nanos=message.offset_nanos,
+        uncertainty_nanos=message.uncertainty_nanos,
+        supernode=message.supernode_id,
+    )
+
+
+def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
+    """The same for the wire; None, which is unknown, leaves a field absent."""
+    if clock is None:
+        return None
+    return peer_pb2.ClockOffset(
+        offset_nanos=clock.offset_nanos,
+        uncertainty_nanos=clock.uncertainty_nanos,
+        supernode_id=clock.supernode,
     )
 
 

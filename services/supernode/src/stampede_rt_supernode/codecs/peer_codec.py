@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.peering import ClockOffset
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import peer_pb2
+from stampede_rt.wire.peers import clock_message
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
 from stampede_rt_supernode.codecs.queue_codec import (
     queue_from,
@@ -35,8 +37,8 @@ def attributes_from(attributes: Mapping[str, str]) -> tuple[tuple[str, str], ...
     return tuple(sorted(attributes.items()))
 
 
-def peer_record(peer: Peer) -> peer_pb2.PeerRecord:
-    """The peer as clients see it."""
+def peer_record(peer: Peer, clock: ClockOffset | None = None) -> peer_pb2.PeerRecord:
+    """The peer as clients see it, with its clock if that is known and asked for: the log holds none."""
     return peer_pb2.PeerRecord(
         peer_id=peer.peer_id,
         name=peer.name,
@@ -48,6 +50,7 @@ def peer_record(peer: Peer) -> peer_pb2.PeerRecord:
         version=peer.version,
         attributes=dict(peer.attributes),
         registered_unix_nano=peer.registered_unix_nano,
+        clock=clock_message(clock),
     )
 
 

@@ -12,6 +12,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
+from stampede_rt.peering import ClockOffset
+
 LEASE_TTL_NANOS = 5 * 10**9
 STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not hear renewals either
 
@@ -38,6 +40,7 @@ class _Lease:
     registered_index: int
     ends_nanos: int
     ending: bool = False  # its end is proposed, and cannot be called back
+    clock: ClockOffset | None = None  # its holder's, as told last; no part of the directory, and gone with the tenure
 
 
 class LeaseTable:
@@ -82,9 +85,9 @@ class LeaseTable:
             self._leases[holder.holder_id] = held
         return held
 
-    def renew(self, holder: Registered, received: int) -> bool:
+    def renew(self, holder: Registered, received: int, clock: ClockOffset | None = None) -> bool:
         """Prolong the lease of a live holder's registration to `received` + TTL. False: its end is proposed already,
-        and only a new registration can help.
+        and only a new registration can help. `clock` is what the holder tells of its own.
 
         The caller asks for this, and acknowledges it, only after a confirmed read that began after it was received.
         """
@@ -92,7 +95,18 @@ class LeaseTable:
         if held.ending:
             return False
         held.ends_nanos = max(held.ends_nanos, received + self.ttl_nanos)
+        held.clock = clock
         return True
+
+    def note_clock(self, holder: Registered, clock: ClockOffset, now: int) -> None:
+        """What a live holder told of its clock with its registration."""
+        if self.tenure:
+            self._lease_of(holder, now).clock = clock
+
+    def clock(self, holder: Registered) -> ClockOffset | None:
+        """What a holder told last of its clock; None: nothing, or not to this leader."""
+        held = self._leases.get(holder.holder_id)
+        return held.clock if held is not None and held.registered_index == holder.registered_index else None
 
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
         """(holder id, boot incarnation, registered index) of the leases that end now; they are renewed no more.

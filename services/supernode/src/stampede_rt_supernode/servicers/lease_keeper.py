@@ -8,9 +8,10 @@ import asyncio
 import logging
 import secrets
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeError, Unavailable
+from stampede_rt.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_supernode.core.commands import BeginTenure, ExpireHost, HostExpired, TenureBegun
 from stampede_rt_supernode.core.directory import Directory
@@ -33,6 +34,16 @@ ENDINGS_AT_ONCE_MAX = 64
 PEERS_PER_ENTRY_MAX = 256
 
 T = TypeVar("T", Host, Peer)
+
+
+class PeerRenewal(NamedTuple):
+    """A peer's lease holds on; with the leader's time, by which the peer measures its own clock."""
+
+    ttl_nanos: int
+    tenure: int
+    time_unix_nano: int
+    supernode_id: str
+    held_nanos: int  # since the renewal came
 
 
 class LeaseKeeper:
@@ -148,22 +159,44 @@ class LeaseKeeper:
         """
         return await self._renew(self._hosts, lambda: self._registered(host_id, boot_incarnation), seconds)
 
-    async def renew_peer(self, peer_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
-        """As `renew`, for a peer."""
-        return await self._renew(self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds)
-
-    async def _renew(self, table: LeaseTable, holder: Callable[[], T], seconds: float) -> tuple[int, int]:
+    async def renew_peer(
+        self, peer_id: bytes, boot_incarnation: int, clock: ClockOffset | None, *, seconds: float
+    ) -> PeerRenewal:
+        """As `renew`, for a peer, which tells of its clock (None: it does not know)."""
         received = self._clock.boottime_nanos()
-        tenure = self._check_leads(0)
+        ttl_nanos, tenure = await self._renew(
+            self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
+        )
+        told, held = self._clock.time_unix_nano(), self._clock.boottime_nanos() - received
+        return PeerRenewal(ttl_nanos, tenure, told, self._log.status().self_id, held)
+
+    def note_clock(self, peer: Peer, clock: ClockOffset | None) -> None:
+        """What a peer told with this registration of it: of use if this supernode leads, and the peer still lives."""
+        now_there = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
+        if clock is not None and peer == now_there:
+            self._peers.note_clock(peer, clock, self._clock.boottime_nanos())
+
+    def clock_of(self, peer: Peer) -> ClockOffset | None:
+        """What a peer told last of its clock, if it told this supernode as the leader."""
+        return self._peers.clock(peer)
+
+    async def _renew(
+        self, table: LeaseTable, holder: Callable[[], T], seconds: float, clock: ClockOffset | None = None
+    ) -> tuple[int, int]:
+        received = self._clock.boottime_nanos()
+        tenure = self.check_leads()
         await self._submission.confirm(seconds=seconds)
-        self._check_leads(tenure)
+        self.check_leads(tenure)
         found = holder()
-        if not table.renew(found, received):
+        if not table.renew(found, received, clock):
             raise _lapsed(found)
         return table.ttl_nanos, tenure
 
-    def _check_leads(self, since: int) -> int:
-        """The tenure under which leases are granted; another one than `since` (0: any) is not good enough."""
+    def check_leads(self, since: int = 0) -> int:
+        """The tenure under which leases are granted; another one than `since` (0: any) is not good enough.
+
+        Raises NotLeader, or Unavailable with reason NO_QUORUM while this supernode takes over.
+        """
         status = self._log.status()
         if not status.is_leader:
             raise not_leader(status)

@@ -9,9 +9,11 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.peering import ClockOffset
 from stampede_rt.status import abort
+from stampede_rt.v1 import peer_pb2, peer_service_pb2_grpc
 from stampede_rt.v1 import peer_service_pb2 as pb
-from stampede_rt.v1 import peer_service_pb2_grpc
+from stampede_rt.wire.peers import clock_offset
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
@@ -19,7 +21,7 @@ from stampede_rt_supernode.codecs.record_codec import peer_change_message
 from stampede_rt_supernode.core import page_tokens
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import peer_by_id, peer_by_name
-from stampede_rt_supernode.core.peers.checks import check_proof
+from stampede_rt_supernode.core.peers.checks import check_clock, check_proof
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, PeerDeregistered, PeerRegistered, RegisterPeer
 from stampede_rt_supernode.core.peers.queries import PeerPage, peer_page
 from stampede_rt_supernode.core.records import ID_BYTES, Peer
@@ -44,7 +46,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         """
         if request.HasField("host_id"):
             self._calls.check_host(context, request.host_id)
+        clock = _clock_told(request)
         entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
+        self._leases.note_clock(entered.peer, clock)
         ttl_nanos = await self._calls.read(context, lambda directory: directory.lease_ttl_nanos, stale_ok=True)
         return pb.RegisterPeerResponse(
             peer=peer_record(entered.peer),
@@ -58,10 +62,16 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @refusing
     async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Any) -> pb.RenewPeerLeaseResponse:
         """See the contract. Leaves no entry in the log."""
-        ttl_nanos, tenure = await self._leases.renew_peer(
-            request.peer_id, request.boot_incarnation, seconds=seconds_left(context)
+        renewed = await self._leases.renew_peer(
+            request.peer_id, request.boot_incarnation, _clock_told(request), seconds=seconds_left(context)
         )
-        return pb.RenewPeerLeaseResponse(lease_ttl_nanos=ttl_nanos, tenure=tenure)
+        return pb.RenewPeerLeaseResponse(
+            lease_ttl_nanos=renewed.ttl_nanos,
+            tenure=renewed.tenure,
+            time_unix_nano=renewed.time_unix_nano,
+            supernode_id=renewed.supernode_id,
+            held_nanos=renewed.held_nanos,
+        )
 
     @refusing
     async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Any) -> pb.DeregisterPeerResponse:
@@ -80,8 +90,13 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             peer = peer_by_name(tables, request.name) if by_name else peer_by_id(tables, request.peer_id)
             return peer, directory.applied_index
 
+        if request.with_clocks:
+            self._leases.check_leads()
         peer, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        return pb.ResolvePeerResponse(peer=peer_record(peer), applied_index=index)
+        return pb.ResolvePeerResponse(peer=self._record(peer, request.with_clocks), applied_index=index)
+
+    def _record(self, peer: Peer, with_clock: bool) -> peer_pb2.PeerRecord:
+        return peer_record(peer, self._leases.clock_of(peer) if with_clock and peer.alive else None)
 
     @refusing
     async def ListPeers(self, request: pb.ListPeersRequest, context: Any) -> pb.ListPeersResponse:
@@ -95,9 +110,11 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             )
             return page, directory.applied_index
 
+        if request.with_clocks:
+            self._leases.check_leads()
         page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ListPeersResponse(
-            peers=[peer_record(peer) for peer in page.peers],
+            peers=[self._record(peer, request.with_clocks) for peer in page.peers],
             next_page_token=page_tokens.write_peer(listing, page.last),
             applied_index=index,
         )
@@ -113,6 +130,12 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
                 )
         except StampedeError as error:
             await abort(context, error)
+
+
+def _clock_told(request: pb.RegisterPeerRequest | pb.RenewPeerLeaseRequest) -> ClockOffset | None:
+    clock = clock_offset(request.clock) if request.HasField("clock") else None
+    check_clock(clock)
+    return clock
 
 
 def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
+from stampede_rt.peering import ClockOffset
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.queues.specs import check_queue_spec
 from stampede_rt_supernode.core.records import Peer
@@ -19,6 +20,7 @@ PROOF_BYTES = 32
 SHA256_BYTES = 32
 ATTRIBUTES_MAX = 32
 ATTRIBUTES_BYTES_MAX = 4096
+SUPERNODE_ID_CHARACTERS_MAX = 128
 
 
 def check_proof(proof: bytes) -> None:
@@ -28,6 +30,16 @@ def check_proof(proof: bytes) -> None:
             f"proof has {len(proof)} bytes instead of {PROOF_BYTES}; take {PROOF_BYTES} random bytes, or leave it out"
         )
         raise InvalidArgument(text, metadata={"field": "proof"})
+
+
+def check_clock(clock: ClockOffset | None) -> None:
+    """What a peer tells of its clock. Raises InvalidArgument."""
+    if clock is None:
+        return
+    check_text(clock.supernode, "clock.supernode_id", 1, SUPERNODE_ID_CHARACTERS_MAX)
+    if clock.uncertainty_nanos < 0:
+        text = f"clock.uncertainty_nanos is {clock.uncertainty_nanos}; it is half of a round trip, 0 or more"
+        raise InvalidArgument(text, metadata={"field": "clock"})
 
 
 def check_register_peer(deed: RegisterPeer) -> None:
