@@ -1,137 +1,156 @@
 """What a wide group costs its hosts: `python -m tests.benchmarks.wide_groups`.
 
-64 channels at 100 items/s each, spread over 1, 2 and 4 hosts, without a group and in one group on `oldest`. All hosts
-run in this one process, with real gRPC between them; items go straight into their cores, so that the difference of CPU
-time is the group's alone: following the channels, exchanging times, computing cuts.
+64 channels at 100 items/s each, spread over 1, 2, 3, 4 and 6 hosts, without a group and in one group on `oldest`. Each
+host is a process (see `fed_host`), a supernode and a front-end stand beside them. The difference of CPU time is the
+group's alone: following the channels, exchanging times, computing cuts.
 """
 
 from __future__ import annotations
 
 import argparse
-import asyncio
-import time
-from collections.abc import Sequence
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any
 
-from stampede_rt.v1 import channel_pb2
-from stampede_rt.v1 import group_service_pb2 as pb
-from stampede_rt.wire.runs import encode_run, seal_run
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.core.channel import Offer
-from stampede_rt_channel_host.groups.link import Link
-from tests.unit.groups.rig import Cluster, Host, running_cluster
+import stampede_rt as st
+from stampede_rt_bench.clusters import SECRET_VARIABLE, running
+from stampede_rt_bench.measuring import Spread
+from stampede_rt_bench.tables import Table, spread
+from tests.benchmarks.fed_host import NO_GROUP, Fed
 
 CHANNELS, ITEMS_PER_SECOND = 64, 100
-HOSTS = (1, 2, 4)
-STEPS_PER_PERIOD = 10  # channels put at phases of their own, so that nothing is coalesced by coming together
+HOSTS = (1, 2, 3, 4, 6)
 WARM_SECONDS = 1.0
+PATIENCE_SECONDS = 10.0
+GROUP = "wide"
+COLUMNS = ("hosts", "pairs", "items/s", "CPU us/item, alone", "a group adds", "messages/s", "cut behind, ms")
 
 
-class Messages:
-    """Counts what links send while it is in place."""
+class FedHosts:
+    """The hosts, named h1, h2, ..., all told the same at once."""
 
-    def __init__(self) -> None:
-        self.sent = 0
-        self._gather = Link._gather
+    def __init__(self, processes: Sequence[subprocess.Popen[str]]) -> None:
+        self._processes = processes
 
-    def __enter__(self) -> Messages:
-        def gather(link: Link) -> Any:
-            self.sent += 1
-            return self._gather(link)
+    def feed(self, seconds: float, group: st.Group | None = None) -> list[Fed]:
+        """Feed every channel for so long, with an eye on the group's cut; what each host did meanwhile."""
+        watched = NO_GROUP if group is None else group.info.group_id.hex()
+        for process in self._processes:
+            assert process.stdin is not None
+            print(1 / ITEMS_PER_SECOND, seconds, watched, file=process.stdin, flush=True)
+        return [Fed(**json.loads(_line(process))) for process in self._processes]
 
-        Link._gather = gather  # type: ignore[method-assign]
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        Link._gather = self._gather  # type: ignore[method-assign]
+@contextmanager
+def fed_hosts(count: int, *flags: str) -> Iterator[FedHosts]:
+    """`count` hosts that are ready, and gone afterwards."""
+    with ExitStack() as ends:
+        processes = []
+        for number in range(1, count + 1):
+            words = ["-m", "tests.benchmarks.fed_host", "--name", f"h{number}", "--listen", "localhost:0", *flags]
+            process = subprocess.Popen(
+                [sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            )
+            ends.callback(_end, process)
+            processes.append(process)
+        for process in processes:
+            _line(process)  # it is ready
+        yield FedHosts(processes)
+
+
+def _line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    if not (line := process.stdout.readline()):
+        raise RuntimeError(f"a host ended with exit code {process.wait(PATIENCE_SECONDS)}; what it said is above")
+    return line
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    process.terminate()
+    try:
+        process.communicate(timeout=PATIENCE_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one run: items put a second, CPU for each in microseconds, exchange messages a second, the cut's worst lag."""
+    """All hosts of one run together; the cut's lag is that of the host that is furthest behind."""
 
     items_per_second: float
     cpu_us_per_item: float
     messages_per_second: float
-    lag_ms: float
+    behind_ms: float
+
+    @classmethod
+    def of(cls, feds: Sequence[Fed]) -> Cost:
+        """The sum over the hosts."""
+        items, wall_s = sum(fed.items for fed in feds), max(fed.wall_s for fed in feds)
+        return cls(
+            items_per_second=items / wall_s,
+            cpu_us_per_item=sum(fed.cpu_s for fed in feds) / items * 1e6,
+            messages_per_second=sum(fed.messages for fed in feds) / wall_s,
+            behind_ms=max(fed.behind_ms or 0.0 for fed in feds),
+        )
 
 
-async def measure(hosts: int, seconds: float, *, grouped: bool) -> Cost:
-    async with running_cluster() as cluster:
-        channels = await _channels(cluster, hosts)
-        if grouped:
-            group = cluster.directory.add_group("wide", channels)
-            for host in cluster.hosts:
-                await _cut(host, group)
-        hosted = [one.host.host.store.find(one.channel_id, one.record.epoch) for one in channels]
-        await _put(hosted, WARM_SECONDS)
-        with Messages() as messages:
-            cpu, wall = time.process_time(), time.monotonic()
-            items = await _put(hosted, seconds)
-            cpu, wall = time.process_time() - cpu, time.monotonic() - wall
-        lag = await _lag(cluster, group) if grouped else 0.0
-        return Cost(items / wall, cpu / items * 1e6, messages.sent / wall, lag)
+def measure(hosts: int, seconds: float, warm_seconds: float = WARM_SECONDS) -> tuple[Cost, Cost]:
+    """The same channels on the same hosts, first without a group, then in one. Raises RuntimeError if no cut came."""
+    with running(hosts=0) as address, st.connect(address) as rt:
+        flags = ("--frontend", address, "--secret-file", os.environ[SECRET_VARIABLE], "--log-level", "warning")
+        with fed_hosts(hosts, *flags) as fed:
+            channels = [
+                rt.channel(f"c{number:02}", max_items=1000, host=f"h{number % hosts + 1}") for number in range(CHANNELS)
+            ]
+            for channel in channels:
+                channel.put(b"the host has to know it")
+            fed.feed(warm_seconds)
+            alone = Cost.of(fed.feed(seconds))
+            group = rt.group(GROUP, channels, reference="oldest")
+            for channel in channels[:hosts]:
+                group[channel].newest(timeout=PATIENCE_SECONDS)  # so that every host has the group and its cut
+            fed.feed(warm_seconds, group)
+            feds = fed.feed(seconds, group)
+    if any(one.behind_ms is None for one in feds):
+        raise RuntimeError(f"not all of {hosts} hosts had a cut of the group")
+    return alone, Cost.of(feds)
 
 
-async def _channels(cluster: Cluster, hosts: int) -> list[Any]:
-    for number in range(hosts):
-        await cluster.start(f"h{number}", bytes([number + 1]) * 16)
-    spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=1000))
-    return [await cluster.hosts[number % hosts].open(f"c{number}", spec=spec) for number in range(CHANNELS)]
+def table(hosts: Sequence[int], seconds: float, runs: int) -> Table:
+    """A row for each number of hosts."""
+    made = Table(COLUMNS)
+    for count in hosts:
+        print(f"{count} hosts ...", file=sys.stderr, flush=True)
+        costs = [measure(count, seconds) for _ in range(runs)]
+        alone, grouped = ([cost[place] for cost in costs] for place in (0, 1))
+        made.rows.append(
+            [
+                str(count),
+                str(count * (count - 1) // 2),
+                spread(Spread.of([one.items_per_second for one in grouped]), 0),
+                spread(Spread.of([one.cpu_us_per_item for one in alone]), 1),
+                spread(Spread.of([more.cpu_us_per_item - less.cpu_us_per_item for less, more in costs]), 1),
+                spread(Spread.of([one.messages_per_second for one in grouped]), 0),
+                spread(Spread.of([one.behind_ms for one in grouped]), 1),
+            ]
+        )
+    made.notes = [f"{runs} runs of {seconds:g} s; medians (least to most); CPU and messages of all hosts together."]
+    return made
 
 
-async def _put(hosted: Sequence[HostedChannel], seconds: float) -> int:
-    """Every channel one item in each period, at its own phase; how many in all."""
-    step = 1.0 / ITEMS_PER_SECOND / STEPS_PER_PERIOD
-    steps = round(seconds / step)
-    began = time.monotonic()
-    items = 0
-    for number in range(steps):
-        for channel in hosted[number % STEPS_PER_PERIOD :: STEPS_PER_PERIOD]:
-            _put_one(channel)
-            items += 1
-        await asyncio.sleep(max(0.0, began + (number + 1) * step - time.monotonic()))
-    return items
-
-
-def _put_one(hosted: HostedChannel) -> None:
-    now = time.time_ns()
-    raw = encode_run([b"x" * 64], times=[now])
-    hosted.channel.put(
-        Offer(times=[now], durations=None, lengths=[64]), now, lambda first_seq, kept, stamped: seal_run(raw, first_seq)
-    )
-    hosted.changed(now)
-
-
-async def _lag(cluster: Cluster, group: Any) -> float:
-    """How far behind now the cut is at the host that is furthest behind, right after the last put."""
-    last = time.time_ns()
-    cuts = [await _cut(host, group) for host in cluster.hosts]
-    return (last - min(cuts)) / 1e6
-
-
-async def _cut(host: Host, group: Any) -> int:
-    response = await host.groups.GetCut(pb.GetCutRequest(group_id=group.group_id))
-    return int(response.floor.cut_unix_nano)
-
-
-async def main() -> None:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=5.0)
-    seconds = parser.parse_args().seconds
-    print(
-        f"{'hosts':>5} {'pairs':>5} {'items/s':>8} {'CPU us/item, alone':>19} {'in a group':>11} {'messages/s':>11} "
-        f"{'for an item':>12} {'cut behind, ms':>15}"
-    )
-    for hosts in HOSTS:
-        alone = await measure(hosts, seconds, grouped=False)
-        group = await measure(hosts, seconds, grouped=True)
-        per_item = group.messages_per_second / group.items_per_second
-        print(f"{hosts:5} {hosts * (hosts - 1) // 2:5} {group.items_per_second:8,.0f} {alone.cpu_us_per_item:19.1f} "
-              f"{group.cpu_us_per_item:11.1f} {group.messages_per_second:11,.0f} {per_item:12.3f} {group.lag_ms:15.1f}",
-              flush=True)  # fmt: skip
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--hosts", type=int, nargs="+", default=HOSTS)
+    arguments = parser.parse_args()
+    table(arguments.hosts, arguments.seconds, arguments.runs).print()
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    main()

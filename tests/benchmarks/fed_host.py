@@ -1,0 +1,126 @@
+"""A channel host that feeds its own channels when it is told to: `python -m tests.benchmarks.fed_host HOST_FLAGS`.
+
+A line on stdin, `PERIOD_SECONDS SECONDS GROUP_ID`, puts an item into every channel in each period for so long, and is
+answered with a line of JSON, a `Fed`; the group, in hexadecimal digits, or `-`, is the one whose cut is looked at.
+Items go straight into the cores, for clients that put 6400 items a second would take the machine from what is measured;
+the rest of the host is as ever.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_channel_host import app
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
+from stampede_rt_channel_host.core.channel import Offer
+from stampede_rt_channel_host.groups.link import Link
+from stampede_rt_channel_host.host import ChannelHost
+
+STEPS_PER_PERIOD = 10  # channels put at phases of their own, so that nothing is coalesced by coming together
+LAG_STEPS = 50  # so many steps from one look at the cut to the next
+PAYLOAD = b"x" * 64
+NO_GROUP = "-"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fed:
+    """What this process did meanwhile: items put, CPU, messages sent to other hosts, and the median lag of the cut.
+
+    `behind_ms` is None without a group, and if it showed nothing.
+    """
+
+    items: int
+    cpu_s: float
+    wall_s: float
+    messages: int
+    behind_ms: float | None
+
+
+class FedHost(ChannelHost):
+    """Heeds stdin once it has entered the cluster; ends as any host does."""
+
+    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
+        """See ChannelHost."""
+        await super().enter(target, timeout_s)
+        self._start(_heed(self), "orders")
+
+
+class Messages:
+    """Counts what links send."""
+
+    sent = 0
+
+    @classmethod
+    def count(cls) -> None:
+        """From now on, in this process."""
+        gather = Link._gather
+
+        def counted(link: Link) -> Any:
+            cls.sent += 1
+            return gather(link)
+
+        Link._gather = counted  # type: ignore[method-assign]
+
+
+async def _heed(host: ChannelHost) -> None:
+    orders = asyncio.StreamReader()
+    await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(orders), sys.stdin)
+    while order := await orders.readline():
+        period_s, seconds, group = order.decode().split()
+        group_id = bytes.fromhex(group) if group != NO_GROUP else None
+        print(json.dumps(asdict(await _feed(host, float(period_s), float(seconds), group_id))), flush=True)
+
+
+async def _feed(host: ChannelHost, period_s: float, seconds: float, group_id: bytes | None) -> Fed:
+    hosted = sorted(host.store.all(), key=lambda one: one.record.name)
+    step_s = period_s / STEPS_PER_PERIOD
+    items, lags_ms = 0, list[float]()
+    sent, cpu, began = Messages.sent, time.process_time(), time.monotonic()
+    for number in range(round(seconds / step_s)):
+        items += _put(host, hosted[number % STEPS_PER_PERIOD :: STEPS_PER_PERIOD])
+        if group_id is not None and number % LAG_STEPS == 0:
+            lags_ms += _lags_ms(host, group_id)
+        await asyncio.sleep(max(0.0, began + (number + 1) * step_s - time.monotonic()))
+    return Fed(
+        items=items,
+        cpu_s=time.process_time() - cpu,
+        wall_s=time.monotonic() - began,
+        messages=Messages.sent - sent,
+        behind_ms=statistics.median(lags_ms) if lags_ms else None,
+    )
+
+
+def _put(host: ChannelHost, channels: Sequence[HostedChannel]) -> int:
+    for hosted in channels:
+        now = host.store.now()
+        raw = encode_run([PAYLOAD], times=[now])
+        offer = Offer(times=[now], durations=None, lengths=[len(PAYLOAD)])
+        hosted.channel.put(offer, now, lambda first_seq, kept, stamped, raw=raw: seal_run(raw, first_seq))
+        hosted.changed(now)
+    return len(channels)
+
+
+def _lags_ms(host: ChannelHost, group_id: bytes) -> list[float]:
+    """How far the group's cut is behind now, if it has one here."""
+    group = host.groups.known(group_id)
+    return [] if group is None or group.cut.cut is None else [(host.store.now() - group.cut.cut) / 1e6]
+
+
+def main() -> int:
+    """Run the host; returns its exit code."""
+    Messages.count()
+    app.ChannelHost = FedHost  # type: ignore[misc]
+    return app.main(sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
