@@ -181,6 +181,23 @@ def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
         assert [channel.stats().accepted for channel in channels] == [2] * 30
 
 
+async def test_a_put_does_not_wait_behind_one_that_may_wait_longer(cluster: LocalCluster) -> None:
+    """It was acked behind the other on their stream, and failed as if the host were overloaded."""
+    async with await aio.connect(cluster.address) as rt:
+        full = await rt.channel("dropped/longer", max_items=1, max_age="60s", on_full="block")
+        await full.put(b"first")
+        patient = [asyncio.ensure_future(full.put(b"%d" % number, timeout=60)) for number in range(2, 4)]
+        await until_a_put_waits(full)
+        with pytest.raises(st.ChannelFull):
+            await full.put(b"hasty", timeout=0.1)
+        with pytest.raises(st.ChannelFull):
+            await full.put(b"at once", timeout=0)
+        assert len(rt._session.put_streams._streams) == 2  # those that wait equally long share one
+        await full.configure(max_items=5)
+        async with asyncio.timeout(LIMIT_S):
+            assert [(await put).seq for put in patient] == [2, 3]
+
+
 async def test_a_stream_with_a_put_that_waits_is_not_closed_for_others(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,21 +65,19 @@ class Puts:
             renew_s = RENEW_S
 
     async def _put(self, numbers: Numbers, item: Single, wait: Wait) -> channel_pb.PutAck:
-        limit_s = (wait.seconds or 0.0) + CALL_TIMEOUT_S
-        number = numbers.next()
+        seconds = wait.seconds or 0.0
+        number, ends_s = numbers.next(), monotonic_s() + seconds
 
         async def put_at(binding: Binding) -> channel_pb.PutAck:
+            left = Wait(max(ends_s - monotonic_s(), 0.0))  # one that is tried again does not wait anew
             head = put_head(binding.channel_id, binding.epoch, numbers.producer_id)
-            request = put_request(head, number, item.run_parts(), wait.nanos)
+            request = put_request(head, number, item.run_parts(), left.nanos)
             with self._session.put_streams.use(
-                self._handle_id,
-                wait.seconds != 0,
-                binding,
-                lambda: self._open_stream(self._session.ports.to(binding.target)),
+                self._handle_id, ends_s, binding, lambda: self._open_stream(self._session.ports.to(binding.target))
             ) as stream:
-                return _accepted(await stream.put(request, limit_s))
+                return _accepted(await stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S))
 
-        return await attempt(self._place, put_at, limit_s)
+        return await attempt(self._place, put_at, seconds + CALL_TIMEOUT_S)
 
     def close(self) -> None:
         """Give the streams up. A later put opens one again."""

@@ -61,7 +61,8 @@ class Channel(Reader):
 
         `payload` is bytes, or the value if the handle has a codec. Without `time` the host stamps it on acceptance.
         `timeout` in seconds matters on a full channel with on_full="block": how long to wait there; None: without
-        limit. A put that was tried again is never doubled.
+        limit. A put that was tried again is never doubled. Where the order of puts matters, let one end before the
+        next: of those under way at once none waits behind one that may wait longer.
         Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
         item = Single.parse(self._state.coding, payload, time, duration, attributes, content_type)

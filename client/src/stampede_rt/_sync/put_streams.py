@@ -9,22 +9,24 @@ from contextlib import contextmanager
 from functools import partial
 
 from stampede_rt.binding import Binding
-from stampede_rt.transports.concurrency_sync import Mutex, callers, put_line, when_dropped
+from stampede_rt.transports.concurrency_sync import Mutex, callers, thread_id, when_dropped
 from stampede_rt.transports.grpc_sync import PutExchange
 
 STREAMS_MAX = 512
+LINES_MAX = 16
 _handle_ids = itertools.count(1)
 
 
 class PutStream:
-    """One open stream to the place of a channel or queue, and how many puts are under way on it."""
+    """One open stream to the place of a channel or queue, how many puts are under way on it, and until when at most."""
 
-    __slots__ = ("binding", "exchange", "puts")
+    __slots__ = ("binding", "ends_s", "exchange", "puts")
 
     def __init__(self, binding: Binding, exchange: PutExchange) -> None:
         self.binding = binding
         self.exchange = exchange
         self.puts = 0
+        self.ends_s = 0.0
 
     def leads_to(self, binding: Binding) -> bool:
         """It is open, and to that place."""
@@ -32,10 +34,15 @@ class PutStream:
 
 
 class PutStreams:
-    """One stream for each handle and line of puts. Beyond 512 the longest unused one is closed; none that is in use."""
+    """One stream for each handle and thread. Beyond 512 the longest unused one is closed; none that is in use.
+
+    Behind a put that waits for room, the next ones on its stream wait, too. So a put takes a stream where all give up
+    before it does, another one if need be: those of one handle that wait equally long stay in order, and none waits
+    for longer than it was told to.
+    """
 
     def __init__(self) -> None:
-        self._streams: dict[tuple[int, int], PutStream] = {}  # the longest unused one first
+        self._streams: dict[tuple[int, int, int], PutStream] = {}  # the longest unused one first
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
@@ -46,14 +53,15 @@ class PutStreams:
 
     @contextmanager
     def use(
-        self, handle_id: int, waits: bool, binding: Binding, open_stream: Callable[[], PutExchange]
+        self, handle_id: int, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
     ) -> Iterator[PutExchange]:
-        """The handle's stream to `binding`, for one put, which may have to wait for room or may not."""
-        key = (handle_id, put_line(waits))
+        """The handle's stream to `binding`, for one put, which waits for room until `ends_s` on the monotonic clock."""
+        key = self._line(handle_id, ends_s)
         stream = self._streams.get(key)
         if stream is None or not stream.leads_to(binding):
             stream = self._replace(key, PutStream(binding, open_stream()))
         with self._mutex:
+            stream.ends_s = max(stream.ends_s, ends_s) if stream.puts else ends_s
             stream.puts += 1
             if self._streams.pop(key, None) is stream:
                 self._streams[key] = stream  # the last one used is the last to go
@@ -66,7 +74,16 @@ class PutStreams:
             if over:  # closed while it was in use
                 stream.exchange.cancel()
 
-    def _replace(self, key: tuple[int, int], stream: PutStream) -> PutStream:
+    def _line(self, handle_id: int, ends_s: float) -> tuple[int, int, int]:
+        """Where no put under way waits for longer; if there are very many, on the last one all the same."""
+        caller = thread_id()
+        for line in range(LINES_MAX - 1):
+            stream = self._streams.get((handle_id, caller, line))
+            if stream is None or not stream.puts or stream.ends_s <= ends_s:
+                return handle_id, caller, line
+        return handle_id, caller, LINES_MAX - 1
+
+    def _replace(self, key: tuple[int, int, int], stream: PutStream) -> PutStream:
         with self._mutex:
             gone = [self._streams.pop(key, None)]  # to a place that is not the channel's any more
             alive = callers()

@@ -14,7 +14,7 @@ from typing import Any, Self, TypeVar
 from stampede_rt.errors import InvalidArgument
 
 Result = TypeVar("Result")
-_LINES = frozenset((0, 1))
+_CALLERS = frozenset((0,))
 _running: set[asyncio.Future[None]] = set()  # held, so that none is collected before it is done
 
 monotonic_s = time.monotonic
@@ -81,13 +81,8 @@ at_once = together
 
 
 def callers() -> frozenset[int]:
-    """What `put_line` gives to those who can still call."""
-    return _LINES
-
-
-def put_line(waits: bool) -> int:
-    """Which puts go on one stream: those that may have to wait for room would hold up those that may not."""
-    return int(waits)
+    """What `thread_id` gives to those who can still call."""
+    return _CALLERS
 
 
 def thread_id() -> int:

@@ -25,13 +25,8 @@ thread_id = threading.get_ident
 
 
 def callers() -> set[int | None]:
-    """What `put_line` gives to those who can still call: the threads that are alive."""
+    """What `thread_id` gives to those who can still call: the threads that are alive."""
     return {thread.ident for thread in threading.enumerate()}
-
-
-def put_line(waits: bool) -> int:
-    """Which puts go on one stream: those of a thread, one at a time."""
-    return threading.get_ident()
 
 
 class Signal:
