@@ -258,7 +258,7 @@ async def test_a_floor_of_a_group_that_is_new_here_is_kept_until_the_group_is_le
         group_pb2.CutFloor(group_id=pair.group.group_id, incarnation=pair.group.incarnation, cut_unix_nano=t + at)
         for at in (30, 50, 40)
     ]
-    pair.right.host.host.groups.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
+    pair.right.host.host.groups.exchange.hear(LOWER, pb.TimesUpdate(floors=floors), is_first=False)
     assert (await pair.right.host.until_cut(pair.group, t)).cut_unix_nano == t + 50
     assert (await pair.left.host.until_cut(pair.group, t)).cut_unix_nano == t + 50  # it came from there, or so it seems
 
@@ -276,7 +276,7 @@ async def test_what_is_not_a_channel_of_the_teller_changes_nothing(pair: Pair) -
     await pair.left.put(t)
     await pair.right.put(t + 1)
     await pair.synced(t)
-    host = pair.right.host.host.groups
+    host = pair.right.host.host.groups.exchange
     lie = group_pb2.ChannelTimes(
         channel_id=pair.right.channel_id, epoch=9, incarnation=pair.right.record.incarnation, newest_unix_nano=t + 99
     )

@@ -42,6 +42,8 @@ class Subscription:
         self._last: Item | None = None
         self._incarnation = request.after.incarnation if request.HasField("after") else 0
         self._next_seq: int | None = None  # everything below was delivered or reported
+        self._place: item_pb2.ItemPosition | None = None  # to resume from through a group; seqs come in any order there
+        self._since_place: set[int] = set()  # seqs that came since, which come again: a part of one step at the host
         self._skipped_before = 0  # of streams that ended; the host counts anew on each
         self._closed = False
         self.skipped = 0
@@ -152,7 +154,10 @@ class Subscription:
     def _resume(self) -> None:
         """What to ask for so that nothing is missed and nothing comes twice."""
         self._skipped_before = self.skipped
-        if self._next_seq:
+        if self._place is not None:
+            self._request.ClearField("start")
+            self._request.after.CopyFrom(self._place)
+        elif self._next_seq:
             self._request.ClearField("start")
             time = self._last.time if self._last else 0
             position = item_pb2.ItemPosition(time_unix_nano=time, seq=self._next_seq - 1, incarnation=self._incarnation)
@@ -164,6 +169,10 @@ class Subscription:
             self._next_seq = response.gap.last_seq + 1
         if response.runs and self._decoder is not None:
             self._ready.extend(self._unseen(self._decoder.decode_each(response.runs)))
+        if response.HasField("resume_after"):
+            self._place = response.resume_after
+            if not response.HasField("opened"):  # which repeats where it was told to begin
+                self._since_place.clear()
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped
             self._next_seq = max(self._next_seq or 0, response.progress.next_seq)
@@ -175,4 +184,8 @@ class Subscription:
             last = self._ready[-1] if self._ready else self._last
             if newest_only and last is not None and (item.time, item.seq) <= (last.time, last.seq):
                 continue
+            if self._place is not None:
+                if item.seq in self._since_place:
+                    continue
+                self._since_place.add(item.seq)
             yield item

@@ -171,16 +171,18 @@ class SubscribeRequest(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ...) -> None: ...
 
 class SubscribeResponse(_message.Message):
-    __slots__ = ("opened", "gap", "runs", "progress")
+    __slots__ = ("opened", "gap", "runs", "progress", "resume_after")
     OPENED_FIELD_NUMBER: _ClassVar[int]
     GAP_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
     PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    RESUME_AFTER_FIELD_NUMBER: _ClassVar[int]
     opened: SubscriptionOpened
     gap: SubscriptionGap
     runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
     progress: SubscriptionProgress
-    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ...) -> None: ...
+    resume_after: _item_pb2.ItemPosition
+    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ..., resume_after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ...) -> None: ...
 
 class SubscriptionOpened(_message.Message):
     __slots__ = ("incarnation", "next_seq")

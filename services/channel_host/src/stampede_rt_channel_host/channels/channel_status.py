@@ -18,8 +18,8 @@ def channel_status(hosted: HostedChannel, now: int) -> channel_pb2.ChannelStatus
         oldest_unix_nano=channel.oldest,
         frontier_unix_nano=None if channel.frontier is None else clamp(channel.frontier),  # a span may end behind int64
         advance_unix_nano=channel.advanced_to,
-        subscriptions=len(hosted.listeners),
-        waiting_gets=len(hosted.gets),
+        subscriptions=len(hosted.listeners) + len(hosted.group_readers),
+        waiting_gets=len(hosted.gets) + len(hosted.group_gets),
         waiting_puts=len(hosted.puts),
         host_time_unix_nano=now,
         consumers=[

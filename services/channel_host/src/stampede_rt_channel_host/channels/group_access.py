@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
-from stampede_rt_channel_host.core.channel import Answer, Delivery, Query
+from stampede_rt_channel_host.core.channel import Answer, Delivery, Position, Query
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,6 +35,10 @@ class Cursor(Protocol):
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """How far the subscription is."""
+
+    @property
+    def place(self) -> Position | None:
+        """Behind which position it is to be resumed; None: behind its last item."""
 
 
 class GroupAccess(Protocol):

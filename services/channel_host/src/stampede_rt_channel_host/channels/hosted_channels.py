@@ -41,6 +41,8 @@ class HostedChannel:
         self.puts = ChannelPuts(self.channel, memory, now, self._announce)
         self.listeners: dict[Listener, None] = {}
         self.followers: dict[Listener, None] = {}  # as listeners, but no subscriptions: groups
+        self.group_gets: set[object] = set()  # blocked gets through groups
+        self.group_readers: set[object] = set()  # cut events and matches that take its items
         self.messages = SharedMessages()
         self.delivered_bytes = 0
         self._now = now

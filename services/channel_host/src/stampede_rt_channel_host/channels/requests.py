@@ -58,6 +58,11 @@ def position_of(message: item_pb2.ItemPosition) -> Position:
     return Position(message.time_unix_nano, seq, message.incarnation)
 
 
+def position_to(position: Position) -> item_pb2.ItemPosition:
+    """The same as a message."""
+    return item_pb2.ItemPosition(time_unix_nano=position.time, seq=position.seq, incarnation=position.incarnation)
+
+
 def group_of(request: pb.GetRequest) -> GroupAsk | None:
     """The group that the get reads through; None: the whole channel."""
     if not request.HasField("group_id"):

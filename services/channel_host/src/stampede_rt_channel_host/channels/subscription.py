@@ -12,10 +12,10 @@ from stampede_rt.wire.reads import bound_from_message, reason_to_message
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
-from stampede_rt_channel_host.channels.requests import position_of
+from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor
+from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, Position
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
 WRITE_SECONDS_MAX = 30.0
@@ -23,6 +23,8 @@ WRITE_SECONDS_MAX = 30.0
 
 class _All:
     """SUBSCRIBE_MODE_ALL."""
+
+    place = None
 
     def __init__(self, channel: Channel, cursor: AllCursor) -> None:
         self._channel = channel
@@ -37,6 +39,8 @@ class _All:
 
 class _Newest:
     """SUBSCRIBE_MODE_NEWEST."""
+
+    place = None
 
     def __init__(self, channel: Channel, cursor: NewestCursor) -> None:
         self._channel = channel
@@ -64,6 +68,8 @@ class Subscription:
         self._news: asyncio.Future[bool] | None = None
         self._owes_progress = False  # a reader that began in the past is told when it has all that was held
         self._told_advance: int | None = None
+        self._told_place: Position | None = None
+        self._silent_at_s = 0.0  # on the loop's clock: when a sign of life is due, whatever news wake it before
 
     def wake(self) -> None:
         """There may be something to send."""
@@ -92,7 +98,7 @@ class Subscription:
         self._hosted.listeners[self] = None
         self._owes_progress = request.HasField("start")
         try:
-            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString())
+            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._place(cursor))
             while True:  # ends with the stream
                 await self._step(cursor, without_payloads=request.without_payloads)
         finally:
@@ -119,8 +125,17 @@ class Subscription:
     def _about(self, part: Delivery, cursor: Cursor, now: int) -> bytes:
         """What goes before the runs. Progress follows a gap, so that the reader knows its counters."""
         if part.gap is None:
+            return self._place(cursor)
+        about = pb.SubscribeResponse(gap=_gap(part.gap), progress=self._progress(cursor, now))
+        return about.SerializeToString() + self._place(cursor)
+
+    def _place(self, cursor: Cursor) -> bytes:
+        """Behind which position to resume, if the reader is to be told, and does not know."""
+        place = cursor.place
+        if place is None or place == self._told_place:
             return b""
-        return pb.SubscribeResponse(gap=_gap(part.gap), progress=self._progress(cursor, now)).SerializeToString()
+        self._told_place = place
+        return pb.SubscribeResponse(resume_after=position_to(place)).SerializeToString()
 
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
@@ -135,11 +150,11 @@ class Subscription:
         return self._hosted.channel.advanced_to != self._told_advance
 
     async def _wait_for_news(self) -> bool:
-        """True: look again; False: nothing came for PROGRESS_SECONDS."""
+        """True: look again; False: nothing was written for PROGRESS_SECONDS."""
         loop = asyncio.get_running_loop()
         news: asyncio.Future[bool] = loop.create_future()
         self._news = news
-        timer = loop.call_later(PROGRESS_SECONDS, _set_unless_done, news)
+        timer = loop.call_at(self._silent_at_s, _set_unless_done, news)
         try:
             return await news
         finally:
@@ -154,6 +169,7 @@ class Subscription:
                 f"the reader of channel {self._hosted.record.name} took nothing for {WRITE_SECONDS_MAX:g} s, and its "
                 "subscription is ended; read faster, or subscribe to the newest item only, and subscribe again"
             ) from None
+        self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
 
 
 def open_cursor(channel: Channel, request: pb.SubscribeRequest, now: int) -> Cursor:

@@ -10,22 +10,21 @@ import asyncio
 from collections import deque
 from typing import Any
 
-from stampede_rt.errors import IncarnationLost, InvalidArgument, Overloaded, Unavailable
+from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
 from stampede_rt.timeline import MIN_INSTANT
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
 from stampede_rt_channel_host.core.group import MAX_WAIT_NANOS_DEFAULT, Boundary, CutFollower, EventDecider, Loss
 from stampede_rt_channel_host.groups.frames import cut_part
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
+from stampede_rt_channel_host.groups.writing import EventWriter
 
-LIFE_SECONDS = 4.0  # the contract says after 5 s
 BOUNDARIES_MAX = 256
 NOTHING_VISIBLE = MIN_INSTANT  # the cut of a place from before the group had one
 _TIMER_SECONDS_MIN = 0.0001
@@ -52,7 +51,10 @@ class CutEvents:
         self._groups = groups
         self._context = context
         self._stream = stream
+        self._writer = EventWriter(context, "cut event")
         self._waiter = Waiter()
+        self._arrangement = 0  # of the group, as of the last look
+        self._spec_version = 0  # that the subscription began with
         self._followed: dict[bytes, _Followed] = {}
         self._kept: dict[bytes, pb.ChannelCursor] = {}  # places of channels from before, of which none is followed yet
         self._boundaries: deque[Boundary] = deque()  # handed over and not answered yet
@@ -68,14 +70,17 @@ class CutEvents:
         self._groups.check_serving()
         group = await self._groups.find(begun.group_id)
         await self._begin(group, begun)
-        group.listeners[self._waiter] = None
+        hearing = group.watchers if begun.decides else group.listeners
+        hearing[self._waiter] = None
         reading = self._stream.spawn(self._read(group, decides=begun.decides))
         try:
-            await self._write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
+            await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
             await self._serve(group, begun)
         finally:
             reading.cancel()
-            group.listeners.pop(self._waiter, None)
+            hearing.pop(self._waiter, None)
+            for followed in self._followed.values():
+                followed.hosted.group_readers.discard(self)
 
     async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
         """Where the subscription begins: at the cut of the moment, or at the place that it is to go on from."""
@@ -93,6 +98,7 @@ class CutEvents:
             )
         self._cut = floor if resumes else group.cut.cut
         self._kept = {one.channel_id: one for one in begun.after.channels}
+        self._spec_version = group.record.spec_version
         self._follow(group)
 
     def _opened(self, group: HostedGroup) -> pb.CutCursor:
@@ -103,26 +109,38 @@ class CutEvents:
         )
 
     def _follow(self, group: HostedGroup) -> None:
-        """Take up members that came, or came back, to this host, and leave those that went."""
-        members = group.cut.definition.members
-        for channel_id in list(self._followed):
-            if channel_id not in members:
-                del self._followed[channel_id]
-            elif self._groups.own(channel_id) is None:
-                raise self._groups.not_here(channel_id)
-        for channel_id in sorted(members):
-            own, held = self._groups.own(channel_id), self._followed.get(channel_id)
-            if own is None or (held is not None and held.hosted is own.hosted):
-                continue
-            place = self._kept.pop(channel_id, None) if held is None else held.cursor()
-            follower = CutFollower(
-                own.hosted.channel,
-                self._cut,
-                self._groups.channels.now(),
-                next_seq=None if place is None else place.next_seq,
-                incarnation=None if place is None else place.incarnation,
+        """Take up members that came back to this host. Raises Unavailable once the group has other members.
+
+        They may be at hosts to which the reader has no stream yet: it begins anew, behind its last event.
+        """
+        if group.arrangement == self._arrangement:
+            return
+        self._arrangement = group.arrangement
+        if group.record.spec_version != self._spec_version:
+            raise Unavailable(
+                f"group {group.record.name} has other members now; subscribe at all their hosts behind the last event"
             )
-            self._followed[channel_id] = _Followed(own.hosted, follower)
+        for channel_id in sorted(group.cut.definition.members):
+            own, held = self._groups.own(channel_id), self._followed.get(channel_id)
+            if held is not None and own is None:
+                raise self._groups.not_here(channel_id)
+            if own is not None and (held is None or held.hosted is not own.hosted):
+                self._take_up(own.hosted, held)
+
+    def _take_up(self, hosted: HostedChannel, held: _Followed | None) -> None:
+        channel_id = hosted.record.channel_id
+        place = self._kept.pop(channel_id, None) if held is None else held.cursor()
+        follower = CutFollower(
+            hosted.channel,
+            self._cut,
+            self._groups.channels.now(),
+            next_seq=None if place is None else place.next_seq,
+            incarnation=None if place is None else place.incarnation,
+        )
+        if held is not None:
+            held.hosted.group_readers.discard(self)
+        hosted.group_readers.add(self)
+        self._followed[channel_id] = _Followed(hosted, follower)
 
     async def _read(self, group: HostedGroup, *, decides: bool) -> None:
         """Take in the boundaries that another host decided."""
@@ -147,8 +165,10 @@ class CutEvents:
             boundary = self._decided(group, decider) if decider is not None else self._handed(group)
             if boundary is not None:
                 await self._send_event(group, boundary, without_payloads=begun.without_payloads)
-            elif not await self._waiter.wait(self._pause_s(decider)):
-                await self._send_life(decider)
+            elif self._writer.silence_left_s <= 0:
+                await self._writer.write(pb.SubscribeCutsResponse().SerializeToString())
+            else:
+                await self._waiter.wait(self._pause_s(decider))
 
     def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
         now = self._groups.channels.now()
@@ -164,13 +184,10 @@ class CutEvents:
 
     def _pause_s(self, decider: EventDecider | None) -> float:
         due = None if decider is None else decider.wake_at()
+        left_s = max(self._writer.silence_left_s, 0.0)
         if due is None:
-            return LIFE_SECONDS
-        return min(LIFE_SECONDS, max((due - self._groups.channels.now()) / 1e9, _TIMER_SECONDS_MIN))
-
-    async def _send_life(self, decider: EventDecider | None) -> None:
-        if decider is None or decider.wake_at() is None:
-            await self._write(pb.SubscribeCutsResponse().SerializeToString())
+            return left_s
+        return min(left_s, max((due - self._groups.channels.now()) / 1e9, _TIMER_SECONDS_MIN))
 
     async def _send_event(self, group: HostedGroup, boundary: Boundary, *, without_payloads: bool) -> None:
         for followed in list(self._followed.values()):
@@ -181,7 +198,7 @@ class CutEvents:
             incarnation=group.record.incarnation,
             incomplete_channel_ids=boundary.incomplete,
         )
-        await self._write(pb.SubscribeCutsResponse(boundary=end).SerializeToString())
+        await self._writer.write(pb.SubscribeCutsResponse(boundary=end).SerializeToString())
 
     async def _send_part(self, followed: _Followed, cut: int, *, without_payloads: bool) -> None:
         follower = followed.follower
@@ -193,19 +210,9 @@ class CutEvents:
                 about.loss.CopyFrom(_loss(step.loss))
             if step.is_last:
                 about.cursor.CopyFrom(followed.cursor())
-            await self._write(cut_part(about, step.slices, step.late, without_payloads=without_payloads))
+            await self._writer.write(cut_part(about, step.slices, step.late, without_payloads=without_payloads))
             if not without_payloads:
                 followed.hosted.count_delivered(sum(one.slice.payload_bytes for one in step.slices + step.late))
-
-    async def _write(self, message: bytes) -> None:
-        try:
-            async with asyncio.timeout(WRITE_SECONDS_MAX):
-                await self._context.write(message)
-        except TimeoutError:
-            raise Overloaded(
-                f"the reader took no cut event for {WRITE_SECONDS_MAX:g} s, and its subscription is ended; read "
-                "faster, and subscribe again behind the last event"
-            ) from None
 
 
 def _loss(loss: Loss) -> pb.CutLoss:

@@ -59,7 +59,7 @@ class GroupServicer:
     async def exchange_times(self, requests: AsyncIterator[pb.ExchangeTimesRequest], context: Any) -> None:
         """GroupService.ExchangeTimes: between hosts only."""
         async with self._streams.serve(context):
-            await self._groups.peers.accept(context)
+            await self._groups.exchange.peers.accept(context)
 
     async def subscribe_cuts(self, requests: AsyncIterator[pb.SubscribeCutsRequest], context: Any) -> None:
         """GroupService.SubscribeCuts."""

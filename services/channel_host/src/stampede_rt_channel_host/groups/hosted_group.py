@@ -19,6 +19,8 @@ class HostedGroup:
     """`record` is the directory's, as last told; `owners` gives each member's host, `targets` where such hosts listen.
 
     `unheard`: live hosts of members that have not told how far the cut was; until they have, nothing is shown.
+    `listeners` are woken when the group shows more or is arranged anew, `watchers` by every news of a member, too.
+    `arrangement` grows whenever members, their hosts, or what this host serves of them may have changed.
     """
 
     def __init__(
@@ -26,16 +28,23 @@ class HostedGroup:
         told: group_directory_service_pb2.ResolveGroupResponse,
         board: TimesBoard,
         now: Callable[[], int],
+        *,
         on_moved: Callable[[bytes], None],
+        on_idle: Callable[[bytes], None],
     ) -> None:
-        """`on_moved` hears whenever the cut has moved."""
+        """`on_moved` hears whenever the cut has moved, `on_idle` of each member of this host that falls idle."""
         self.cut = GroupCut(definition_of(told.group), board)
         self.listeners: dict[Listener, None] = {}
+        self.watchers: dict[Listener, None] = {}
         self.unheard: set[bytes] = set()
+        self.arrangement = 0
         self.looked_up_s = 0.0  # on the loop's clock: when the directory was asked last, and when somebody named it
         self.named_s = 0.0
+        self.is_stale = False  # the directory has, or may have, something else by now
         self._now = now
         self._on_moved = on_moved
+        self._on_idle = on_idle
+        self._shown: tuple[int | None, bool, int] = None, False, 0
         self._idle_timer: asyncio.TimerHandle | None = None
         self.adopt(told)
 
@@ -48,6 +57,7 @@ class HostedGroup:
         self.targets = {one.host_id: one.gatekeepers[0].target for one in told.hosts if one.alive and one.gatekeepers}
         self.host_names = {one.host_id: one.name for one in told.hosts}
         self.cut.define(definition_of(told.group))
+        self.arrangement += 1
         return anew
 
     def horizon(self, cut: int | None = None) -> Horizon:
@@ -71,10 +81,13 @@ class HostedGroup:
         return list(self.cut.members(self._now()))
 
     def changed(self) -> None:
-        """A member or what is known of it has changed: look at the cut and wake all."""
+        """A member or what is known of it has changed: look at the cut and wake those whom that may concern."""
         if self.cut.refresh(self._now()):
             self._on_moved(self.record.group_id)
-        for listener in list(self.listeners):
+        shown = self.cut.cut, self.cut.is_settled, self.arrangement
+        woken = [*self.watchers] if shown == self._shown else [*self.listeners, *self.watchers]
+        self._shown = shown
+        for listener in woken:
             listener.wake()
         self._arm()
 
@@ -82,7 +95,7 @@ class HostedGroup:
         """Whoever waits for the group or listens to it hears `error`."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()
-        for listener in list(self.listeners):
+        for listener in [*self.listeners, *self.watchers]:
             listener.end(error)
 
     async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
@@ -130,4 +143,7 @@ class HostedGroup:
 
     def _idle(self) -> None:
         self._idle_timer = None
+        for member in self.members():
+            if member.is_idle and member.heard is not None and member.heard.known_until is None:
+                self._on_idle(member.channel_id)
         self.changed()

@@ -14,7 +14,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
@@ -60,9 +60,8 @@ class Peers:
               groups: Mapping[bytes, set[bytes]]) -> None:  # fmt: skip
         """These are the other hosts now, with what is wanted to be heard of each and the groups shared with it."""
         for host_id, peer in list(self._peers.items()):
-            if host_id not in groups and peer.task is not None:
-                peer.task.cancel()
-                del self._peers[host_id]
+            if host_id not in groups:
+                self._drop(peer)
         for host_id, shared in groups.items():
             peer = self._peers.setdefault(host_id, Peer(host_id))
             news = frozenset(shared) - peer.groups
@@ -124,6 +123,17 @@ class Peers:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
+    def _drop(self, peer: Peer) -> None:
+        """No group is shared any more. A stream that the other side opened stays as long as that one wants it: were it
+        forgotten here, none would be opened when a group is shared again meanwhile."""
+        peer.groups = frozenset()
+        self._want(peer, frozenset())
+        if peer.task is not None:
+            peer.task.cancel()
+            peer.task = None
+        if peer.link is None:
+            del self._peers[peer.host_id]
+
     def _want(self, peer: Peer, wanted: frozenset[bytes]) -> None:
         if wanted != peer.wanted:
             peer.wanted = wanted
@@ -166,6 +176,8 @@ class Peers:
             await _unwrapped(link.run(peer.host_id))
         except grpc.RpcError as error:
             raise from_rpc_error(error, peer.target) from error
+        except asyncio.InvalidStateError as error:  # what a write meets that comes behind the end of the call
+            raise Unavailable(f"the stream to {peer.target} is broken") from error
         finally:
             if link is not None:
                 self._unlink(link)

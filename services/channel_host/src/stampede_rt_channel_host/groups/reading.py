@@ -19,7 +19,7 @@ from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, 
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
 from stampede_rt_channel_host.channels.requests import position_of
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
-from stampede_rt_channel_host.core.channel import Delivery, Pending, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Delivery, Pending, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
@@ -43,7 +43,7 @@ class GroupReads:
         group = self._groups.known(ask.group_id)
         if group is None or not group.has_reached(_wanted(ask)):
             return None
-        view, horizon = GroupView(_member(group, hosted).channel), group.horizon(ask.at)
+        view, horizon = GroupView(member_of(group, hosted).channel), group.horizon(ask.at)
         if not wait_nanos:
             return GroupAnswer(view.read(query, horizon, now), horizon.cut)
         found = view.poll(view.begin(query, horizon, now), horizon, now)
@@ -54,7 +54,7 @@ class GroupReads:
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
         deadline_s = None if wait_s is None else _now_s() + wait_s
         group = await self._groups.find(ask.group_id)
-        view = GroupView(_member(group, hosted).channel)
+        view = GroupView(member_of(group, hosted).channel)
         wanted = _wanted(ask)
         if not await group.reach(wanted, None if wait_s is None else max(STALL_SECONDS_MAX, wait_s)):
             horizon = group.horizon()
@@ -69,7 +69,7 @@ class GroupReads:
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell how far the group was."""
         group = await self._groups.find(request.group_id)
-        _member(group, hosted)
+        member_of(group, hosted)
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
         self._check_served(hosted)
@@ -98,12 +98,13 @@ class _Get:
         self._view = GroupView(hosted.channel)
 
     async def run(self, query: Query, deadline_s: float | None) -> GroupAnswer:
-        if len(self._hosted.followers) >= WAITING_GETS_MAX:
+        if len(self._hosted.group_gets) >= WAITING_GETS_MAX:
             raise Overloaded(
                 f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
             )
         waiter = Waiter()
         self._group.listeners[waiter] = self._hosted.followers[waiter] = None
+        self._hosted.group_gets.add(waiter)
         try:
             pending = self._view.begin(query, self._group.horizon(self._at), self._now())
             while True:  # ends with an answer, the deadline, or the group or channel itself
@@ -114,9 +115,11 @@ class _Get:
                 if deadline_s is not None and _now_s() >= deadline_s:
                     return self._give_up(pending, horizon)
                 await waiter.wait(_pause_s(found, now, deadline_s))
+                member_of(self._group, self._hosted)
         finally:
             self._group.listeners.pop(waiter, None)
             self._hosted.followers.pop(waiter, None)
+            self._hosted.group_gets.discard(waiter)
 
     def _give_up(self, pending: Pending, horizon: Horizon) -> GroupAnswer:
         return GroupAnswer(self._view.give_up(pending, horizon, self._now()), horizon.cut)
@@ -131,11 +134,17 @@ def _pause_s(wake: WakeAt, now: int, deadline_s: float | None) -> float | None:
 class _All:
     """SUBSCRIBE_MODE_ALL through a group."""
 
-    def __init__(self, group: HostedGroup, cursor: VisibleAll) -> None:
+    def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleAll) -> None:
         self._group = group
+        self._hosted = hosted
         self._cursor = cursor
 
+    @property
+    def place(self) -> Position:
+        return self._cursor.place
+
     def take(self, now: int) -> Delivery:
+        member_of(self._group, self._hosted)
         return self._cursor.take(self._group.horizon(), now, MESSAGE_BYTES_MAX)
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
@@ -150,7 +159,12 @@ class _Newest:
         self._hosted = hosted
         self._cursor = cursor
 
+    @property
+    def place(self) -> Position:
+        return self._cursor.place
+
     def take(self, now: int) -> Delivery:
+        member_of(self._group, self._hosted)
         latest = self._cursor.take(self._group.horizon(), now)
         return Delivery(slices=(latest,)) if latest else Delivery()
 
@@ -163,16 +177,16 @@ def _cursor(group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeRequ
     after = position_of(request.after) if request.HasField("after") else None
     horizon, exclusive = group.horizon(), request.start.exclusive
     if request.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
-        return _All(
-            group, VisibleAll(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
-        )
+        every = VisibleAll(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
+        return _All(group, hosted, every)
     if request.mode == pb.SUBSCRIBE_MODE_NEWEST:
         newest = VisibleNewest(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
         return _Newest(group, hosted, newest)
     raise InvalidArgument(f"mode is {request.mode}; use a value of stampede_rt.v1.SubscribeMode")
 
 
-def _member(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
+def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
+    """The channel, if it is a member of the group. Raises InvalidArgument."""
     if hosted.record.channel_id not in group.cut.definition.members:
         raise InvalidArgument(
             f"channel {hosted.record.name} is no member of group {group.record.name}; add it, or leave group_id out"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.timeline import Bound
+from stampede_rt.timeline import MIN_INSTANT, Bound
 from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Delivery, Gap, Position, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
@@ -43,6 +43,12 @@ class VisibleAll:
             low = VisibleReading(channel, horizon, now).resolve_bound(start, now)
             cut = cut if low is None else min(cut, low + start_exclusive)
         self._follower = CutFollower(channel, cut, now, next_seq=next_seq)
+
+    @property
+    def place(self) -> Position:
+        """Where it stands behind its last whole step: begun `after` this, another goes on without a gap or a double."""
+        cut = self._follower.cut
+        return Position(MIN_INSTANT if cut is None else cut - 1, self._follower.next_seq - 1, self._channel.incarnation)
 
     def lowest_owed_seq(self, now: int) -> int:
         """Every item below it was sent or reported. Walks what is hidden."""
@@ -95,6 +101,11 @@ class VisibleNewest:
             self._last = FIRST_PLACE if newest is None else (newest.last_time, newest.end_seq - 1)
         elif (low := VisibleReading(channel, horizon, now).resolve_bound(start, now)) is not None:
             self._last = (low, SEQ_END) if start_exclusive else (low, -1)
+
+    @property
+    def place(self) -> Position:
+        """As in `VisibleAll`."""
+        return self._all.place
 
     @property
     def skipped(self) -> int:

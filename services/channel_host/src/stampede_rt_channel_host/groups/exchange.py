@@ -1,0 +1,132 @@
+"""What this host and the others tell each other of groups (paper, section 4.1): times, cuts, and who wants to hear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt.errors import HostNotFound
+from stampede_rt.v1 import group_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.link import Link
+from stampede_rt_channel_host.groups.messages import times_from_message, times_to_message
+from stampede_rt_channel_host.groups.peers import Dial, Peers
+from stampede_rt_channel_host.groups.table import GroupTable
+
+FLOORS_MAX = 10_000
+
+
+class Exchange:
+    """A `Knowledge`.
+
+    `on_stale` hears of groups that are new here, or that others know in a newer version; `on_asked` of channels that
+    others believe to be members of groups, and this host's.
+    """
+
+    def __init__(
+        self,
+        identity: HostIdentity,
+        channels: ChannelStore,
+        table: GroupTable,
+        dial: Dial,
+        cluster_id: Callable[[], str],
+        *,
+        on_stale: Callable[[bytes], None],
+        on_asked: Callable[[set[bytes]], None],
+    ) -> None:
+        self.peers = Peers(identity, self, dial, cluster_id, channels.lease_held)
+        self._identity = identity
+        self._channels = channels
+        self._table = table
+        self._on_stale = on_stale
+        self._on_asked = on_asked
+        self._told_all: set[bytes] = set()  # hosts that have told all they know on the link that stands
+        self._floors: dict[bytes, group_pb2.CutFloor] = {}  # told of groups that are to be learned first
+
+    def share(self) -> None:
+        """The groups or their members' hosts have changed: say who the other hosts are, and what is wanted of them."""
+        targets: dict[bytes, str] = {}
+        wanted: dict[bytes, set[bytes]] = {}
+        shared: dict[bytes, set[bytes]] = {}
+        for group_id, group in self._table.groups.items():
+            targets |= group.targets
+            for channel_id, host_id in group.owners.items():
+                if host_id != self._identity.host_id:
+                    wanted.setdefault(host_id, set()).add(channel_id)
+                    shared.setdefault(host_id, set()).add(group_id)
+        self.peers.share(targets, wanted, shared)
+
+    def look(self, group: HostedGroup) -> None:
+        """Settle the group if all have told, and see where its cut is."""
+        group.unheard = {one for one in group.unheard if one not in self._told_all or not self.peers.is_linked(one)}
+        if not group.unheard and not group.cut.is_settled:
+            group.cut.settle()
+            self.peers.tell_floor(group.record.group_id)
+        group.changed()
+
+    def take_floor(self, group_id: bytes) -> group_pb2.CutFloor | None:
+        """What was told of a group before it was known here; it is not kept any longer."""
+        return self._floors.pop(group_id, None)
+
+    # What links tell from and to.
+
+    def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
+        """See `Knowledge`."""
+        own, heard = self._table.own.get(channel_id), self._table.board.find(channel_id)
+        if own is None or heard is None:
+            return None
+        return times_to_message(channel_id, heard.times, heard.silent_nanos(self._channels.now()))
+
+    def floor_of(self, group_id: bytes) -> group_pb2.CutFloor | None:
+        """See `Knowledge`."""
+        group = self._table.groups.get(group_id)
+        return None if group is None else group.floor()
+
+    def greeted(self, link: Link) -> None:
+        """See `Knowledge`."""
+        self._told_all.discard(link.host_id)
+        self.peers.greeted(link)
+
+    def asked_for(self, channel_ids: set[bytes]) -> None:
+        """See `Knowledge`."""
+        self._on_asked(channel_ids)
+
+    def check_lease(self) -> None:
+        """See `Knowledge`."""
+        if not self._channels.lease_held():
+            raise HostNotFound(f"host {self._identity.name} has no lease at present and speaks for no channel; wait")
+
+    def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
+        """See `Knowledge`. Only of channels that the other host owns, as the directory says."""
+        table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
+        table.board.confirm(wanted, now)
+        news: set[bytes] = set()
+        for told in update.times:
+            if told.channel_id in wanted:
+                is_news = table.board.hear(told.channel_id, times_from_message(told), told.silent_nanos, now)
+                of_channel = table.ids_of(told.channel_id)
+                news |= of_channel if is_news else of_channel & table.idling
+        news |= {floor.group_id for floor in update.floors if self._merge(floor)}
+        if not news:  # a sign of life: whatever else was silent has been so for longer now
+            news |= {one for one in table.idling if host_id in table.groups[one].targets}
+        if is_first:
+            self._told_all.add(host_id)
+            news |= {one for one, group in table.groups.items() if host_id in group.unheard}
+        for group_id in news:
+            self.look(table.groups[group_id])
+
+    def _merge(self, floor: group_pb2.CutFloor) -> bool:
+        """Take in another host's floor; True if it is further. What is new or newer is asked of the directory."""
+        group = self._table.groups.get(floor.group_id)
+        if group is not None and group.record.incarnation == floor.incarnation:
+            if floor.spec_version > group.record.spec_version:
+                self._on_stale(floor.group_id)
+            return group.cut.merge_floor(floor.cut_unix_nano)
+        held = self._floors.get(floor.group_id)
+        if held is not None or len(self._floors) < FLOORS_MAX:
+            further = held is None or held.incarnation != floor.incarnation or held.cut_unix_nano < floor.cut_unix_nano
+            self._floors[floor.group_id] = floor if held is None or further else held
+            self._on_stale(floor.group_id)
+        return False

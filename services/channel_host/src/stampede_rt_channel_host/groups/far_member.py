@@ -1,0 +1,98 @@
+"""A member at another host, as a subscription to matches follows it: by places, without payloads."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+import grpc
+
+from stampede_rt.errors import IncarnationLost, StampedeError
+from stampede_rt.status import from_rpc_error
+from stampede_rt.timeline import MAX_INSTANT
+from stampede_rt.v1 import channel_service_pb2, channel_service_pb2_grpc, time_pb2
+from stampede_rt_channel_host.core.group import ChannelTimes, FarTrack
+from stampede_rt_channel_host.groups.peers import Dial
+
+logger = logging.getLogger(__name__)
+
+PAUSE_SECONDS = 0.2
+
+
+class FarMember:
+    """`track` is what came of it, `epoch` and `target` where the directory says that it is; `is_followed`: from then
+    on nothing that is put is missed."""
+
+    def __init__(self, channel_id: bytes, since: int) -> None:
+        """`since`: the earliest time that may be asked for."""
+        self.channel_id = channel_id
+        self.epoch = 0
+        self.target = ""
+        self.track = FarTrack()
+        self.incarnation = 0
+        self.is_followed = False
+        self._since = since
+        self._after: tuple[int, int] | None = None
+        self._times = ChannelTimes(0, 0)
+
+    def has_passed(self, instant: int) -> bool:
+        """By what came on this very subscription: what came before it is on the track."""
+        return self._times.has_passed(instant)
+
+    async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
+        """Follow it at its owner; where that fails, again, wherever the directory says it is then."""
+        while True:  # paced; ends when it is cancelled
+            if self.target:
+                try:
+                    await self._listen(dial, on_news)
+                except StampedeError as error:
+                    logger.debug("cannot follow a member", extra={"target": self.target, "why": str(error)})
+                    if isinstance(error, IncarnationLost):
+                        self._begin_anew()
+            await asyncio.sleep(PAUSE_SECONDS)
+
+    async def _listen(self, dial: Dial, on_news: Callable[[], None]) -> None:
+        target = self.target
+        channel = dial(target)
+        try:
+            call = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe(self._request())
+            async for response in call:
+                self._take(response)
+                on_news()
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, target) from error
+        finally:
+            await channel.close(None)
+
+    def _request(self) -> channel_service_pb2.SubscribeRequest:
+        """From a little before the first item that may be matched, or behind what came."""
+        request = channel_service_pb2.SubscribeRequest(
+            channel_id=self.channel_id, epoch=self.epoch, without_payloads=True
+        )
+        if self._after is None:
+            request.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
+        else:
+            request.after.time_unix_nano, request.after.seq = self._after
+            request.after.incarnation = self.incarnation
+        return request
+
+    def _begin_anew(self) -> None:
+        """Its host was lost and what it held, and seqs of before mean nothing: go on by time."""
+        self.track.forget_before(MAX_INSTANT)
+        self._after = None
+        self._since = self._since if self._times.newest is None else self._times.newest
+        self.incarnation = 0
+
+    def _take(self, response: channel_service_pb2.SubscribeResponse) -> None:
+        if response.HasField("opened"):
+            self.incarnation, self.is_followed = response.opened.incarnation, True
+        for delivered in response.runs:
+            run = delivered.run
+            places = [(time, run.first_seq + at) for at, time in enumerate(run.time_unix_nano)]
+            self.track.add(places)
+            self._after = max(places, key=lambda place: place[1])
+            self._times = self._times.merged(ChannelTimes(0, 0, max(run.time_unix_nano)))
+        if response.progress.HasField("advance_unix_nano"):
+            told = ChannelTimes(0, 0, advance=response.progress.advance_unix_nano)
+            self._times = self._times.merged(told)

@@ -1,0 +1,46 @@
+"""What a host asks the directory beside what gave cause to it: about each thing once at a time, and not too often."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Coroutine
+from typing import Any
+
+from stampede_rt.errors import StampedeError
+
+logger = logging.getLogger(__name__)
+
+QUESTIONS_MAX = 1_000
+PAUSE_SECONDS = 0.2
+
+
+class Questions:
+    """Whoever asks keeps what it asks for until it is answered, and asks again: a question that fails is only logged,
+    and one too many is left out."""
+
+    def __init__(self) -> None:
+        self._asked: dict[bytes | None, asyncio.Task[None]] = {}
+        self._closed = False
+
+    def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
+        """Do `work`, unless something is being asked `about` this thing, or was just now."""
+        if self._closed or about in self._asked or len(self._asked) >= QUESTIONS_MAX:
+            work.close()
+            return
+        task = self._asked[about] = asyncio.create_task(_paced(work))
+        task.add_done_callback(lambda _: self._asked.pop(about, None))
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._closed = True
+        for task in list(self._asked.values()):
+            task.cancel()
+
+
+async def _paced(work: Coroutine[Any, Any, None]) -> None:
+    try:
+        await work
+    except StampedeError as error:
+        logger.debug("the directory does not tell of a group", extra={"why": str(error)})
+    await asyncio.sleep(PAUSE_SECONDS)

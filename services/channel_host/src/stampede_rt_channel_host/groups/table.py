@@ -1,0 +1,63 @@
+"""What a host knows of groups: the groups themselves, which channel is in which, and how far the channels are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from stampede_rt.v1 import group_directory_service_pb2
+from stampede_rt_channel_host.core.group import TimesBoard
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.own_channels import OwnChannel
+
+
+class GroupTable:
+    """`own`: the members that this host owns and serves. `idling`: groups whose members may fall idle."""
+
+    def __init__(self) -> None:
+        self.board = TimesBoard()
+        self.groups: dict[bytes, HostedGroup] = {}
+        self.own: dict[bytes, OwnChannel] = {}
+        self.idling: set[bytes] = set()
+        self._groups_of: dict[bytes, set[bytes]] = {}
+
+    def ids_of(self, channel_id: bytes) -> set[bytes]:
+        """The ids of the groups that the channel is a member of, as far as is known here."""
+        return self._groups_of.get(channel_id, set())
+
+    def groups_of(self, channel_id: bytes) -> Iterator[HostedGroup]:
+        """Those groups."""
+        return (self.groups[group_id] for group_id in tuple(self.ids_of(channel_id)))
+
+    def enter(self, group: HostedGroup) -> None:
+        """A group is new here, or has other members now."""
+        group_id = group.record.group_id
+        self.groups[group_id] = group
+        for channel_id in group.record.spec.channel_ids:
+            self._groups_of.setdefault(channel_id, set()).add(group_id)
+        if group.cut.definition.idle_after_nanos is not None:
+            self.idling.add(group_id)
+
+    def adopt(self, group: HostedGroup, told: group_directory_service_pb2.ResolveGroupResponse) -> bool:
+        """The directory says how a group is now; True if it began anew."""
+        self._leave(group, set(told.group.spec.channel_ids))
+        is_anew = group.adopt(told)
+        self.enter(group)
+        return is_anew
+
+    def forget(self, group_id: bytes) -> HostedGroup:
+        """The group is gone."""
+        group = self.groups.pop(group_id)
+        self.idling.discard(group_id)
+        self._leave(group, set())
+        return group
+
+    def _leave(self, group: HostedGroup, staying: set[bytes]) -> None:
+        """The group has its other members no more; what no group has is not followed."""
+        for channel_id in set(group.record.spec.channel_ids) - staying:
+            of_channel = self._groups_of.get(channel_id, set())
+            of_channel.discard(group.record.group_id)
+            if not of_channel:
+                self._groups_of.pop(channel_id, None)
+                if (own := self.own.pop(channel_id, None)) is not None:
+                    own.let_go()
+        self.board.keep_only(set(self._groups_of))
