@@ -88,8 +88,13 @@ class ListMachine:
         still.entries = self.entries[:]
         return still.snapshot
 
-    def restore(self, snapshot: bytes) -> None:
-        """Replace all commands, and check them."""
-        self.entries = [(index, text.encode()) for index, text in json.loads(snapshot)]
-        for index, command in self.entries:
-            self._history.applied(index, command)
+    def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
+        """Decode all commands; what is returned replaces them, and checks them."""
+        entries = [(index, text.encode()) for index, text in json.loads(snapshot)]
+
+        def restore() -> None:
+            self.entries = entries[:]
+            for index, command in entries:
+                self._history.applied(index, command)
+
+        return restore

@@ -7,6 +7,7 @@ import itertools
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.codec import decode_message
@@ -28,6 +29,8 @@ from stampede_rt_supernode.replication.replica import Replica, Roster
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.disk import Crash, Disk, DiskStore
 from tests.robustness.replication.machine import History, ListMachine
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +62,10 @@ class Wire:
     answer_due: float = 0.0
 
 
-class LateResult:
+class LateResult(Generic[T]):
     """Work that another thread does: finished when it was asked for some times."""
 
-    def __init__(self, work: Callable[[], bytes], times: int) -> None:
+    def __init__(self, work: Callable[[], T], times: int) -> None:
         self._work = work
         self._times = times
 
@@ -70,7 +73,7 @@ class LateResult:
         self._times -= 1
         return self._times < 0
 
-    def result(self) -> bytes:
+    def result(self) -> T:
         return self._work()
 
 
@@ -106,10 +109,13 @@ class SimMember:
             dice=random.Random(self.world.dice.getrandbits(64)),
             wake=lambda: self._plan(0.0),
             rules=self.world.rules,
-            run_aside=lambda work: LateResult(work, self.world.dice.randint(0, 20)),
+            run_aside=self._run_aside,
         )
         self._next_step = float("inf")
         self._plan(0.0)
+
+    def _run_aside(self, work: Callable[[], T], /) -> LateResult[T]:
+        return LateResult(work, self.world.dice.randint(0, 20))
 
     def crash(self) -> None:
         """Lose everything but the disk."""

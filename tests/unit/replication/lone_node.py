@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from typing import Any
 
+from stampede_rt_supernode.replication.aside import RunAside, run_at_once
 from stampede_rt_supernode.replication.codec import Message, decode_message
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import Member
@@ -34,6 +35,7 @@ class LoneNode:
         store: Store | None = None,
         machine: ListMachine | None = None,
         piece_bytes: int = 100,
+        run_aside: RunAside = run_at_once,
     ) -> None:
         members = [Member(member_id=name, address=f"{name}:1") for name in "abcdefg"[:size]]
         settings = ReplicationSettings(
@@ -50,6 +52,7 @@ class LoneNode:
             clock=lambda: self.now,
             dice=random.Random(1),
             rules=rules,
+            run_aside=run_aside,
         )
         for member in members[1:]:
             self.node.mailroom.deliver(Connected(member.member_id))
@@ -62,6 +65,11 @@ class LoneNode:
     def said(self) -> list[tuple[str, Message]]:
         """What the node has said since the last look."""
         return [(to, decode_message(message)) for to, message in self.node.mailroom.take_outbox()]
+
+    def open_snapshot(self) -> None:
+        """Let the node go on with a snapshot that came in, as the steps of a replica do."""
+        for _ in range(10):
+            self.node.install_opened()
 
     def tick(self) -> list[tuple[str, Message]]:
         self.node.doTick(0)

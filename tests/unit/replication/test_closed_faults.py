@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from typing import NoReturn
 
 import pytest
 
@@ -110,7 +111,7 @@ def test_a_log_that_does_not_meet_its_snapshot_is_never_thrown_away_silently(rul
 
 
 class BrokenMachine(ListMachine):
-    def restore(self, snapshot: bytes) -> None:
+    def prepare_restore(self, snapshot: bytes) -> NoReturn:
         raise ValueError("this state cannot be read")
 
 
@@ -176,6 +177,8 @@ def test_a_whole_snapshot_replaces_state_and_log_and_is_acknowledged() -> None:
     replies = []
     for chunk in snapshot_pieces(last=9, term=5):
         replies += lone.receive("b", piece(5, chunk, commit=12))
+    lone.open_snapshot()
+    replies += lone.receive("b", append(5, (9, 5), [], commit=12))
     assert [message["success"] for _, message in replies] == [False] * (len(replies) - 1) + [True]
     assert replies[-1][1]["next_node_idx"] == 10
     assert lone.held() == [(8, 5), (9, 5)]
@@ -188,6 +191,7 @@ def test_a_snapshot_keeps_the_entries_behind_it_that_agree() -> None:
     lone.receive("b", append(5, (1, 0), [(index, 5) for index in range(2, 13)]))
     for chunk in snapshot_pieces(last=9, term=5):
         lone.receive("b", piece(5, chunk, commit=9))
+    lone.open_snapshot()
     assert lone.held() == [(8, 5), (9, 5), (10, 5), (11, 5), (12, 5)]
 
 
@@ -196,9 +200,10 @@ def test_a_snapshot_older_than_the_state_changes_nothing() -> None:
     lone.receive("b", append(5, (1, 0), [(index, 5) for index in range(2, 13)], commit=12))
     lone.tick()
     for chunk in snapshot_pieces(last=9, term=5):
-        replies = lone.receive("b", piece(5, chunk, commit=9))
+        lone.receive("b", piece(5, chunk, commit=9))
+    lone.open_snapshot()
     assert lone.machine.entries[-1][0] == 12
-    assert replies[0][1]["next_node_idx"] == 10
+    assert lone.held()[-1] == (12, 5)
 
 
 def test_a_snapshot_with_a_lost_piece_is_not_opened() -> None:
@@ -207,6 +212,7 @@ def test_a_snapshot_with_a_lost_piece_is_not_opened() -> None:
     assert len(chunks) > 3
     for chunk in [chunks[0], *chunks[2:]]:
         lone.receive("b", piece(5, chunk, commit=9))
+    lone.open_snapshot()
     assert lone.machine.entries == []
     assert lone.node.raftLastApplied == 1
 

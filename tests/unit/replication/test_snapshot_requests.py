@@ -73,7 +73,7 @@ class Alone:
 
 def texts(record: bytes) -> list[bytes]:
     machine = ListMachine()
-    machine.restore(decode_snapshot(record).state)
+    machine.prepare_restore(decode_snapshot(record).state)()
     return [text for _, text in machine.entries]
 
 

@@ -95,7 +95,7 @@ async def test_patterns_and_hosts_are_filtered(node: Node) -> None:
 
 async def test_an_index_that_is_not_kept_or_not_reached_must_start_again() -> None:
     async with running_node() as node:
-        node.replica.restore(node.replica.begin_snapshot()())
+        node.replica.prepare_restore(node.replica.begin_snapshot()())()
         for index in (node.log.index + 1, 10**9):
             error = await reason_of(begin(node, after_index=index).read())
             assert error.reason == "WATCH_RESTART"
@@ -115,7 +115,7 @@ async def test_a_watcher_that_is_overtaken_is_told_so(monkeypatch: pytest.Monkey
 async def test_a_state_that_was_replaced_ends_the_watches_on_it(node: Node) -> None:
     stream = begin(node)
     await stream.read()
-    node.replica.restore(node.replica.begin_snapshot()())
+    node.replica.prepare_restore(node.replica.begin_snapshot()())()
     assert (await reason_of(stream.read())).reason == "WATCH_RESTART"
 
 

@@ -51,13 +51,20 @@ class DirectoryReplica:
         """
         return self._snapshots.begin(self._directory)
 
-    def restore(self, snapshot: bytes) -> None:
-        """Replace the whole state. Raises for a damaged snapshot: going on without it would answer wrongly."""
-        directory, snapshots = decode_snapshot(snapshot), SnapshotWriter()
-        with self._lock:
-            self._directory, self._snapshots = directory, snapshots
-            self.restored += 1
-        self._listener()
+    def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
+        """Decode it, on any thread, and return what replaces the whole state.
+
+        Raises for a damaged snapshot: going on without it would answer wrongly.
+        """
+        directory = decode_snapshot(snapshot)
+
+        def restore() -> None:
+            with self._lock:
+                self._directory, self._snapshots = directory, SnapshotWriter()
+                self.restored += 1
+            self._listener()
+
+        return restore
 
     def read(self, question: Callable[[Directory], T]) -> T:
         """The answer of `question`, which sees the state between two commands, and must neither keep nor change it."""

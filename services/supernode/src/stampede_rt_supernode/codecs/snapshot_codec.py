@@ -7,7 +7,7 @@ its own, since to parse joined messages is to merge them (protobuf.dev, "Encodin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
 from sortedcontainers import SortedDict
@@ -81,14 +81,14 @@ class _ChannelParts:
         self.position: int | None = None
         self._by_name: SortedDict[str, bytes] = SortedDict()
 
-    def encode(self, still: Still) -> Iterable[bytes]:
+    def encode(self, still: Still) -> Iterator[bytes]:
         """A part for each channel, in the order of names."""
         if still.changes is None:
             self._by_name = SortedDict({channel.name: _channel_part(channel) for channel in still.channels})
         else:
             self._follow(still.changes)
         self.position = still.position
-        return self._by_name.values()
+        return iter(self._by_name.values())
 
     def _follow(self, changes: Iterable[Change]) -> None:
         last = {change.subject.name: change for change in changes if isinstance(change.subject, Channel)}

@@ -47,7 +47,10 @@ class Following(Membership):
             entries = [entry for entry in entries if entry[1] > first[1]]
             previous, previous_term = first[1], first[2]
         held = journal.entry_at(previous)
-        if held is None:
+        if (held is None or held.term != previous_term) and self.keeper.is_opening:
+            # What is lacking is here already, and there in a moment: nothing need be sent again.
+            self._reply(node, message, next_index=journal[-1][1] + 1)
+        elif held is None:
             self._reply(node, message, next_index=journal[-1][1] + 1, reset=True)
         elif held.term != previous_term:
             # What is committed agrees with every leader; all behind it may not.
@@ -87,17 +90,19 @@ class Following(Membership):
         The library takes it over, and so commits whatever the log happens to hold. It also acknowledges a
         snapshot that it failed to load; here the failure rises and ends the process.
         """
-        if not self.keeper.setTransmissionData(message["serialized"]):
-            self._reply(node, message, next_index=self._SyncObj__raftLog[-1][1] + 1)
-            return
-        applied = self._SyncObj__raftLastApplied
-        last = self.keeper.install_received(newer_than=applied)
-        self.follow_log()
-        if last.log_index > applied:
+        # Of two at a time the second is not kept: if it is still needed then, the leader sends it again.
+        if not self.keeper.is_opening and self.keeper.setTransmissionData(message["serialized"]):
+            self.keeper.open_received()
+        self._reply(node, message, next_index=self._SyncObj__raftLog[-1][1] + 1)
+
+    def install_opened(self) -> None:
+        """Go on opening a received snapshot, if there is one. The leader hears of it with its next message."""
+        last = self.keeper.install_opened(newer_than=self._SyncObj__raftLastApplied)
+        if last is not None:
+            self.follow_log()
             self._SyncObj__raftLastApplied = last.log_index
             self._raise_commit_index(last.log_index)
             self._give_up_waiting(last.log_index)
-        self._reply(node, message, next_index=last.log_index + 1, success=True)
 
     def _give_up_waiting(self, log_index: int) -> None:
         """Callers whose commands a snapshot jumped over will not learn what became of them."""

@@ -12,7 +12,8 @@ from typing import Protocol
 
 
 class StateMachine(Protocol):
-    """What the log drives. Every method is called on the log's own thread; none may raise or block."""
+    """What the log drives. Methods are called on the log's own thread, if nothing else is said; they neither raise nor
+    block."""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
@@ -26,8 +27,11 @@ class StateMachine(Protocol):
         That is called once, on another thread, while commands go on being applied; the next one begins after it.
         """
 
-    def restore(self, snapshot: bytes) -> None:
-        """Replace the whole state with an earlier snapshot, of this or another replica."""
+    def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
+        """Decode a snapshot of this or another replica, and return what replaces the whole state by it.
+
+        The decoding may be done on another thread, while commands go on being applied; it may raise.
+        """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

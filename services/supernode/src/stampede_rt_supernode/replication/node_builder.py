@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable
 from typing import Any
 
+from stampede_rt_supernode.replication.aside import RunAside, run_at_once
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import StateMachine
@@ -15,7 +16,7 @@ from stampede_rt_supernode.replication.mailroom import Mailroom
 from stampede_rt_supernode.replication.proposals import UNKNOWN_OUTCOME
 from stampede_rt_supernode.replication.reads import ConfirmedReads
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
-from stampede_rt_supernode.replication.snapshots import RunAside, SnapshotKeeper, run_at_once
+from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
 
 APPEND_BATCH_BYTES = 1 << 20
 

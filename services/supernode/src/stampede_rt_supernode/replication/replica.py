@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from stampede_rt_supernode.replication.aside import RunAside, run_at_once
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine, Unavailable
 from stampede_rt_supernode.replication.journal import Journal
@@ -20,7 +21,6 @@ from stampede_rt_supernode.replication.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest, SnapshotRequests
-from stampede_rt_supernode.replication.snapshots import RunAside, run_at_once
 from stampede_rt_supernode.replication.storage import Store
 
 CHANGES_MAX = 100
@@ -87,7 +87,7 @@ class Replica:
         rules: type = TrialElections,
         run_aside: RunAside = run_at_once,
     ) -> None:
-        """Load the state; blocks. Snapshots are encoded by `run_aside`; tests plant faults through `rules`.
+        """Load the state; blocks. Snapshots are encoded and decoded by `run_aside`; tests plant faults through `rules`.
 
         Raises StoreDamaged, LibraryMismatch and what `restore` raises.
         """
@@ -191,6 +191,7 @@ class Replica:
         self._journal.sync()
         self._take_in()
         self._node.keeper.begin_step()
+        self._node.install_opened()
         self._node.before_tick()
         confirm = self._node.reads.start_round()
         self._node.doTick(0)

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import grpc.aio
 
+from stampede_rt_supernode.replication.aside import RunAside
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     Member,
@@ -29,7 +30,6 @@ from stampede_rt_supernode.replication.servicer import RaftServicer
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
-from stampede_rt_supernode.replication.snapshots import RunAside
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage import MemoryStore, Store
 from stampede_rt_supernode.replication.tick_thread import TickThread, end_process

@@ -5,17 +5,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
-from concurrent.futures import Future
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication import codec
+from stampede_rt_supernode.replication.aside import Result, RunAside, run_at_once
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.journal import Journal
+from stampede_rt_supernode.replication.receiving import SnapshotReceiver
 from stampede_rt_supernode.replication.storage import Entry, StoredSnapshot
 
 NOT_SERIALIZING, SERIALIZING, SUCCESS, FAILED = 0, 1, 2, 3
@@ -29,46 +29,16 @@ class Piece(NamedTuple):
     is_last: bool
 
 
-class Result(Protocol):
-    """What becomes of work that is done aside."""
-
-    def done(self) -> bool:
-        """Whether it is finished."""
-
-    def result(self) -> StoredSnapshot:
-        """What it gave, once it is finished. Raises what it raised."""
-
-
-RunAside = Callable[[Callable[[], StoredSnapshot]], Result]
-
-
-def run_at_once(work: Callable[[], StoredSnapshot]) -> Result:
-    """Do the work here and now."""
-    finished: Future[StoredSnapshot] = Future()
-    finished.set_result(work())
-    return finished
-
-
 @dataclass(slots=True)
 class _Taking:
     """A snapshot on its way to bytes, and then, piece by piece, to the disk."""
 
-    encoded: Result
+    encoded: Result[StoredSnapshot]
     previous: Entry
     last: Entry
     configuration: Configuration
     id: int
     pieces_written: int = 0
-
-
-@dataclass
-class _Incoming:
-    """A snapshot on its way in. Invariant: `data` is its first len(data) bytes."""
-
-    last_log_index: int
-    total_bytes: int
-    sha256: bytes
-    data: bytearray
 
 
 class SnapshotKeeper:
@@ -96,7 +66,8 @@ class SnapshotKeeper:
         self._taking: _Taking | None = None
         # Member id -> how many bytes of the present snapshot it was sent.
         self._sent: dict[str, int] = {}
-        self._incoming: _Incoming | None = None
+        self._receiver = SnapshotReceiver(journal, state_machine, run_aside)
+        # The last one that is whole.
         self._received: StoredSnapshot | None = None
 
     def begin_step(self) -> None:
@@ -111,7 +82,8 @@ class SnapshotKeeper:
         """
         taking = self._taking
         if taking is None:
-            return NOT_SERIALIZING, None
+            # None is begun while a leader's is opened: both might end with the same entry.
+            return SERIALIZING if self.is_opening else NOT_SERIALIZING, None
         if not taking.encoded.done():
             return SERIALIZING, None
         stored = taking.encoded.result()
@@ -149,7 +121,7 @@ class SnapshotKeeper:
         stored, self._received = self._received or self._journal.snapshot, None
         assert stored is not None
         snapshot = codec.decode_snapshot(stored.record)
-        self._state_machine.restore(snapshot.state)
+        self._state_machine.prepare_restore(snapshot.state)()
         return None, snapshot.last, snapshot.previous, []
 
     def restore(self) -> Entry | None:
@@ -164,27 +136,25 @@ class SnapshotKeeper:
             raise AssertionError("the stored log does not begin where the stored snapshot ends")
         if snapshot.configuration is not None:
             self._journal.configurations.rebase(snapshot.last.log_index, snapshot.configuration)
-        self._state_machine.restore(snapshot.state)
+        self._state_machine.prepare_restore(snapshot.state)()
         return snapshot.last
 
-    def install_received(self, *, newer_than: int) -> Entry:
-        """Open the snapshot that has just come in and let the log begin with it; return its last entry.
+    @property
+    def is_opening(self) -> bool:
+        """Whether a received snapshot is on its way into the state machine."""
+        return self._receiver.is_opening
 
-        One that ends at or before `newer_than` is dropped: going back would undo what was applied.
-        Raises what decoding and the state machine raise.
-        """
+    def open_received(self) -> None:
+        """Begin to open the snapshot that has just come in."""
         assert self._received is not None
         received, self._received = self._received, None
-        snapshot = codec.decode_snapshot(received.record)
-        last = snapshot.last
-        if last.log_index > newer_than:
-            self._state_machine.restore(snapshot.state)
-            stored = replace(received, last_log_index=last.log_index)
-            for piece in stored.pieces():
-                self._journal.write_piece(piece)
-            # Without one the sender has never seen a change, and neither has this log.
-            configuration = snapshot.configuration or self._journal.configurations.current
-            self._adopt(stored, snapshot.previous, last, configuration)
+        self._receiver.open(received)
+
+    def install_opened(self, *, newer_than: int) -> Entry | None:
+        """Go on with what is opened; see `SnapshotReceiver.advance`."""
+        last = self._receiver.advance(newer_than=newer_than)
+        if last is not None:
+            self._sent.clear()
         return last
 
     def getTransmissionData(self, transmissionID: Any) -> Piece | None:
@@ -208,30 +178,11 @@ class SnapshotKeeper:
         return Piece(chunk, offset == 0, is_last)
 
     def setTransmissionData(self, data: Any) -> bool:
-        """Take in a piece; True when the snapshot is whole and its checksum holds.
-
-        A piece that does not follow the last one drops what there is: the leader starts again when it sees
-        that this replica still lacks the entries.
-        """
+        """Take in a piece; True when the snapshot is whole and its checksum holds."""
         if data is None:
             return False
-        chunk: pb.RaftSnapshotChunk = data.chunk if isinstance(data, Piece) else data
-        if chunk.offset_bytes == 0:
-            self._incoming = _Incoming(chunk.last_log_index, chunk.total_bytes, chunk.sha256, bytearray())
-        incoming = self._incoming
-        if incoming is None or not _continues(incoming, chunk):
-            self._incoming = None
-            return False
-        incoming.data += chunk.data
-        if len(incoming.data) < incoming.total_bytes:
-            return False
-        self._incoming = None
-        if hashlib.sha256(incoming.data).digest() != incoming.sha256:
-            return False
-        self._received = StoredSnapshot(
-            last_log_index=incoming.last_log_index, record=bytes(incoming.data), sha256=incoming.sha256
-        )
-        return True
+        self._received = self._receiver.take_in(data.chunk if isinstance(data, Piece) else data)
+        return self._received is not None
 
     def cancelTransmisstion(self, id: Any) -> None:
         """Start from the beginning with this node next time."""
@@ -240,12 +191,3 @@ class SnapshotKeeper:
     def _adopt(self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration) -> None:
         self._journal.adopt_snapshot(snapshot, previous, last, configuration)
         self._sent.clear()
-
-
-def _continues(incoming: _Incoming, chunk: pb.RaftSnapshotChunk) -> bool:
-    return (
-        chunk.offset_bytes == len(incoming.data)
-        and chunk.last_log_index == incoming.last_log_index
-        and chunk.total_bytes == incoming.total_bytes
-        and chunk.sha256 == incoming.sha256
-    )
