@@ -167,6 +167,26 @@ def test_a_put_that_no_consumer_holds_back_is_let_in_once_the_clock_has_passed_t
     assert channel.counters(CLOCK + 51).held == 1
 
 
+def test_a_put_beside_the_newest_item_of_a_full_channel_is_refused_at_once_if_nothing_can_make_room() -> None:
+    """It waited until its timeout, and every put behind it: the newest bucket never grows too old."""
+    channel = a_channel(max_items=2, max_age_nanos=100, on_full="block")
+    put(channel, CLOCK, CLOCK)
+    refused = put(channel, CLOCK)
+    assert refused.waiting is None
+    (rejection,) = refused.rejections
+    assert "put with a later time" in rejection.error.message
+    assert put(channel, CLOCK + 1).retry_at == CLOCK + 101
+
+
+def test_a_put_beside_the_newest_item_of_a_full_channel_waits_for_the_oldest_or_for_consumers() -> None:
+    aging = a_channel(max_items=2, max_age_nanos=100, on_full="block")
+    put(aging, CLOCK - 50, CLOCK)
+    assert put(aging, CLOCK).retry_at == CLOCK + 100
+    consumed = a_channel(max_items=1, consumers=1, on_full="block")
+    put(consumed, CLOCK)
+    assert put(consumed, CLOCK).waiting == 0
+
+
 def test_a_malformed_offer_is_refused_by_its_columns() -> None:
     with pytest.raises(MalformedRun, match="no items"):
         Offer(times=[], durations=None, lengths=[])

@@ -95,13 +95,19 @@ class Acceptance:
         self.rejected[error.reason] += 1
         return Rejection(index, error)
 
-    def full(self) -> ChannelFull:
-        """The error of an item for which there is no room."""
+    def full(self, in_vain: bool = False) -> ChannelFull:
+        """The error of an item for which there is no room; `in_vain`: nor will there be, however long it waits."""
         limits, held = self._retention.limits, self._held
+        when = "when consumers have consumed some" if limits.consumers else "when the oldest have grown too old"
+        if in_vain:
+            when = (
+                "with a later time, since all that it holds is as new as this item, and the newest never grow too old"
+            )
+        elif limits.consumers is None and limits.max_age_nanos is None:
+            when = "later"
         return ChannelFull(
             f"{self._channel} is full: it holds {held.items} items charged with {held.charged_bytes} bytes, of at most "
-            f"{limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; put later"
-            f"{', when consumers have consumed some,' if limits.consumers else ','} or raise its limits"
+            f"{limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; put {when}, or raise its limits"
         )
 
     def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
@@ -192,11 +198,12 @@ class _ItemByItem:
             fault = self._to.fault(time, duration, length, self._clock)
             as_if = self._as_if_put_at(time)
             if fault is None and not self._has_room(min(as_if, time), length):
-                if self._retention.limits.on_full == BLOCK:
+                in_vain = self._retention.makes_no_room_at(as_if)
+                if self._retention.limits.on_full == BLOCK and not in_vain:
                     waiting = index
                     retry_at = self._retention.retry_at(as_if, None if duration == ABSENT else as_if + duration)
                     break
-                fault = self._to.full()
+                fault = self._to.full(in_vain)
             if fault is None:
                 self._take(index, time, duration, length)
             else:

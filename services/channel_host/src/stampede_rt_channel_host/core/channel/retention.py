@@ -203,6 +203,11 @@ class Retention:
         if following is not None:
             self._held.outdate(self._held.front_before(following), AGE, clock)
 
+    def makes_no_room_at(self, time: int) -> bool:
+        """All that is held is the newest bucket, to which an item at `time` belongs: it never grows too old, and
+        nobody consumes it."""
+        return self.limits.consumers is None and self._held.oldest == self._held.newest == time
+
     def retry_at(self, time: int, own_end: int | None) -> int | None:
         """When time next makes room, judged as if an item were in at `time`; `own_end` is its end by duration, if any.
 
