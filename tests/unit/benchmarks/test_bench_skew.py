@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import pytest
 
 from stampede_rt_bench.paper.captioned_video import (
     FRAME_NANOS,
     FRAMES_PER_CAPTION,
+    MACHINES,
     NANOS_PER_MS,
     NANOS_PER_SECOND,
     Receipt,
+    Setting,
+    play,
 )
 from stampede_rt_bench.paper.skew import judge
+from stampede_rt_local.namespaces import Network, unavailable_because
 
 CAPTION_NANOS = NANOS_PER_SECOND // 2
 CAPTIONS = [Receipt(number * CAPTION_NANOS, number * CAPTION_NANOS + 10) for number in range(3)]
@@ -49,3 +55,12 @@ def test_frames_of_captions_between_frames_have_their_places_too() -> None:
 def test_a_run_that_misses_frames_is_refused() -> None:
     with pytest.raises(AssertionError, match="3 captions came, and not 15 frames with those: \\[1\\]"):
         judge(frames(29), CAPTIONS)
+
+
+@pytest.mark.timeout(120)  # six processes come up
+def test_consumers_in_places_of_their_own_get_every_frame_through_the_group() -> None:
+    with nullcontext() if unavailable_because() else Network(MACHINES) as network:
+        frames, captions = play(Setting(name="grouped"), network, seconds=1)
+    assert [frame.time - frames[0].time for frame in frames] == [n * NANOS_PER_SECOND // 30 for n in range(30)]
+    assert [caption.time for caption in captions] == [frames[0].time, frames[15].time]
+    assert len({frame.received for frame in frames}) < len(frames), "some frames came together"

@@ -8,19 +8,19 @@ from __future__ import annotations
 import multiprocessing
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import stampede_rt as st
-from stampede_rt.timeline import MAX_INSTANT
 from stampede_rt_bench.clusters import running
-from stampede_rt_local.namespaces import Network
+from stampede_rt_local.namespaces import Network, Place
 
 SECONDS = 8
-LEAD_SECONDS = 3
+PATIENCE_SECONDS = 20.0
 NANOS_PER_SECOND, NANOS_PER_MS = 1_000_000_000, 1_000_000
+LEAD_NANOS = 500 * NANOS_PER_MS
 FRAMES_PER_SECOND, CAPTIONS_PER_SECOND = 30, 2
 FRAME_NANOS = NANOS_PER_SECOND // FRAMES_PER_SECOND
 FRAMES_PER_CAPTION = FRAMES_PER_SECOND // CAPTIONS_PER_SECOND
@@ -51,39 +51,35 @@ class Setting:
     decoding_nanos: int = DECODING_NANOS
 
 
-def play(setting: Setting, network: Network | None) -> tuple[list[Receipt], list[Receipt]]:
-    """What the consumers of frames and captions got, and when. Blocks for some twelve seconds.
+def play(setting: Setting, network: Network | None, seconds: int = SECONDS) -> tuple[list[Receipt], list[Receipt]]:
+    """What the consumers of frames and captions got, and when. Blocks for some seconds more than that.
 
     On a `network` of MACHINES places every host and consumer is in one of its own.
     """
     context = multiprocessing.get_context("spawn")
+    places: Sequence[Place | None] = [None, None] if network is None else network.places[2:MACHINES]  # hosts come first
     with running(hosts=2, network=network) as address, st.connect(address) as rt, ExitStack() as pools:
-        hosts = [host.name for host in rt.hosts()]
         channels = [
-            rt.channel(name, max_age="30s", host=host) for name, host in zip((VIDEO, CAPTIONS), hosts, strict=True)
+            rt.channel(name, max_age="60s", host=host.name)
+            for name, host in zip((VIDEO, CAPTIONS), rt.hosts(), strict=True)
         ]
         rt.group(GROUP, channels, reference="oldest", bound=setting.bound)
-        start = time.time_ns() + LEAD_SECONDS * NANOS_PER_SECOND
-        until = start + SECONDS * NANOS_PER_SECOND
-        consumers = []
-        for name, enter in zip((VIDEO, CAPTIONS), _ways_in(network), strict=True):
-            pool = pools.enter_context(context.Pool(1, initializer=enter))
-            consumers.append(pool.apply_async(consume, (address, name, setting.grouped, start, until)))
-        _produce(channels, setting, start)
-        frames, captions = (consumer.get(timeout=SECONDS + 30) for consumer in consumers)
+        consumers = [pools.enter_context(context.Pool(1)) for _ in channels]
+        for consumer, channel, place in zip(consumers, channels, places, strict=True):
+            consumer.apply(prepare, (place, address, channel.name, setting.grouped))
+        start = time.time_ns() + LEAD_NANOS
+        span = start, start + seconds * NANOS_PER_SECOND
+        received = [consumer.apply_async(consume, span) for consumer in consumers]
+        _produce(channels, setting, *span)
+        frames, captions = (one.get(timeout=PATIENCE_SECONDS) for one in received)
     return frames, captions
 
 
-def _ways_in(network: Network | None) -> Sequence[Callable[[], None] | None]:
-    """How each consumer comes to its place; hosts have the first ones."""
-    return [None, None] if network is None else [place.enter for place in network.places[2:MACHINES]]
-
-
-def _produce(channels: Sequence[st.Channel], setting: Setting, start: int) -> None:
-    """Two threads, as in the paper: frames and captions when they are due."""
+def _produce(channels: Sequence[st.Channel], setting: Setting, start: int, end: int) -> None:
+    """Two threads, as in the paper: frames and captions when they are due; then the word that no more will come."""
     video, captions = channels
-    frames = _times(start, FRAMES_PER_SECOND)
-    texts = [at + setting.captions_after_nanos for at in _times(start, CAPTIONS_PER_SECOND)]
+    frames = _times(start, end, FRAMES_PER_SECOND)
+    texts = [at + setting.captions_after_nanos for at in _times(start, end, CAPTIONS_PER_SECOND)]
     threads = [
         threading.Thread(target=_put_all, args=(video, frames, 0, FRAME_BYTES, setting.bound == "end")),
         threading.Thread(target=_put_all, args=(captions, texts, setting.decoding_nanos, CAPTION_BYTES, False)),
@@ -92,11 +88,14 @@ def _produce(channels: Sequence[st.Channel], setting: Setting, start: int) -> No
         thread.start()
     for thread in threads:
         thread.join()
+    for channel in channels:
+        channel.advance(end)
 
 
-def _times(start: int, per_second: int) -> list[int]:
+def _times(start: int, end: int, per_second: int) -> list[int]:
     """Every frame that begins with a caption does so to the nanosecond: periods are not added up."""
-    return [start + number * NANOS_PER_SECOND // per_second for number in range(SECONDS * per_second)]
+    count = (end - start) * per_second // NANOS_PER_SECOND
+    return [start + number * NANOS_PER_SECOND // per_second for number in range(count)]
 
 
 def _put_all(channel: st.Channel, times: Sequence[int], delay_nanos: int, payload_bytes: int, lasting: bool) -> None:
@@ -106,15 +105,26 @@ def _put_all(channel: st.Channel, times: Sequence[int], delay_nanos: int, payloa
         channel.put(bytes(payload_bytes), time=at, duration=f"{end - at}ns" if lasting else None)
 
 
-def consume(address: str, name: str, grouped: bool, start: int, until: int) -> list[Receipt]:
-    """In a process of its own: everything of a channel as it can be had, newer than what is there."""
+# In a consumer's process: its connection, and what it reads.
+_prepared: list[tuple[st.Connection, st.Channel | st.GroupChannel]] = []
+
+
+def prepare(place: Place | None, address: str, name: str, grouped: bool) -> None:
+    """Go to the place, if there is one, and get ready to read the channel there."""
+    if place is not None:
+        place.enter()
+    rt = st.connect(address)
+    _prepared.append((rt, rt.group(GROUP)[name] if grouped else rt.channel(name, create=False)))
+
+
+def consume(start: int, end: int) -> list[Receipt]:
+    """Everything of the channel as it can be had, newer than what is there, until nothing more can come."""
     receipts: list[Receipt] = []
-    with st.connect(address) as rt:
-        source: st.Channel | st.GroupChannel = rt.group(GROUP)[name] if grouped else rt.channel(name, create=False)
+    rt, source = _prepared.pop()
+    with rt:
         behind = start - 1
-        while time.time_ns() < until:
-            items = source.get(behind, MAX_INSTANT, bounds="(]", match="start", timeout=0.5)
+        while items := source.get(behind, end, bounds="()", match="start", timeout=PATIENCE_SECONDS):
             received = time.time_ns()
             receipts += [Receipt(item.time, received) for item in items]
-            behind = items[-1].time if items else behind
+            behind = items[-1].time
     return receipts
