@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import os
 import pickle
 import random
@@ -274,6 +275,39 @@ def test_the_command_line_takes_certificates_from_the_environment(cluster: Local
     assert refused.returncode == 1
     assert refused.stderr.startswith(f"stampede: {cluster.address} asks for certificates (TLS)")
     assert refused.stderr.count("\n") == 1
+
+
+def supernode_command(cluster: LocalCluster, files: st.TlsFiles | None, *words: str) -> tuple[int, str]:
+    """Run `stampede supernode ...` with that certificate: its exit code, and what it printed."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
+    if files is not None:
+        named = zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True)
+        environment |= {f"STAMPEDE_TLS_{name}": path for name, path in named}
+    command = [sys.executable, "-m", "stampede_rt_supernode", *words, "--member", cluster.supernodes[0].address]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster: LocalCluster, tmp_path: Path) -> None:
+    newcomer = cluster.tls_files("s9", Role.SUPERNODE)
+    words = ("join", "--data-dir", str(tmp_path / "s9"), "--listen", "localhost:7599", "--id", "s9")
+    code, printed = supernode_command(cluster, newcomer, *words)
+    assert (code, "may not call MembershipService/CreateJoinToken, which is for operator" in printed) == (1, True)
+    code, printed = supernode_command(cluster, cluster.tls_files("boss", Role.OPERATOR), "add", "-o", "json")
+    assert code == 0, printed
+    code, printed = supernode_command(cluster, newcomer, *words, "--token", json.loads(printed)["token"])
+    assert (code, "Supernode s9 may enter the cluster of s1, s2, s3" in printed) == (0, True), printed
+
+
+@pytest.mark.parametrize("verb", ["status", "add", "remove", "snapshot", "join"])
+def test_every_verb_of_supernode_says_what_a_caller_without_a_certificate_lacks(
+    verb: str, cluster: LocalCluster, tmp_path: Path
+) -> None:
+    words = {"remove": ("s1",), "join": ("--data-dir", str(tmp_path / "x"), "--listen", "localhost:7599")}.get(verb, ())
+    code, printed = supernode_command(cluster, None, verb, *words)
+    told = f"stampede supernode: {cluster.supernodes[0].address} asks for certificates (TLS), and this caller has none"
+    assert (code, printed.count("\n")) == (1, 1)
+    assert printed.startswith(told)
 
 
 def test_doctor_finds_a_secured_cluster_well_and_says_what_a_caller_lacks(

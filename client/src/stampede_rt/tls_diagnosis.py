@@ -20,24 +20,26 @@ _FLIGHTS_MAX = 8  # of a handshake in memory; TLS 1.3 needs 3
 _NOT_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAILURE"})
 
 
-def explain_refusal(target: str, tls: TlsReader | None) -> PermissionDenied | None:
+def explain_refusal(
+    target: str, tls: TlsReader | None, *, seconds: float = HANDSHAKE_SECONDS
+) -> PermissionDenied | None:
     """Why a caller with `tls` (None: in plain text) cannot talk to `target`; None if certificates are not the reason.
 
-    Blocks for about 2 * (CONNECT_SECONDS + HANDSHAKE_SECONDS) at most, once the name is resolved.
+    Blocks for about 2 * (CONNECT_SECONDS + `seconds`) at most, once the name is resolved.
     """
     # Said only if it is so twice: a server that is just stopping hangs up, too, but then it is gone.
-    if not _look(target, tls) or not (reason := _look(target, tls)):
+    if not _look(target, tls, seconds) or not (reason := _look(target, tls, seconds)):
         return None
     return PermissionDenied(reason, reason="UNAUTHENTICATED", metadata={"target": target})
 
 
-def _look(target: str, tls: TlsReader | None) -> str:
+def _look(target: str, tls: TlsReader | None, seconds: float) -> str:
     place = _place(target)
     if place is None:
         return ""
     try:
         with socket.create_connection(place, CONNECT_SECONDS) as connection:
-            connection.settimeout(HANDSHAKE_SECONDS)
+            connection.settimeout(seconds)
             return _try_plain(connection, target) if tls is None else _try_tls(connection, place[0], target, tls)
     except (OSError, UnicodeError):  # not there, or it says nothing: that is another trouble
         return ""

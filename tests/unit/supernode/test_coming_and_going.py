@@ -131,6 +131,42 @@ async def test_a_folder_that_is_in_use_is_not_prepared_again_and_a_lost_disk_is_
     assert (code, "under a new id" in printed) == (1, True), printed
 
 
+async def test_what_a_command_cannot_do_it_says_in_one_line(tmp_path: Path) -> None:
+    nobody, folder = f"127.0.0.1:{free_ports(1)[0]}", str(tmp_path / "b")
+    join = ("join", "--member", nobody, "--data-dir", folder)
+    for words, expected, text in (
+        ((*join, "--listen", "127.0.0.1:7590"), 1, f"{nobody} cannot be reached"),
+        ((*join, "--listen", "127.0.0.1:7590", "--id", "A b"), 1, "the supernode name 'A b' is not allowed"),
+        ((*join, "--listen", "nowhere:0"), 2, "--listen must be HOST:PORT"),
+        (("remove", "a", "--member", nobody), 1, f"{nobody} cannot be reached"),
+        (("stauts",), 2, "there is no verb 'stauts'; there are init, join, status, add, remove, snapshot"),
+    ):
+        code, printed = await command(*words)
+        assert (code, text in printed, printed.count("\n")) == (expected, True, 1), printed
+    assert os.listdir(tmp_path) == []
+
+
+async def test_nobody_is_removed_without_a_majority_and_status_tells_who_is_not_where_it_should_be(
+    tmp_path: Path,
+) -> None:
+    ports = free_ports(3)
+    members = ",".join(f"{name}=127.0.0.1:{port}" for name, port in zip("abc", ports, strict=True))
+    words = ["--id", "a", "--listen", f"127.0.0.1:{ports[0]}", "--members", members]
+    one = Supernode("a", f"127.0.0.1:{ports[0]}", words)
+    other = Supernode("d", f"127.0.0.1:{ports[1]}", ["--id", "d", "--listen", f"127.0.0.1:{ports[1]}"])
+    try:
+        await one.start()
+        await other.start()
+        code, printed = await command("status", "--member", one.address, "-o", "json")
+        states = {row["supernode"]: row["state"] for row in json.loads(printed)}
+        assert (code, states) == (1, {"a": "no leader", "b": "d is there", "c": "down"})
+        code, printed = await command("remove", "c", "--member", one.address)
+        assert (code, "start supernodes until 2 of a, b, c serve" in printed) == (1, True), printed
+    finally:
+        await one.close()
+        await other.close()
+
+
 async def test_an_empty_folder_is_refused_with_the_way_out(tmp_path: Path) -> None:
     code, printed = await command("--listen", "127.0.0.1:0", "--data-dir", str(tmp_path / "empty"))
     assert (code, "stampede supernode init" in printed) == (1, True), printed

@@ -18,7 +18,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.joining.founding import Founding, check_unused, note_started, read_founding, write_founding
-from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, valid_until
+from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, log_cluster_of, valid_until
 from stampede_rt_supernode.servicers.membership_servicer import SNAPSHOTS_MAX, MembershipServicer
 from stampede_rt_supernode.settings import SupernodeSettings
 from tests.unit.supernode.node import Node, reason_of, running_node
@@ -28,7 +28,7 @@ REQUEST_ID = bytes(range(16))
 
 
 def token(**changes: Any) -> str:
-    fields = {"valid_until_unix_nano": 1000, "cluster_id": "c", **changes}
+    fields = {"valid_until_unix_nano": 1000, "cluster_id": "c", "log_cluster_id": "log", **changes}
     return TOKENS.make(REQUEST_ID, **fields)
 
 
@@ -40,7 +40,7 @@ def test_a_token_lets_in_until_it_is_over() -> None:
         TOKENS.check(token(), now_unix_nano=1000, cluster_id="c")
 
 
-@pytest.mark.parametrize("text", ["", ".", "sj1..", "sj1.3e8.00.11", "\u20ac.\u20ac.\u20ac.\u20ac"])
+@pytest.mark.parametrize("text", ["", ".", "sj2...", "sj1.3e8.00.1", "sj2.3e8.00.1.2", "\u20ac.\u20ac.\u20ac.\u20ac"])
 def test_what_is_no_token_is_refused(text: str) -> None:
     with pytest.raises(PermissionDenied, match="not one of this cluster"):
         TOKENS.check(text, now_unix_nano=1, cluster_id="c")
@@ -51,6 +51,14 @@ def test_a_token_of_another_cluster_or_secret_or_with_a_later_end_is_refused() -
     for text, tokens, cluster_id in ((token(), TOKENS, "d"), (token(), JoinTokens("x"), "c"), (later, TOKENS, "c")):
         with pytest.raises(PermissionDenied, match="not one of this cluster"):
             tokens.check(text, now_unix_nano=1, cluster_id=cluster_id)
+
+
+def test_a_token_tells_a_newcomer_which_log_it_is_for() -> None:
+    assert log_cluster_of(token()) == "log"
+    assert log_cluster_of(token(log_cluster_id="")) == ""
+    for text in ("", "sj2", token().rpartition(".")[0], token().replace("sj2", "sj1"), token().replace(".6c", ".6x")):
+        with pytest.raises(InvalidArgument, match="stampede supernode add"):
+            log_cluster_of(text)
 
 
 def test_a_token_is_good_for_a_day_at_most() -> None:

@@ -21,6 +21,7 @@ from stampede_rt.connecting import parse_target
 from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.timeline import format_duration, format_instant
+from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt.transports.grpc_sync import Port
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
@@ -31,8 +32,10 @@ from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 ADMINISTERING = ("status", "add", "remove", "snapshot")
 FAILED = 1
+LEADER, FOLLOWER = SERVING = ("leader", "follower")
 CALL_SECONDS = 3.0
 CHANGE_SECONDS = 30.0
+LEADERLESS_SECONDS = 8.0  # an election takes 4 s at most
 SNAPSHOT_SECONDS = 120.0
 BACKOFF_SECONDS = 0.5
 
@@ -40,7 +43,7 @@ BACKOFF_SECONDS = 0.5
 def add_place(parser: argparse.ArgumentParser) -> None:
     """The options that say where the cluster is."""
     place = parser.add_mutually_exclusive_group()
-    place.add_argument("--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
+    place.add_argument("--url", "--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
     place.add_argument("--member", metavar="HOST:PORT,...", help="supernodes, if no front-end runs")
 
 
@@ -86,6 +89,11 @@ class Cluster:
         self._ports = ports
         self._addresses = addresses
 
+    @property
+    def is_secured(self) -> bool:
+        """Whether the caller has a certificate."""
+        return self._ports.credentials.tls is not None
+
     def members(self) -> directory_pb.ListSupernodesResponse:
         """The members, as the first supernode that answers knows them. Raises Unavailable."""
         listed: directory_pb.ListSupernodesResponse = self._first(
@@ -110,23 +118,35 @@ class Cluster:
         return made
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
-        """Remove a member by whoever leads. Raises what the leader refuses it with."""
-        request, until = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic() + CHANGE_SECONDS
-        addresses = [*self._addresses]
-        while True:
-            port = self._ports.to(addresses[0])
+        """Remove a member by whoever leads. Raises what the leader refuses it with, or Unavailable if none does."""
+        request, began = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic()
+        known, patience = self.members().supernodes, LEADERLESS_SECONDS
+        if supernode_id not in {one.supernode_id for one in known}:
+            raise _no_member(supernode_id, known)
+        waiting = self._leader_first(known)
+        while waiting:
+            port = self._ports.to(waiting[0])
             try:
                 removed: pb.RemoveSupernodeResponse = port.call(
                     _membership(port).RemoveSupernode, request, CALL_SECONDS
                 )
             except (NotLeader, Overloaded, Unavailable) as error:
-                if time.monotonic() > until:
-                    raise
                 leader = error.metadata.get("leader_endpoint")
-                addresses = [leader, *addresses] if leader else [*addresses[1:], addresses[0]]
+                patience = CHANGE_SECONDS if leader or isinstance(error, Overloaded) else patience
+                if time.monotonic() - began > patience:
+                    raise _leaderless(known) if patience == LEADERLESS_SECONDS else error from error
+                waiting = [*waiting[1:], waiting[0]]
+                if leader:
+                    waiting = [leader, *(one for one in waiting if one != leader)]
                 time.sleep(BACKOFF_SECONDS)
             else:
                 return removed
+        raise _leaderless(known)
+
+    def _leader_first(self, known: Sequence[SupernodeRecord]) -> list[str]:
+        """Where the members are that answer there."""
+        there = [one for one in known if _is_there(one, self.ping(one.endpoint.target))]
+        return [one.endpoint.target for one in sorted(there, key=lambda one: not one.is_leader)]
 
     def snapshot(self, address: str, *, include_data: bool, stale_ok: bool) -> Iterator[pb.TakeSnapshotResponse]:
         """What the supernode at `address` answers, part by part. Raises StampedeError."""
@@ -139,16 +159,40 @@ class Cluster:
             raise from_rpc_error(error, f"the supernode at {address}") from error
 
     def _first(self, ask: Callable[[Port], Any]) -> Any:
-        failure: StampedeError = Unavailable("no supernode is known")
-        for address in self._addresses:
-            try:
-                return ask(self._ports.to(address))
-            except StampedeError as error:
-                failure = error
-        raise failure
+        return _first(self._ports, self._addresses, ask)
 
 
 _LIST = directory_pb.ListSupernodesRequest()
+
+
+def _first(ports: Ports, addresses: Sequence[str], ask: Callable[[Port], Any]) -> Any:
+    """What the first of them that answers says. Raises why the last one does not, certificates among the reasons."""
+    failure: StampedeError = Unavailable("no supernode is known")
+    for address in addresses:
+        try:
+            return ask(ports.to(address))
+        except Unavailable as error:
+            failure = explain_refusal(address, ports.credentials.tls, seconds=CALL_SECONDS) or error
+        except StampedeError as error:
+            failure = error
+    raise failure
+
+
+def _is_there(record: SupernodeRecord, pong: Any) -> bool:
+    """Whether that member has answered, and not another one at its address."""
+    return pong is not None and pong.supernode_id == record.supernode_id
+
+
+def _no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeError:
+    names = ", ".join(one.supernode_id for one in known)
+    return StampedeError(f"no member is called {supernode_id}; there are {names}")
+
+
+def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
+    return Unavailable(
+        f"nobody leads, and only a leader lets a member go: start supernodes until {len(known) // 2 + 1} of "
+        f"{', '.join(one.supernode_id for one in known)} serve"
+    )
 
 
 @contextmanager
@@ -165,14 +209,8 @@ def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
 
 def _bound(ports: Ports, frontends: Sequence[str]) -> list[str]:
     request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
-    failure: StampedeError = Unavailable("no front-end is named")
-    for address in frontends:
-        port = ports.to(address)
-        try:
-            return [one.endpoint.target for one in port.call(port.frontend.Bind, request, CALL_SECONDS).supernodes]
-        except StampedeError as error:
-            failure = error
-    raise failure
+    bound = _first(ports, frontends, lambda port: port.call(port.frontend.Bind, request, CALL_SECONDS))
+    return [one.endpoint.target for one in bound.supernodes]
 
 
 def _membership(port: Port) -> Any:
@@ -180,15 +218,17 @@ def _membership(port: Port) -> Any:
 
 
 def _run_status(arguments: argparse.Namespace) -> int:
-    with reached(arguments.frontend, arguments.member) as cluster:
+    with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members()
         rows = [_row(cluster, record, arguments.output) for record in listed.supernodes]
     print_rows(rows, arguments.output, none="no supernode")
-    serving = sum(row["state"] != "down" for row in rows)
+    serving = sum(row["state"] in SERVING for row in rows)
     enough = 2 * serving > len(rows)
     if arguments.output == "table":
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
         print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}.")
+        if serving < len(rows):
+            print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED
 
 
@@ -196,30 +236,45 @@ def _row(cluster: Cluster, record: Any, form: str) -> dict[str, Any]:
     began = time.monotonic_ns()
     pong = cluster.ping(record.endpoint.target)
     nanos = time.monotonic_ns() - began if pong is not None else None
-    state = "down" if pong is None or not pong.ready else "leader" if record.is_leader else "follower"
     return {
         "supernode": record.supernode_id,
         "address": record.endpoint.target,
-        "state": state,
+        "state": _state(record, pong),
         "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
         "version": pong.version if pong is not None else None,
     }
 
 
+def _state(record: SupernodeRecord, pong: Any) -> str:
+    if pong is None:
+        return "down"
+    if not _is_there(record, pong):
+        return f"{pong.supernode_id} is there"
+    if not pong.ready:
+        return "no leader"
+    return LEADER if record.is_leader else FOLLOWER
+
+
 def _run_add(arguments: argparse.Namespace) -> int:
-    with reached(arguments.frontend, arguments.member) as cluster:
+    with reached(arguments.url, arguments.member) as cluster:
         made = cluster.make_token(valid_nanos=round(arguments.valid_hours * 3600 * 1e9))
-        first = cluster.members().supernodes[0].endpoint.target
-    command = f"stampede supernode join --member {first} --token {made.token} --data-dir DIR --listen HOST:PORT"
+        known = ",".join(one.endpoint.target for one in cluster.members().supernodes)
+        is_secured = cluster.is_secured
+    command = f"stampede supernode join --member {known} --token {made.token} --data-dir DIR --listen HOST:PORT"
+    command += " --id ID" if is_secured else ""
     if arguments.output == "json":
         print_facts({"token": made.token, "cluster_id": made.cluster_id, "join": command}, "json")
-    else:
-        print(f"The token lets one supernode in. On its machine, run:\n\n  {command}")
+        return 0
+    print(f"The token lets one supernode in, until {format_instant(made.valid_until_unix_nano)}.")
+    if is_secured:
+        print("It needs a certificate of its own, named there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
+        print("  stampede certs issue --role supernode --name ID --address HOST\n")
+    print(f"On its machine, run:\n\n  {command}")
     return 0
 
 
 def _run_remove(arguments: argparse.Namespace) -> int:
-    with reached(arguments.frontend, arguments.member) as cluster:
+    with reached(arguments.url, arguments.member) as cluster:
         removed = cluster.remove(arguments.id)
     remaining = [record.supernode_id for record in removed.supernodes]
     if arguments.output == "json":
@@ -231,7 +286,7 @@ def _run_remove(arguments: argparse.Namespace) -> int:
 
 def run_snapshot(arguments: argparse.Namespace) -> int:
     """Have a snapshot written, and fetch it if a file is named."""
-    with reached(arguments.frontend, arguments.member) as cluster:
+    with reached(arguments.url, arguments.member) as cluster:
         address = _address_of(cluster.members().supernodes, arguments.id)
         responses = cluster.snapshot(address, include_data=arguments.out is not None, stale_ok=arguments.stale_ok)
         taken = next(responses) if arguments.out is None else write_backup(responses, arguments.out)
@@ -253,7 +308,7 @@ def _address_of(members: Sequence[SupernodeRecord], supernode_id: str | None) ->
     for member in members:
         if member.supernode_id == supernode_id or (supernode_id is None and member.is_leader):
             return member.endpoint.target
-    known = ", ".join(member.supernode_id for member in members)
     if supernode_id is not None:
-        raise StampedeError(f"no member is called {supernode_id}; there are {known}")
+        raise _no_member(supernode_id, members)
+    known = ", ".join(member.supernode_id for member in members)
     raise Unavailable(f"nobody leads; name one of {known}, and say --stale-ok, for what it holds by itself")

@@ -20,6 +20,7 @@ from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
+from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.joining.founding import Founding, note_started, read_founding
 from stampede_rt_supernode.joining.join_tokens import JoinTokens
 from stampede_rt_supernode.joining.members import Members
@@ -216,4 +217,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return prepare(words)
     if words and words[0] in ADMINISTERING:
         return administer(words)
+    if words and not words[0].startswith("-"):
+        verbs = ", ".join((*PREPARING, *ADMINISTERING))
+        sys.stderr.write(
+            f"stampede supernode: there is no verb {words[0]!r}; there are {verbs}, and flags alone start one\n"
+        )
+        return EXIT_BAD_SETTINGS
     return run_service(SupernodeSettings, "supernode", argv, serve)

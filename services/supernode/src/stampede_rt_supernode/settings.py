@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.policy import parse_name
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
@@ -29,7 +30,11 @@ def parse_member(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class SupernodeSettings(ServiceSettings):
-    """One replica of the directory. Alone, or with the members that are named; together they need a majority."""
+    """One replica of the directory. Alone, or with the members that are named; together they need a majority.
+
+    Its data folder is prepared by `stampede supernode init` or `join`; `status`, `add`, `remove` and `snapshot` take
+    care of those that run. Each has --help.
+    """
 
     listen: str = field(
         default="localhost:7590",
@@ -73,6 +78,8 @@ class SupernodeSettings(ServiceSettings):
 
     def __post_init__(self) -> None:
         ids = [member.partition("=")[0] for member in self.members]
+        for name in {*ids, self.id} - {""}:
+            parse_name(name, "supernode")
         if len(set(ids)) != len(ids):
             raise ValueError(f"--members names an id twice: {', '.join(ids)}; every member has an id of its own")
         if len(ids) > MEMBERS_MAX:

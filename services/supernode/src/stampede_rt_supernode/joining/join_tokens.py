@@ -1,7 +1,8 @@
 """Join tokens: made by any supernode, checked by any other, kept by none until they are used. Pure.
 
-A token carries its own end and a proof that only holders of the cluster's secret can make (HMAC, RFC 2104); in a
-cluster without a secret everybody could join anyway. That it lets in only one supernode is seen to by the log.
+A token carries its own end, the id of the cluster's log, which a newcomer must know, and a proof that only holders of
+the cluster's secret can make (HMAC, RFC 2104). In a cluster without a secret everybody could join anyway, or everybody
+with a supernode's certificate. That it lets in only one supernode is seen to by the log.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 
 VALID_NANOS_DEFAULT = 3600 * 10**9
 VALID_NANOS_MAX = 24 * 3600 * 10**9
-_PREFIX = "sj1"
+_PREFIX = "sj2"
+_PARTS = 4
 
 
 class JoinTokens:
@@ -22,16 +24,16 @@ class JoinTokens:
     def __init__(self, secret_text: str) -> None:
         self._secret_text = secret_text
 
-    def make(self, request_id: bytes, *, valid_until_unix_nano: int, cluster_id: str) -> str:
+    def make(self, request_id: bytes, *, valid_until_unix_nano: int, cluster_id: str, log_cluster_id: str) -> str:
         """The token for a request; the same for the same arguments."""
-        body = f"{_PREFIX}.{valid_until_unix_nano:x}.{request_id.hex()}"
+        body = f"{_PREFIX}.{valid_until_unix_nano:x}.{request_id.hex()}.{log_cluster_id.encode().hex()}"
         return f"{body}.{self._proof(body, cluster_id)}"
 
     def check(self, token: str, *, now_unix_nano: int, cluster_id: str) -> str:
         """What the log knows the token by. Raises PermissionDenied with reason UNAUTHENTICATED."""
         body, _, proof = token.rpartition(".")
         parts = body.split(".")
-        if not hmac.compare_digest(proof.encode(), self._proof(body, cluster_id).encode()) or len(parts) != 3:
+        if not hmac.compare_digest(proof.encode(), self._proof(body, cluster_id).encode()) or len(parts) != _PARTS:
             raise _refused("the join token is not one of this cluster; make one with `stampede supernode add`")
         if int(parts[1], 16) <= now_unix_nano:
             raise _refused("the join token is over; make another one with `stampede supernode add`")
@@ -40,6 +42,19 @@ class JoinTokens:
     def _proof(self, body: str, cluster_id: str) -> str:
         key = f"stampede-rt join token\n{cluster_id}\n{self._secret_text}".encode()
         return hmac.new(key, body.encode(), hashlib.sha256).hexdigest()
+
+
+def log_cluster_of(token: str) -> str:
+    """The id of the log that a token is for; nothing is proven. Raises InvalidArgument if it is no token."""
+    parts = token.split(".")
+    try:
+        if parts[0] != _PREFIX or len(parts) != _PARTS + 1:
+            raise ValueError("wrong form")
+        return bytes.fromhex(parts[3]).decode()
+    except ValueError as error:
+        raise InvalidArgument(
+            "--token is no join token, or only a part of one; `stampede supernode add` prints the whole command"
+        ) from error
 
 
 def valid_until(now_unix_nano: int, valid_nanos: int | None) -> int:

@@ -11,9 +11,10 @@ from pathlib import Path
 
 from stampede_rt.cli.supernode import add_place, reached
 from stampede_rt.errors import StampedeError
+from stampede_rt.policy import parse_name
 from stampede_rt_runtime.values import parse_target
 from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
-from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT
+from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
 from stampede_rt_supernode.replication import Member, StoreDamaged, StoreRefused, restore_from
 
 PREPARING = ("init", "join")
@@ -45,12 +46,12 @@ def prepare(argv: Sequence[str]) -> int:
     parsed = parser.parse_args(argv)
     try:
         return int(parsed.run(parsed))
-    except OSError as error:
-        sys.stderr.write(f"stampede supernode: {error.filename} cannot be used: {error.strerror}\n")
-        return FAILED
     except (StampedeError, ValueError) as error:
         sys.stderr.write(f"stampede supernode: {error}\n")
         return FAILED if isinstance(error, StampedeError) else MISUSED
+    except OSError as error:  # after StampedeError: Unavailable is an OSError, too
+        sys.stderr.write(f"stampede supernode: {error.filename} cannot be used: {error.strerror}\n")
+        return FAILED
 
 
 def _run_init(arguments: argparse.Namespace) -> int:
@@ -79,9 +80,9 @@ def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
 def _run_join(arguments: argparse.Namespace) -> int:
     check_unused(arguments.data_dir)
     name, address = _name(arguments), _address(arguments)
-    with reached(arguments.frontend, arguments.member) as cluster:
+    with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members().supernodes
-        made = cluster.make_token(valid_nanos=VALID_NANOS_DEFAULT)
+        token = arguments.token or cluster.make_token(valid_nanos=VALID_NANOS_DEFAULT).token
     members = {record.supernode_id: record.endpoint.target for record in listed}
     if name in members:
         raise StampedeError(f"{name} is a member already; a wiped supernode, too, joins under a new id")
@@ -89,12 +90,12 @@ def _run_join(arguments: argparse.Namespace) -> int:
         supernode_id=name,
         address=address,
         members=members,
-        log_cluster_id=made.log_cluster_id,
+        log_cluster_id=log_cluster_of(token),
         joining=True,
-        token=arguments.token or made.token,
+        token=token,
     )
     write_founding(arguments.data_dir, founding)
-    _say(f"Supernode {name} may enter cluster {made.cluster_id} of {', '.join(members)}. {_start(arguments)}")
+    _say(f"Supernode {name} may enter the cluster of {', '.join(members)}. {_start(arguments)}")
     return 0
 
 
@@ -103,7 +104,7 @@ def _say(text: str) -> None:
 
 
 def _name(arguments: argparse.Namespace) -> str:
-    return arguments.id or f"supernode-{secrets.token_hex(ID_BYTES)}"
+    return parse_name(arguments.id or f"supernode-{secrets.token_hex(ID_BYTES)}", "supernode")
 
 
 def _address(arguments: argparse.Namespace) -> str:

@@ -37,7 +37,9 @@ async def volunteer(
             leader = error.metadata.get("leader_endpoint", "")
             addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
         except _HOPELESS as error:
-            raise StampedeError(f"this supernode cannot join: {error.message}") from error
+            raise StampedeError(
+                f"this supernode cannot join: {error.message}; then empty {data_dir}, and join again"
+            ) from error
         except StampedeError as error:
             logger.info("waiting to be let in", extra={"asked": addresses[0], "cause": error.message})
             addresses = _next(addresses)

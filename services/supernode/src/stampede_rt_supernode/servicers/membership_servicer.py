@@ -63,7 +63,12 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             check_id(request.request_id, "request_id")
             valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
             until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
-            token = self._tokens.make(request.request_id, valid_until_unix_nano=until, cluster_id=cluster_id)
+            token = self._tokens.make(
+                request.request_id,
+                valid_until_unix_nano=until,
+                cluster_id=cluster_id,
+                log_cluster_id=self._log_cluster_id,
+            )
         except StampedeError as error:
             await abort(context, error)
         return pb.CreateJoinTokenResponse(
