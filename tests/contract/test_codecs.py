@@ -112,7 +112,7 @@ async def test_an_item_of_another_content_type_is_not_decoded(surface: Surface) 
     channel = await surface.channel(codec="json")
     await channel.put([1])
     item = await (await surface.channel(channel.name, codec="numpy")).newest()
-    with pytest.raises(st.CodecError, match="is application/json, and this handle decodes application/x-npy"):
+    with pytest.raises(st.CodecError, match="is application/json, not application/x-npy; name the codec"):
         _ = item.value
 
 

@@ -74,6 +74,7 @@ def test_queues_are_listed_with_their_set_up_and_counters(stampede: Run) -> None
     stampede("queue", "put", "cli/list/jobs", "x", *stated)
     table, _ = stampede("queue", "ls", "cli/list/*", "-l")
     heads, failed, jobs = table.splitlines()
+    assert "  lease 30 s  " in failed
     assert heads.split() == ["QUEUE", "HOST", "SET", "UP", "EPOCH", "HELD", "LEASED", "ACCEPTED", "CONSUMED"]
     assert failed.split()[:2] == ["cli/list/failed", "h1"]
     assert "9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed" in jobs
@@ -107,10 +108,13 @@ def test_a_message_is_sent_to_a_participant_who_takes_it(stampede: Run, cluster:
         assert message is not None
         assert message.payload == b"go"
         table, _ = stampede("peers", "cli/*")
-        assert table.splitlines()[0].split() == ["PEER", "ALIVE", "SINCE", "MAILBOX", "HOST", "ZONE", "VERSION"]
-        assert table.splitlines()[1].split()[:2] == ["cli/robot", "yes"]
+        heads, robot = table.splitlines()
+        assert heads.split() == ["PEER", "ALIVE", "SINCE", "MAILBOX", "HOST", "ZONE", "VERSION", "CLOCK", "OFFSET"]
+        assert robot.split()[:2] == ["cli/robot", "yes"]
+        assert " +/- " in robot
         (row,) = json.loads(stampede("peers", "cli/*", "-o", "json")[0])
         assert (row["peer"], row["alive"], row["mailbox"], row["zone"]) == ("cli/robot", True, True, "lab")
+        assert abs(row["clock"]["offset_nanos"]) <= row["clock"]["uncertainty_nanos"]
         _, said = stampede("mailbox", "get", "cli/robot", status=1)
         assert "is taken by another live peer" in said
 

@@ -82,7 +82,7 @@ def test_a_peer_that_told_nothing_of_its_clock_is_not_taken_to_be_right_or_wrong
     peer = seen(PEER, "older", clock_offset_nanos=None, round_trip_nanos=None, version="0.7 of something else")
     findings = diagnose([*WELL, peer], own_version="1.0", certificate_s_min=14 * DAY_S)
     assert [finding for finding in findings if finding.advice] == []
-    assert found([*WELL, peer], "clocks").state.startswith("0 ns apart")
+    assert found([*WELL, peer], "clocks").state.startswith("0 s apart")
     assert found([*WELL, peer], "peer older").state == "ok"
 
 

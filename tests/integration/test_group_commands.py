@@ -72,6 +72,10 @@ def test_what_a_group_shows_is_printed_with_who_holds_it_back(run: Command, rt: 
     status, said, _ = run("status", "rig")
     assert status == 0
     assert "held by rig/right" in said
+    left, right = (
+        next(line for line in said.splitlines() if line.startswith(f"rig/{side} ")) for side in ("left", "right")
+    )
+    assert ("at the cut" in left, "at the cut" in right) == (False, True)
     newest = json.loads(run("newest", "rig", "-o", "json")[1])
     assert [newest[name][0]["payload"] for name in ("rig/left", "rig/right")] == ["1", "1"]
     shown = run("get", "rig", "oldest", "newest")[1]

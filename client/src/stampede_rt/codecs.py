@@ -128,8 +128,8 @@ class Coding:
             return None
         if content_type and _media_type(content_type) != _media_type(self.content_type):
             raise CodecError(
-                f"{self.thing}: {which} is {content_type}, and this handle decodes {self.content_type}; open another "
-                "with the codec for it, or look at its payload"
+                f"{self.thing}: {which} is {content_type}, not {self.content_type}; name the codec for it, or look at "
+                "its payload"
             )
         try:
             return self.codec.decode(payload)

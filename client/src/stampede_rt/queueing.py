@@ -14,6 +14,7 @@ from stampede_rt.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
 LEASE_NANOS_MAX = 3_600_000_000_000
+LEASE_NANOS_DEFAULT = 30_000_000_000  # of a queue that states none
 DELAY_NANOS_MAX = 2**63 - 1
 PREFETCH_MAX = 1024
 

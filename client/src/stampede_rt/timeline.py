@@ -88,7 +88,7 @@ def format_duration(nanos: int) -> str:
     for unit in ("d", "h", "m", "s", "ms", "us"):
         if abs(nanos) >= _UNITS_NANOS[unit]:
             return f"{round(nanos / _UNITS_NANOS[unit], 3):g} {unit}"
-    return f"{nanos} ns"
+    return f"{nanos} ns" if nanos else "0 s"
 
 
 def format_instant(instant: int) -> str:

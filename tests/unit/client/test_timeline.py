@@ -133,4 +133,5 @@ def test_times_are_shown_as_people_read_them() -> None:
     assert format_instant(1_700_000_000_000_000_001) == "2023-11-14T22:13:20.000000001Z"
     assert format_duration(1_500_000_000) == "1.5 s"
     assert format_duration(-30_000_000) == "-30 ms"
+    assert format_duration(0) == "0 s"
     assert "ns" in format_instant(MAX_INSTANT * 1000)

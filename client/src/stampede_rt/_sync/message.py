@@ -114,8 +114,8 @@ class Message:
 
         Raises CodecError, also if the message's content type is not the codec's.
         """
-        coding = Coding.parse(codec, "the message")
-        return coding.decode(self.payload, self.content_type, f"item #{self.seq}") if coding else self.payload
+        coding = Coding.parse(codec, "decode")
+        return coding.decode(self.payload, self.content_type, f"message #{self.seq}") if coding else self.payload
 
     @property
     def lease_left(self) -> float:

@@ -115,16 +115,22 @@ def _status_line(status: GroupStatus[Channel]) -> str:
 def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> dict[str, Any]:
     member = status.members[channel]
     people = form == "table"
-    lead = member.lead_nanos
     return {
         "channel": channel.name,
         "newest": format_instant(member.newest) if people and member.newest is not None else member.newest,
-        "ahead": format_duration(lead) if people and lead is not None else lead,
+        "ahead": _lead(member.lead_nanos) if people else member.lead_nanos,
         "hidden": member.hidden,
         "holds_the_cut": _said(channel in status.waiting_on, people),
         "idle": _said(member.idle, people),
         "window_too_short": _said(member.window_too_short, people),
     }
+
+
+def _lead(nanos: int | None) -> str | None:
+    """How far a member's newest item is ahead of the cut."""
+    if nanos is None:
+        return None
+    return format_duration(nanos) if nanos else "at the cut"
 
 
 def _said(true: bool, people: bool) -> bool | str:

@@ -11,7 +11,7 @@ from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, 
 from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
 from stampede_rt.errors import QueueNotFound
-from stampede_rt.queueing import ON_FULL
+from stampede_rt.queueing import LEASE_NANOS_DEFAULT, ON_FULL
 from stampede_rt.timeline import format_duration
 
 STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")
@@ -93,13 +93,13 @@ def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments:
 def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
     """A set-up in a few words; `names` are those of queues by their ids."""
     dead = policy.dead_letter_queue_id
-    lease = f"lease {format_duration(policy.lease_nanos)}" if policy.lease_nanos is not None else "lease 30s"
+    lease_nanos = LEASE_NANOS_DEFAULT if policy.lease_nanos is None else policy.lease_nanos
     parts = [
         f"{policy.max_items} items" if policy.max_items is not None else "",
         bytes_text(policy.max_bytes) if policy.max_bytes is not None else "",
         f"{policy.copies} copies" if policy.copies is not None else "",
         policy.on_full or "",
-        lease,
+        f"lease {format_duration(lease_nanos)}",
         f"{policy.max_deliveries} deliveries" if policy.max_deliveries is not None else "",
         f"dead letters to {names.get(dead, dead.hex())}" if dead is not None else "",
     ]
