@@ -239,6 +239,21 @@ async def test_a_put_that_may_not_wait_gives_up_at_once_and_one_behind_it_waits(
     assert (await channel.status()).counters.accepted == 1
 
 
+async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) -> None:
+    """It was answered with CHANNEL_FULL, as if the item had not been accepted the first time."""
+    channel = await rig.open(spec=blocking(600 * S))
+    (first,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
+    waiting = rig.channels.Put()
+    await waiting.write(
+        pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"y", number=2)])
+    )
+    await channel.until(lambda status: status.waiting_puts == 1)
+    (again,) = await channel.put(run_of(b"x", wait_nanos=0), producer_id=77)
+    assert again == first
+    assert (await channel.status()).counters.rejected_full == 0
+    waiting.cancel()
+
+
 async def test_puts_beyond_the_hosts_memory_are_refused() -> None:
     async with running_host(memory_bytes_max=10_000) as rig:
         channel, other = await rig.open("a"), await rig.open("b")

@@ -124,7 +124,7 @@ class ChannelPuts:
 
         Raises Overloaded, or InvalidArgument if its numbers overlap another run's.
         """
-        if not self._line and self._offer(run, now):
+        if self._recognise(run, now) or (not self._line and self._offer(run, now)):
             assert run.ack is not None, "what does not wait is finished"
             return run.ack
         if run.wait_nanos is not None and run.wait_nanos <= 0:
@@ -175,17 +175,20 @@ class ChannelPuts:
 
     def _offer_waiting(self, run: IncomingRun, now: int) -> bool:
         try:
-            return self._offer(run, now)
+            return self._recognise(run, now) or self._offer(run, now)
         except StampedeError as error:
             run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
             return True
 
-    def _offer(self, run: IncomingRun, now: int) -> bool:
-        """Offer what is left of the run; True if it is through, with its ack."""
+    def _recognise(self, run: IncomingRun, now: int) -> bool:
+        """True if the run came before: it is through, with the ack of then, whoever waits in line."""
         known = self._retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
         if known is not None:
             run.finish(known)
-            return True
+        return known is not None
+
+    def _offer(self, run: IncomingRun, now: int) -> bool:
+        """Offer what is left of the run; True if it is through, with its ack."""
         self._memory.claim(sum(run.offer.lengths), run.items)
         outcome = self._channel.put(run.offer, now, run.seal)
         settled = run.settle(outcome, now)
