@@ -42,6 +42,19 @@ def test_a_cluster_that_is_well_has_no_advice() -> None:
     assert [finding for finding in findings if finding.advice] == []
 
 
+def test_who_was_removed_does_not_count_for_the_majority() -> None:
+    gone = seen(SUPERNODE, "s0", failure="nobody is there", is_member=False)
+    also_gone = replace(gone, name="s4")
+    assert found([*WELL, gone, also_gone], "quorum") == Finding("quorum", "-", "3 of 3 serve")
+    assert found([*WELL, gone], "supernode s0").state == "no member"
+
+
+def test_one_that_is_missing_from_a_majority_is_to_be_started_or_replaced() -> None:
+    quorum = found(changed("s2", failure="nobody is there"), "quorum")
+    assert quorum.state == "2 of 3 serve"
+    assert quorum.advice.startswith("start s2 again with its folder, or, if that is lost, replace it")
+
+
 @pytest.mark.parametrize(("nanos", "how"), [(1500 * MS, "1.5 s ahead of"), (-60 * MS, "60 ms behind")])
 def test_a_clock_that_is_off_is_told_with_whose_it_is_how_far_and_what_is_allowed(nanos: int, how: str) -> None:
     clocks = found(changed("h1", clock_offset_nanos=nanos), "clocks")

@@ -44,6 +44,17 @@ def test_a_seed_that_answers_is_told_to_callers_with_its_round_trip() -> None:
     assert roster.cluster_id == "c1"
 
 
+def test_a_seed_that_is_no_member_any_more_is_told_to_nobody_and_probed_all_the_same() -> None:
+    roster = Roster(("s1:1", "s2:1"))
+    roster.answered("s1:1", answer("s1"))
+    roster.answered("s2:1", answer("s2"))
+    roster.listed(members("s1", "s2"))
+    roster.failed("s1:1", "gone")
+    roster.listed(members("s2", "s3", index=2))
+    assert sorted(known(roster)) == ["s2", "s3"]
+    assert "s1:1" in roster.targets()
+
+
 def test_an_answer_without_a_measurement_keeps_the_old_one() -> None:
     roster = Roster(("s1:1",))
     roster.answered("s1:1", answer("s1", trip=800))

@@ -19,6 +19,7 @@ class Observation:
     `clock_offset_nanos` is of its clock against the caller's, give or take half of the round trip. `alive`: what the
     directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end. A peer cannot
     be asked: it told the leader, and its round trip is the caller's and its own to the supernode between them.
+    `is_member`: whether the other supernodes list this one.
     """
 
     kind: str
@@ -29,6 +30,7 @@ class Observation:
     alive: bool = True
     lease_held: bool = True
     knows_supernodes: bool = True
+    is_member: bool = True
     round_trip_nanos: int | None = None
     clock_offset_nanos: int | None = None
     version: str = ""
@@ -72,6 +74,8 @@ def _state(one: Observation) -> tuple[str, str]:
         return "lost", "its lease has ended; start it again, or open its channels anew"
     if not one.knows_supernodes:
         return "no supernode", one.failure
+    if not one.is_member:
+        return "no member", "the supernodes do not list it: it was removed, or never joined; leave it out"
     if one.failure:
         return "unreachable", one.failure
     if not one.ready:
@@ -106,13 +110,15 @@ def _frontends(seen: Sequence[Observation]) -> Iterator[Finding]:
 
 
 def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
-    members = _of(SUPERNODE, seen)
+    members = [one for one in _of(SUPERNODE, seen) if one.is_member]
     if not members:
         return
+    down = _joined([one.name or one.address for one in members if one.failure])
     running, ready = [one for one in members if not one.failure], sum(one.ready and not one.failure for one in members)
     needed = len(members) // 2 + 1
     if ready >= needed:
-        yield Finding("quorum", "-", f"{ready} of {len(members)} serve")
+        again = f"start {down} again with its folder, or, if that is lost, replace it (runbook: replace one)"
+        yield Finding("quorum", "-", f"{ready} of {len(members)} serve", again if down else "")
     elif len(running) >= needed:
         yield Finding(
             "quorum",
@@ -121,14 +127,14 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
             "a majority runs but follows no leader; look again in 5 s, and then at the network between them",
         )
     else:
-        down = _joined([one.name or one.address for one in members if one.failure])
         yield Finding(
             "quorum",
             "-",
             f"{len(running)} of {len(members)} run",
             f"the directory has no majority and refuses all changes ({needed} must run); start {down} with their "
             f"folders, or, if those are gone for good, see the runbook: {_chapter(len(members), len(running))}. "
-            "What is bound to its hosts goes on meanwhile",
+            "Hosts cannot renew their leases: within 5 s they refuse all calls, keep what they hold, and go on with it "
+            "when a majority serves again",
         )
 
 

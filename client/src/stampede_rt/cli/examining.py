@@ -68,8 +68,11 @@ class Examination:
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
         """Those that are named and those that they name: who has lost its majority still knows the others."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
-        listed = {record.endpoint.target: record.supernode_id for record in self._listed(first)}
-        more = self._ask(_supernode(name, address) for address, name in listed.items() if address not in named)
+        ready_first = sorted(first, key=lambda one: not one.seen.ready)
+        listed = {record.endpoint.target: record.supernode_id for record in self._listed(ready_first)}
+        found = {one.response.supernode_id for one in first if one.response is not None}
+        rest = {address: name for address, name in listed.items() if address not in named and name not in found}
+        more = self._ask(_supernode(name, address) for address, name in rest.items())
         return sorted((_named(one, listed) for one in (*first, *more)), key=lambda one: one.seen.name)
 
     def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
@@ -204,5 +207,12 @@ def _gatekeeper(host: Any) -> str:
 
 
 def _named(answer: _Answer, listed: dict[str, str]) -> _Answer:
-    said = answer.response.supernode_id if answer.response is not None else listed.get(answer.seen.address, "")
-    return answer._replace(seen=replace(answer.seen, name=said or answer.seen.name))
+    """The answer with what the list of members says of it: whose address that is, and whether it is a member."""
+    seen = answer.seen
+    expected = listed.get(seen.address, "")
+    said = answer.response.supernode_id if answer.response is not None else expected
+    if expected and said != expected:
+        failure = f"{said} answers there, which is another supernode; start {expected} where it should be, or remove it"
+        return answer._replace(seen=replace(seen, name=expected, failure=failure))
+    name = said or seen.name
+    return answer._replace(seen=replace(seen, name=name, is_member=not listed or name in listed.values()))

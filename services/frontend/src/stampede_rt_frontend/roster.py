@@ -43,7 +43,7 @@ class Roster:
     cluster_id: str = ""
     _nodes: dict[str, Supernode] = field(init=False)
     _failures: dict[str, str] = field(init=False, default_factory=dict)
-    _listed: frozenset[str] = field(init=False, default=frozenset())
+    _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members by the last list, target -> id
     _position: tuple[int, int] = field(init=False, default=(0, 0))
 
     def __post_init__(self) -> None:
@@ -84,7 +84,7 @@ class Roster:
             return
         self._position = position
         told = {one.target: one for one in members.members}
-        self._listed = frozenset(told)
+        self._listed = {one.target: one.supernode_id for one in members.members}
         wanted = [*self.seeds, *(target for target in told if target not in self.seeds)][:SUPERNODES_MAX]
         self._nodes = {target: self._merged(target, told.get(target)) for target in wanted}
 
@@ -95,10 +95,14 @@ class Roster:
                 self._nodes[one.target] = replace(self._nodes[one.target], zone=one.zone)
 
     def known(self) -> list[Supernode]:
-        """The supernodes to tell callers of, each id once: a listed address wins over a seed that leads to the same."""
+        """The supernodes to tell callers of, each id once: a listed address wins over a seed that leads to the same.
+
+        A seed that is no member any more, or not yet, is not among them.
+        """
         best: dict[str, Supernode] = {}
+        members = set(self._listed.values())
         for node in sorted(self._nodes.values(), key=lambda one: (not one.answered, one.target not in self._listed)):
-            if node.supernode_id:
+            if node.supernode_id and (not members or node.supernode_id in members):
                 best.setdefault(node.supernode_id, node)
         return list(best.values())
 
@@ -121,6 +125,7 @@ class Roster:
             return False
         # The first cluster seen, or the old one is gone and another was founded at its addresses.
         self.cluster_id, self._position = answer.cluster_id, (0, 0)
+        self._listed = {}
         return True
 
     def _fail(self, node: Supernode, why: str) -> None:
