@@ -6,9 +6,11 @@ The producer's two threads, both hosts and both consumers are told nothing of ea
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
@@ -64,7 +66,8 @@ def play(setting: Setting, network: Network | None, seconds: int = SECONDS) -> t
             for name, host in zip((VIDEO, CAPTIONS), rt.hosts(), strict=True)
         ]
         rt.group(GROUP, channels, reference="oldest", bound=setting.bound)
-        consumers = [pools.enter_context(context.Pool(1)) for _ in channels]
+        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C this process ends them, in silence
+        consumers = [pools.enter_context(context.Pool(1, *deaf)) for _ in channels]
         for consumer, channel, place in zip(consumers, channels, places, strict=True):
             consumer.apply(prepare, (place, address, channel.name, setting.grouped))
         start = time.time_ns() + LEAD_NANOS
@@ -80,14 +83,18 @@ def _produce(channels: Sequence[st.Channel], setting: Setting, start: int, end: 
     video, captions = channels
     frames = _times(start, end, FRAMES_PER_SECOND)
     texts = [at + setting.captions_after_nanos for at in _times(start, end, CAPTIONS_PER_SECOND)]
-    threads = [
-        threading.Thread(target=_put_all, args=(video, frames, 0, FRAME_BYTES, setting.bound == "end")),
-        threading.Thread(target=_put_all, args=(captions, texts, setting.decoding_nanos, CAPTION_BYTES, False)),
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    interrupted = threading.Event()
+    with ThreadPoolExecutor(2) as threads:
+        putting = [
+            threads.submit(_put_all, video, frames, 0, FRAME_BYTES, setting.bound == "end", interrupted),
+            threads.submit(_put_all, captions, texts, setting.decoding_nanos, CAPTION_BYTES, False, interrupted),
+        ]
+        try:
+            for one in putting:
+                one.result()
+        except BaseException:
+            interrupted.set()
+            raise
     for channel in channels:
         channel.advance(end)
 
@@ -98,10 +105,14 @@ def _times(start: int, end: int, per_second: int) -> list[int]:
     return [start + number * NANOS_PER_SECOND // per_second for number in range(count)]
 
 
-def _put_all(channel: st.Channel, times: Sequence[int], delay_nanos: int, payload_bytes: int, lasting: bool) -> None:
+def _put_all(
+    channel: st.Channel, times: Sequence[int], delay_nanos: int, payload_bytes: int, lasting: bool,
+    interrupted: threading.Event,
+) -> None:  # fmt: skip
     ends = [*times[1:], times[-1] + FRAME_NANOS]
     for at, end in zip(times, ends, strict=True):
-        time.sleep(max(0, at + delay_nanos - time.time_ns()) / NANOS_PER_SECOND)
+        if interrupted.wait(max(0, at + delay_nanos - time.time_ns()) / NANOS_PER_SECOND):
+            return
         channel.put(bytes(payload_bytes), time=at, duration=f"{end - at}ns" if lasting else None)
 
 
