@@ -8,9 +8,11 @@ transport, are tested against it.
 from tests.oracle.channel import Item, OracleChannel, Refused, Waits
 from tests.oracle.consumers import OracleConsumers
 from tests.oracle.reading import OracleAnswer, OracleGet, OracleReader
+from tests.oracle.runs import Ack, OracleRetries, put_run
 from tests.oracle.subscription import OracleNewest, OracleSubscription
 
 __all__ = [
+    "Ack",
     "Item",
     "OracleAnswer",
     "OracleChannel",
@@ -18,7 +20,9 @@ __all__ = [
     "OracleGet",
     "OracleNewest",
     "OracleReader",
+    "OracleRetries",
     "OracleSubscription",
     "Refused",
     "Waits",
+    "put_run",
 ]

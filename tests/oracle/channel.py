@@ -56,6 +56,7 @@ class OracleChannel:
         self.rejected = {"TOO_OLD": 0, "IN_FUTURE": 0, "ITEM_TOO_LARGE": 0, "CHANNEL_FULL": 0, "MALFORMED_RUN": 0}
         self.advanced_to: int | None = None
         self.consumed_times: list[int] = []
+        self.came_up_to = 0  # when the last collection was, or the latest item that consumption took then
         self.consumers: OracleConsumers | None = None
         self._count_consumers()
 
@@ -88,22 +89,24 @@ class OracleChannel:
 
     @property
     def newest(self) -> int | None:
-        return max((item.time for item in self.held), default=None)
+        return self.held[-1].time if self.held else None
 
     @property
     def oldest(self) -> int | None:
-        return min((item.time for item in self.held), default=None)
+        return self.held[0].time if self.held else None
 
     @property
     def frontier(self) -> int | None:
-        """The latest span end that was collected, but never above an item that is still there."""
+        """The latest span end that was collected, but never above an item that is still there; if none is, not above
+        what had come when the last one went."""
         if not self.collected_ends:
             return None
-        return min([max(self.collected_ends), *(item.time for item in self.held)])
+        bounds = [item.time for item in self.held] or [self.came_up_to]
+        return min(max(self.collected_ends), *bounds)
 
     def now(self, clock: int) -> int:
         """The later of the clock and the newest item."""
-        return max([clock, *(item.time for item in self.held)])
+        return clock if self.newest is None else max(clock, self.newest)
 
     def end(self, item: Item) -> int | None:
         """The earliest of time + duration and the next later item's time; None for an open newest item."""
@@ -135,7 +138,8 @@ class OracleChannel:
         item = Item(time, len(self.log) + 1, duration, length)
         reason = self._refusal(item, clock)
         if reason is None and not self.drops_oldest and not self._fits(min(waiting, item), clock):
-            if self.policy.on_full == "block":
+            in_vain = self.policy.consumers is None and self.oldest == self.newest == waiting.time
+            if self.policy.on_full == "block" and not in_vain:
                 return Waits(self._retry_at(waiting))
             reason = "CHANNEL_FULL"
         if reason is not None:
@@ -277,7 +281,9 @@ class OracleChannel:
         return {item.time for item in self.held}
 
     def _collect(self, items: list[Item], cause: str, clock: int) -> None:
+        self.came_up_to = self.now(clock)
         if cause == "consumption":
+            self.came_up_to = max(item.time for item in items)
             self.consumed_times += [item.time for item in items]
         else:
             self.collected_ends += [self.known_end(item, clock) for item in items]
@@ -285,8 +291,12 @@ class OracleChannel:
         self.collected[cause] += len(items)
         self.held = [item for item in self.held if item not in items]
 
-    def advance(self, instant: int) -> None:
+    def advance(self, instant: int, clock: int) -> bool:
+        """A promise; False: it is refused, since it lies further ahead than an item may."""
+        if instant > clock + self.max_future:
+            return False
         self.advanced_to = instant if self.advanced_to is None else max(self.advanced_to, instant)
+        return True
 
     def configure(self, policy: Policy, clock: int) -> None:
         """What the old policy outdated by now is gone; then the new one rules."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from stampede_rt.errors import ChannelFull, InvalidArgument
+from stampede_rt.errors import ChannelFull, InFuture, InvalidArgument
 from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound
 from stampede_rt_channel_host.core.channel import (
@@ -31,7 +31,7 @@ from tests.oracle import (
     OracleReader,
     OracleSubscription,
     Refused,
-    Waits,
+    put_run,
 )
 
 INCARNATION = 7
@@ -105,11 +105,13 @@ class ChannelPair:
             return b"body"
 
         outcome = self.core.put(offer, self.clock, seal)
-        self.oracle.age(self.clock)  # what is gone by now stamps nothing, not even the newest item
-        stamp = self.oracle.now(self.clock) if offer.times is None else None
+        taken = put_run(self.oracle, offer, self.clock)
+        stamp = taken.stamp if offer.times is None else None
         assert outcome.stamped_time == stamp
-        accepted, refused, waits = self._put_one_by_one(offer, stamp)
+        accepted = {at: one for at, one in enumerate(taken.verdicts) if isinstance(one, Item)}
+        refused = [(at, one.reason) for at, one in enumerate(taken.verdicts) if isinstance(one, Refused)]
         assert [(one.index, one.error.reason) for one in outcome.rejections] == refused
+        waits = (None, None) if taken.waits is None else (len(taken.verdicts), taken.waits.retry_at)
         assert (outcome.waiting, outcome.retry_at) == waits
         if not accepted:
             assert outcome.run is None
@@ -122,25 +124,6 @@ class ChannelPair:
             assert sealed == [(outcome.run.first_seq, kept, stamp)]
         if outcome.waiting is not None:
             self.waiting.append(offer.rest(outcome.waiting, self.clock))
-
-    def _put_one_by_one(
-        self, offer: Offer, stamp: int | None
-    ) -> tuple[dict[int, Item], list[tuple[int, str]], tuple[int | None, int | None]]:
-        accepted: dict[int, Item] = {}
-        refused: list[tuple[int, str]] = []
-        for index, length in enumerate(offer.lengths):
-            time = stamp if offer.times is None else offer.times[index]
-            assert time is not None
-            duration = None if offer.durations is None or offer.durations[index] < 0 else offer.durations[index]
-            since = None if offer.times is not None else self.clock if offer.since is None else offer.since
-            verdict = self.oracle.put(time, duration, length, self.clock, since)
-            if isinstance(verdict, Waits):
-                return accepted, refused, (index, verdict.retry_at)
-            if isinstance(verdict, Refused):
-                refused.append((index, verdict.reason))
-            else:
-                accepted[index] = verdict
-        return accepted, refused, (None, None)
 
     def retry_put(self, which: int) -> None:
         if self.waiting:
@@ -157,8 +140,11 @@ class ChannelPair:
         self.clock += nanos
 
     def advance(self, instant: int) -> None:
-        self.oracle.advance(instant)
-        assert self.core.advance(instant, self.clock) == self.oracle.advanced_to
+        if self.oracle.advance(instant, self.clock):
+            assert self.core.advance(instant, self.clock) == self.oracle.advanced_to
+        else:
+            with pytest.raises(InFuture, match="max_future"):
+                self.core.advance(instant, self.clock)
 
     def configure(self, policy: Policy) -> None:
         self.core.configure(policy, self.clock)

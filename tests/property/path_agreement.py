@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import stampede_rt as st
 from stampede_rt_channel_host.core.channel import Query
-from tests.oracle import Item, OracleAnswer, Refused
+from tests.oracle import Item, OracleAnswer
 
 Contents = Mapping[int, bytes]
 """Payloads by seq."""
@@ -40,14 +40,3 @@ def same_items(
     assert facts == [(item.time, item.seq, item.duration, end, item.length) for item, end in expected]
     payloads = [None if contents is None else contents[item.seq] for item, _ in expected]
     assert [item.payload for item in found] == payloads
-
-
-def same_put(outcome: st.Item | st.StampedeError, verdict: Item | Refused, payload: bytes) -> None:
-    """An item as its put gave it back, or the refusal."""
-    if isinstance(verdict, Refused):
-        assert isinstance(outcome, st.StampedeError)
-        assert outcome.reason == verdict.reason
-        return
-    assert not isinstance(outcome, st.StampedeError), outcome
-    facts = (outcome.time, outcome.seq, outcome.duration, outcome.payload)
-    assert facts == (verdict.time, verdict.seq, verdict.duration, payload)

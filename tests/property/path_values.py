@@ -1,24 +1,71 @@
-"""What a story over a path keeps in mind: puts in line, subscriptions, and set-ups as callers state them."""
+"""What a story over a path keeps in mind: runs, puts in line, subscriptions, and set-ups as callers state them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Protocol
 
+import stampede_rt as st
 from stampede_rt.model import Policy
 from stampede_rt_channel_host.core.channel import Offer
-from tests.oracle import Item, OracleNewest, OracleSubscription, Refused
-from tests.property.surfaces import Followed, Started
+from tests.oracle import Ack, Item, OracleNewest, OracleSubscription, Refused
+
+
+class Started(Protocol):
+    """A call under way."""
+
+    def is_done(self) -> bool:
+        """It has its outcome."""
+
+    def outcome(self) -> Any:
+        """Wait for the result or the StampedeError; fails after 20 s."""
+
+
+class Followed:
+    """A subscription and all that came of it, in a background of its own, until it ended with `error`."""
+
+    def __init__(self) -> None:
+        self.items: list[st.Item] = []
+        self.subscription: Any = None
+        self.error: st.StampedeError | None = None
+        self.ended = False
+        self.work: Any = None  # held, or an event loop would forget it
+
+
+@dataclass(frozen=True)
+class Run:
+    """Items as a producer in any language sends them; `waits` without limit for room, or not at all."""
+
+    offer: Offer
+    payloads: Sequence[bytes]
+    producer_id: int = 0
+    first_number: int = 0
+    waits: bool = False
 
 
 @dataclass
-class WaitingPut:
-    """A put that stands in line; `settled` are the verdicts of its items up to now."""
+class RunInBook:
+    """A run and its verdicts up to now; `rest` is the offer of what has none yet."""
 
-    offer: Offer
-    payloads: list[bytes]
-    started: Started
-    settled: list[Item | Refused] = field(default_factory=list)
+    run: Run
+    rest: Offer
+    verdicts: list[Item | Refused] = field(default_factory=list)
+    started: Started | None = None
+
+    @property
+    def payloads_left(self) -> Sequence[bytes]:
+        return self.run.payloads[len(self.verdicts) :]
+
+    def ack(self, clock: int) -> Ack:
+        """What its producer is told once every item has its verdict."""
+        accepted = [one for one in self.verdicts if isinstance(one, Item)][:1]
+        return Ack(
+            first_seq=accepted[0].seq if accepted else None,
+            stamped=accepted[0].time if accepted and self.run.offer.times is None else None,
+            refused={at: one.reason for at, one in enumerate(self.verdicts) if isinstance(one, Refused)},
+            judged_at=clock,
+        )
 
 
 @dataclass
@@ -34,14 +81,15 @@ class Follower:
 
 def stated(policy: Policy) -> dict[str, Any]:
     """A policy as the client's arguments."""
-    durations = {"max_age": policy.max_age_nanos, "max_future": policy.max_future_nanos}
-    counts = {"max_items": policy.max_items, "max_bytes": policy.max_bytes, "on_full": policy.on_full}
-    written = {key: f"{nanos}ns" for key, nanos in durations.items() if nanos is not None}
-    return written | {key: value for key, value in counts.items() if value is not None}
+    given = {one.name: getattr(policy, one.name) for one in fields(policy)}
+    return {
+        name.removesuffix("_nanos"): f"{value}ns" if name.endswith("_nanos") else value
+        for name, value in given.items()
+        if value is not None
+    }
 
 
 def merge(policy: Policy, change: Policy) -> Policy:
     """What a channel is set up as after a change that leaves things out."""
-    names = ("max_age_nanos", "max_items", "max_bytes", "on_full", "max_future_nanos")
-    changes = {name: getattr(change, name) for name in names if getattr(change, name) is not None}
-    return replace(policy, **changes)
+    given = {one.name: getattr(change, one.name) for one in fields(change)}
+    return replace(policy, **{name: value for name, value in given.items() if value is not None})

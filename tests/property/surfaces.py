@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, Protocol
@@ -15,38 +15,21 @@ import grpc
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.status import from_error_message, from_rpc_error
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.wire.runs import encode_run
+from tests.oracle import Ack
+from tests.property.path_values import Followed, Run, Started
 
 WAIT_SECONDS_MAX = 20.0
 THREADS_MAX = 24
 
 
-class Started(Protocol):
-    """A call under way."""
-
-    def is_done(self) -> bool:
-        """It has its outcome."""
-
-    def outcome(self) -> Any:
-        """Wait for the result or the StampedeError; fails after 20 s."""
-
-
-class Followed:
-    """A subscription and all that came of it, in a background of its own, until it ended with `error`."""
-
-    def __init__(self) -> None:
-        self.items: list[st.Item] = []
-        self.subscription: Any = None
-        self.error: st.StampedeError | None = None
-        self.ended = False
-        self.work: Any = None  # held, or an event loop would forget it
-
-
 class Surface(Protocol):
     """One way to a host."""
 
-    connection: Any
+    connections: Sequence[Any]  # several participants
 
     def do(self, call: Callable[[], Any]) -> Any:
         """The result of a call of the surface, awaited if that is its way."""
@@ -54,8 +37,11 @@ class Surface(Protocol):
     def start(self, call: Callable[[], Any]) -> Started:
         """Begin a call."""
 
-    def put_run(self, request: pb.PutRequest) -> pb.PutAck:
-        """The ack of the one run in the request, as any producer would send it."""
+    def put_run(self, handle: Any, run: Run) -> Any:
+        """A call of the surface, which puts a run as any producer would send it and gives its Ack."""
+
+    def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Any:
+        """A call of the surface, which consumes as any consumer would and says how many items and for how long."""
 
     def follow(self, subscribe: Callable[[], Any]) -> Followed:
         """Begin a subscription; when this returns it has begun."""
@@ -64,8 +50,8 @@ class Surface(Protocol):
 class BlockingSurface:
     """`stampede_rt`, each blocking call in a thread."""
 
-    def __init__(self, connection: Any, target: str, pool: ThreadPoolExecutor) -> None:
-        self.connection = connection
+    def __init__(self, connections: Sequence[Any], target: str, pool: ThreadPoolExecutor) -> None:
+        self.connections = connections
         self._pool = pool
         self._wire = grpc.insecure_channel(target)
         self._channels = ChannelServiceStub(self._wire)
@@ -76,9 +62,17 @@ class BlockingSurface:
     def start(self, call: Callable[[], Any]) -> Started:
         return _InThread(self._pool.submit(call))
 
-    def put_run(self, request: pb.PutRequest) -> pb.PutAck:
+    def put_run(self, handle: Any, run: Run) -> Ack:
+        request = put_request(handle, run)
         (ack,) = [ack for response in self._channels.Put(iter((request,))) for ack in response.acks]
-        return ack
+        return ack_of(ack)
+
+    def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
+        try:
+            response = self._channels.Consume(consume_request(handle, consumer_id, seqs, lease_nanos))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, "the host") from error
+        return response.consumed, response.lease_nanos
 
     def follow(self, subscribe: Callable[[], Any]) -> Followed:
         followed = Followed()
@@ -116,8 +110,8 @@ class _InThread:
 class AwaitedSurface:
     """`stampede_rt.aio`, on a loop that runs while something is done or waited for."""
 
-    def __init__(self, connection: Any, target: str, loop: asyncio.AbstractEventLoop) -> None:
-        self.connection = connection
+    def __init__(self, connections: Sequence[Any], target: str, loop: asyncio.AbstractEventLoop) -> None:
+        self.connections = connections
         self._loop = loop
         self._wire = self.do(lambda: _aio_channel(target))
         self._channels = ChannelServiceStub(self._wire)
@@ -131,12 +125,17 @@ class AwaitedSurface:
     def start(self, call: Callable[[], Any]) -> Started:
         return _AsTask(self._loop.create_task(call()), self._loop)
 
-    def put_run(self, request: pb.PutRequest) -> pb.PutAck:
-        async def put() -> pb.PutAck:
-            (ack,) = [ack async for response in self._channels.Put(iter((request,))) for ack in response.acks]
-            return ack
+    async def put_run(self, handle: Any, run: Run) -> Ack:
+        call = self._channels.Put(iter((put_request(handle, run),)))
+        (ack,) = [ack async for response in call for ack in response.acks]
+        return ack_of(ack)
 
-        return self.do(put)  # type: ignore[no-any-return]
+    async def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
+        try:
+            response = await self._channels.Consume(consume_request(handle, consumer_id, seqs, lease_nanos))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, "the host") from error
+        return response.consumed, response.lease_nanos
 
     def follow(self, subscribe: Callable[[], Any]) -> Followed:
         followed = Followed()
@@ -177,11 +176,50 @@ class _AsTask:
             return error
 
 
+def put_request(handle: Any, run: Run) -> pb.PutRequest:
+    """One run on the wire."""
+    encoded = encode_run(run.payloads, times=run.offer.times, durations=run.offer.durations)
+    info = handle.info
+    request = pb.PutRequest(channel_id=info.channel_id, epoch=info.epoch, producer_id=run.producer_id)
+    put = request.puts.add(first_number=run.first_number, wait_nanos=None if run.waits else 0)
+    put.run.ParseFromString(encoded)
+    return request
+
+
+def ack_of(ack: pb.PutAck) -> Ack:
+    """The ack as a value. Raises what refused the run as a whole."""
+    if ack.HasField("error"):
+        raise from_error_message(ack.error)
+    return Ack(
+        first_seq=ack.first_seq if ack.HasField("first_seq") else None,
+        stamped=ack.stamped_unix_nano if ack.HasField("stamped_unix_nano") else None,
+        refused={one.index: from_error_message(one.error).reason for one in ack.rejections},
+        judged_at=ack.host_time_unix_nano,
+    )
+
+
+def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> pb.ConsumeRequest:
+    """One consumer's word on the wire."""
+    info = handle.info
+    return pb.ConsumeRequest(
+        channel_id=info.channel_id,
+        epoch=info.epoch,
+        consumer_id=consumer_id,
+        seqs=seqs,
+        incarnation=handle.incarnation,
+        lease_nanos=lease_nanos,
+    )
+
+
 @contextmanager
 def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
-    """The synchronous client, connected."""
-    with st.connect(frontend) as connection, ThreadPoolExecutor(THREADS_MAX) as pool:
-        surface = BlockingSurface(connection, target, pool)
+    """The synchronous client, connected twice."""
+    with (
+        st.connect(frontend) as one,
+        st.connect(frontend) as other,
+        ThreadPoolExecutor(THREADS_MAX) as pool,
+    ):
+        surface = BlockingSurface((one, other), target, pool)
         try:
             yield surface
         finally:
@@ -190,15 +228,16 @@ def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
 
 @contextmanager
 def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
-    """The asynchronous client, connected, on a loop of its own."""
+    """The asynchronous client, connected twice, on a loop of its own."""
     with asyncio.Runner() as runner:
-        connection = runner.run(_connected(frontend))
-        surface = AwaitedSurface(connection, target, runner.get_loop())
+        connections = [runner.run(_connected(frontend)) for _ in range(2)]
+        surface = AwaitedSurface(connections, target, runner.get_loop())
         try:
             yield surface
         finally:
             surface.close()
-            runner.run(connection.aclose())
+            for connection in connections:
+                runner.run(connection.aclose())
 
 
 async def _connected(frontend: str) -> Any:

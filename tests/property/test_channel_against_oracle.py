@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from unittest import mock
 
 import pytest
@@ -13,122 +14,67 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
-from stampede_rt_channel_host.core.channel import Offer, Position, Query, holdings
+from stampede_rt_channel_host.core.channel import Offer, Query, holdings
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice
+from tests.property.draws import (
+    CONSUMERS,
+    LEASES,
+    POLICIES,
+    TICKS,
+    a_bound,
+    a_position,
+    a_query,
+    a_time,
+    an_item_position,
+    an_offer,
+    some_seqs,
+)
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
 FIRST_CLOCK = 100
 HUGE = 2**62
 
-POLICIES = (
-    Policy(max_age_nanos=20, max_future_nanos=8),
-    Policy(max_items=4, max_future_nanos=8),
-    Policy(max_bytes=400, max_future_nanos=8),
-    Policy(max_age_nanos=12, max_items=5, max_bytes=500, max_future_nanos=8),
-    Policy(max_age_nanos=20, max_items=3, max_future_nanos=8, on_full="block"),
-    Policy(max_items=3, max_future_nanos=8, on_full="reject"),
-    Policy(max_age_nanos=9, max_bytes=400, max_future_nanos=8, on_full="block"),
-    Policy(max_age_nanos=9, max_bytes=400, max_items=6, max_future_nanos=8, on_full="reject"),
-    Policy(max_items=2, max_bytes=10_000, max_item_bytes=30, max_future_nanos=8),
-    Policy(max_age_nanos=1, max_future_nanos=0),
-    Policy(consumers=2, max_future_nanos=8),
-    Policy(consumers=1, max_items=2, max_future_nanos=8, on_full="block"),
-    Policy(consumers=2, max_age_nanos=15, max_bytes=500, max_future_nanos=8),
-    Policy(consumers=3, max_items=4, max_future_nanos=8, on_full="reject"),
-    Policy(consumers=2, max_items=3, max_age_nanos=20, max_future_nanos=8, on_full="block"),
-    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_future_nanos=8),
-    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_items=4, max_future_nanos=8, on_full="block"),
-    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8),
-    Policy(),
-)
-DURATIONS = (-1, 0, 1, 3, 7, HUGE)
-
-
-def a_time(dice: Dice, pair: ChannelPair) -> int:
-    """Near the newest item, near the clock on either side, or near the edge of what is kept."""
-    newest, oldest = pair.oracle.newest or pair.clock, pair.oracle.oldest or pair.clock
-    cutoff = pair.clock - min(pair.oracle.max_age or 0, FIRST_CLOCK)
-    around = dice.pick((pair.clock, newest, oldest, cutoff, FIRST_CLOCK))
-    return around + dice.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21))
-
-
-def an_offer(dice: Dice, pair: ChannelPair) -> Offer:
-    items = dice.pick((1, 2, 1, 3, 6))
-    times = None if dice.one_in(6) else [a_time(dice, pair) for _ in range(items)]
-    if times is not None and dice.below(2):
-        times.sort()
-    durations = [dice.pick(DURATIONS) for _ in range(items)] if dice.below(2) else None
-    return Offer(times=times, durations=durations, lengths=[dice.pick((8, 0, 40, 64, 500)) for _ in range(items)])
-
-
-def a_bound(dice: Dice, pair: ChannelPair) -> Bound:
-    meta = dice.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
-    if meta is None:
-        return Bound(None, dice.pick((MIN_INSTANT, MAX_INSTANT)) if dice.one_in(6) else a_time(dice, pair))
-    return Bound(meta, dice.pick((0, -1, 1, -4, 4, -15, 15)))
-
-
-def a_position(dice: Dice, pair: ChannelPair) -> Position | None:
-    kind = dice.below(6)
-    if kind == 1:
-        return Position(a_time(dice, pair))
-    if kind == 2 and pair.oracle.log:
-        return an_item_position(dice, pair)
-    return None
-
-
-def an_item_position(dice: Dice, pair: ChannelPair) -> Position:
-    item = pair.oracle.log[1 + dice.below(len(pair.oracle.log))]
-    return Position(item.time, item.seq, dice.pick((0, INCARNATION)))
-
-
-def a_query(dice: Dice, pair: ChannelPair) -> Query:
-    start, end = a_bound(dice, pair), a_bound(dice, pair)
-    if start.meta is None and end.meta is None and start.offset > end.offset:
-        start, end = end, start
-    return Query(
-        interval=Interval(start, end, bool(dice.below(2)), bool(dice.below(2))),
-        match=dice.pick(tuple(Match)),
-        limit=dice.pick((None, 1, 2, 3)),
-        newest_first=bool(dice.below(2)),
-        complete=bool(dice.below(2)),
-        after=a_position(dice, pair),
-        newer_than=a_position(dice, pair),
-    )
+SET_UPS = (*POLICIES, Policy(max_items=2, max_bytes=10_000, max_item_bytes=30, max_future_nanos=8))
 
 
 def put(dice: Dice, pair: ChannelPair) -> None:
     pair.put(an_offer(dice, pair))
 
 
+def a_core_query(dice: Dice, pair: ChannelPair) -> Query:
+    """As clients ask, or as named reads do, with positions that may name the channel's incarnation."""
+    query = a_query(dice, pair)
+    after = query.after
+    if after is not None and after.seq is not None:
+        after = after._replace(incarnation=dice.pick((0, INCARNATION)))
+    return replace(query, after=after, newer_than=a_position(dice, pair))
+
+
 def read(dice: Dice, pair: ChannelPair) -> None:
-    pair.read(a_query(dice, pair))
+    pair.read(a_core_query(dice, pair))
 
 
 def begin(dice: Dice, pair: ChannelPair) -> None:
-    pair.begin(a_query(dice, pair))
+    pair.begin(a_core_query(dice, pair))
 
 
 def tick(dice: Dice, pair: ChannelPair) -> None:
-    pair.tick(dice.pick((1, 2, 0, 5, 9, 30, 1000)))
+    pair.tick(dice.pick(TICKS))
 
 
 def advance(dice: Dice, pair: ChannelPair) -> None:
-    pair.advance(min(a_time(dice, pair), pair.clock))
+    instant = a_time(dice, pair)
+    pair.advance(instant if dice.one_in(4) else min(instant, pair.clock))
 
 
 def configure(dice: Dice, pair: ChannelPair) -> None:
-    pair.configure(dice.pick(POLICIES))
+    pair.configure(dice.pick(SET_UPS))
 
 
 def consume(dice: Dice, pair: ChannelPair) -> None:
-    """One of four consumers: all that is held, its oldest items, its newest, or any that ever were."""
-    held, kind = [item.seq for item in pair.oracle.held], dice.below(4)
-    seqs = (held, held[:2], held[-1:], [1 + dice.below(len(pair.oracle.log) or 1) for _ in range(2)])[kind]
-    known = [seq for seq in seqs if seq <= len(pair.oracle.log)]
-    pair.consume(1 + dice.below(4), known, dice.pick((10, 3, 40, 0, 10**6)))
+    seqs = some_seqs(dice, pair)
+    pair.consume(dice.pick(CONSUMERS), seqs, dice.pick(LEASES))
 
 
 def carry(dice: Dice, pair: ChannelPair) -> None:
@@ -137,7 +83,7 @@ def carry(dice: Dice, pair: ChannelPair) -> None:
 
 def subscribe(dice: Dice, pair: ChannelPair) -> None:
     kind = dice.below(3)
-    after = an_item_position(dice, pair) if kind == 2 and pair.oracle.log else None
+    after = an_item_position(dice, pair) if kind == 2 else None
     start = a_bound(dice, pair) if kind == 1 else None
     if len(pair.all_subscriptions) < 3:
         pair.subscribe(start, bool(dice.below(2)), after)
@@ -178,7 +124,7 @@ def play(numbers: list[int]) -> None:
     What is held is counted in blocks, as small as the few items of a story.
     """
     first = Dice(numbers[0])
-    pair = ChannelPair(first.pick(POLICIES), FIRST_CLOCK)
+    pair = ChannelPair(first.pick(SET_UPS), FIRST_CLOCK)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
     with mock.patch.object(holdings, "ITEMS_PER_BLOCK", first.pick((2, 1, 3, 1024))):
         _play_steps(pair, numbers[1:], hasty=hasty, counts=counts)

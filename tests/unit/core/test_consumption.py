@@ -274,3 +274,14 @@ def test_a_late_item_within_the_prolonged_window_is_taken_and_one_behind_it_is_n
     channel.consume(ANN, [], CLOCK)
     assert not put(channel, CLOCK - 500, durations=[0]).rejections
     assert [one.error.reason for one in put(channel, CLOCK - 1500, durations=[0]).rejections] == ["TOO_OLD"]
+
+
+def test_what_is_still_to_come_is_not_called_collected_once_the_last_item_was_consumed() -> None:
+    """An item of long duration, collected beside others of its time, once put the frontier years ahead."""
+    channel = a_channel(consumers=1, max_items=1)
+    put(channel, 10, 10, durations=[10**15, 0])
+    assert channel.frontier == 10
+    channel.consume(ANN, [2], CLOCK)
+    assert channel.frontier == 10
+    found = get(channel, CLOCK + 5, CLOCK + 10)
+    assert (found.complete, found.truncated, found.reason) == (False, False, "NOT_YET")

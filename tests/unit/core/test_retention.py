@@ -155,3 +155,12 @@ def test_a_clock_that_is_told_an_earlier_time_stays_where_it_was() -> None:
     put(channel, 10)
     assert get(channel, OLDEST, NOW, now=CLOCK + 5).interval.end == CLOCK + 5  # type: ignore[union-attr]
     assert get(channel, OLDEST, NOW, now=CLOCK).interval.end == CLOCK + 5  # type: ignore[union-attr]
+
+
+def test_what_is_still_to_come_is_not_called_collected_once_a_limit_took_the_last_item() -> None:
+    channel = a_channel(max_items=1)
+    put(channel, 10, durations=[10**15])
+    channel.configure(Policy(max_bytes=64), CLOCK)
+    assert channel.frontier == CLOCK
+    assert get(channel, 10, CLOCK, "[)").reason == "COLLECTED"
+    assert get(channel, CLOCK + 5, CLOCK + 10).reason == "NOT_YET"

@@ -43,7 +43,7 @@ class Holdings:
     """
 
     __slots__ = (
-        "_following", "_stored_bytes", "_tally",
+        "_came_up_to", "_following", "_stored_bytes", "_tally",
         "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
         "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
     )  # fmt: skip
@@ -64,6 +64,7 @@ class Holdings:
         self.newest_consumed: int | None = None
         self.last_cause = AGE
         self.on_gone: Callable[[int, int], None] | None = None
+        self._came_up_to: int | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
         self._tally = Tally()  # of what is held, without the newest items
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
@@ -90,10 +91,12 @@ class Holdings:
 
     @property
     def frontier(self) -> int | None:
-        """The latest span end that was collected, but not above the oldest held item's time."""
-        if self.collected_end is None or self.oldest is None:
+        """The latest span end that was collected, but not above the oldest held item's time; with none left, not above
+        what had come when the last one went: a long duration says nothing of items that are still to come."""
+        bound = self._came_up_to if self.oldest is None else self.oldest
+        if self.collected_end is None or bound is None:
             return self.collected_end
-        return min(self.collected_end, self.oldest)
+        return min(self.collected_end, bound)
 
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run whose times lie between `low` and `high`."""
@@ -234,7 +237,9 @@ class Holdings:
         self._tally.take(front.items, front.payload_bytes)
         self.collected[cause] += front.items
         self.oldest = None if front.rest is None else front.rest.first_time
-        self.newest = None if front.rest is None else self.newest
+        if front.rest is None:
+            self.newest = None
+            self._came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
         if self.on_gone is not None:
             for part in self.index.slices(former_floor, self.floor):
                 self.on_gone(part.first_seq, part.end_seq)

@@ -1,6 +1,6 @@
-"""Whatever happens to a channel, a client on the other side of gRPC and the oracle tell the same story.
+"""Whatever happens to a channel, the core, a client on the other side of gRPC and the oracle tell the same story.
 
-`STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/test_grpc_paths_against_oracle.py` searches at length.
+`STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/test_paths_against_oracle.py` searches at length.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.property.core_surface import core_surface
 from tests.property.loopback_host import LoopbackHost, loopback_host
+from tests.property.path_book import SteeredHost
 from tests.property.path_steps import play
 from tests.property.surfaces import Surface, awaited_surface, blocking_surface
 
@@ -32,11 +34,22 @@ def surface(request: pytest.FixtureRequest, host: LoopbackHost) -> Iterator[Surf
         yield connected
 
 
-@pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
-def test_a_client_over_grpc_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
-    @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
+    @settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.lists(st.integers(0, 2**96), min_size=20, max_size=40))
     def every_story(numbers: list[int]) -> None:
         play(surface, host, numbers)
 
     every_story()
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
+def test_a_client_over_grpc_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
+    play_stories(surface, host, EXAMPLES)
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
+@pytest.mark.parametrize("items_per_block", [2, 1024])
+def test_a_path_that_is_the_core_alone_says_what_the_oracle_says_in_every_story(items_per_block: int) -> None:
+    with core_surface(items_per_block) as (surface, host):
+        play_stories(surface, host, 2 * EXAMPLES)

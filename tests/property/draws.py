@@ -1,0 +1,112 @@
+"""What a story of a channel draws: set-ups, offers, queries, positions, whoever it is played on."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from stampede_rt.model import Policy
+from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
+from stampede_rt_channel_host.core.channel import Offer, Position, Query
+from tests.oracle import OracleChannel
+from tests.property.dice import Dice
+
+POLICIES = (
+    Policy(max_age_nanos=20, max_future_nanos=8),
+    Policy(max_items=4, max_future_nanos=8),
+    Policy(max_bytes=400, max_future_nanos=8),
+    Policy(max_age_nanos=12, max_items=5, max_bytes=500, max_future_nanos=8),
+    Policy(max_age_nanos=20, max_items=3, max_future_nanos=8, on_full="block"),
+    Policy(max_items=3, max_future_nanos=8, on_full="reject"),
+    Policy(max_age_nanos=9, max_bytes=400, max_future_nanos=8, on_full="block"),
+    Policy(max_age_nanos=9, max_bytes=400, max_items=6, max_future_nanos=8, on_full="reject"),
+    Policy(max_age_nanos=1, max_future_nanos=0),
+    Policy(consumers=2, max_future_nanos=8),
+    Policy(consumers=1, max_items=2, max_future_nanos=8, on_full="block"),
+    Policy(consumers=2, max_age_nanos=15, max_bytes=500, max_future_nanos=8),
+    Policy(consumers=3, max_items=4, max_future_nanos=8, on_full="reject"),
+    Policy(consumers=2, max_items=3, max_age_nanos=20, max_future_nanos=8, on_full="block"),
+    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_future_nanos=8),
+    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_items=4, max_future_nanos=8, on_full="block"),
+    Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8),
+    Policy(),
+)
+DURATIONS = (None, 0, 1, 3, 7, 2**62, MAX_INSTANT)
+LENGTHS = (8, 0, 40, 64, 500)
+RUN_LENGTHS = (1, 2, 1, 3, 6)
+LEASES = (10, 3, 40, 0, 10**6)
+TICKS = (1, 2, 0, 5, 9, 30, 1000)
+CONSUMERS = (1, 2, 3, 4)
+LOOKED_BACK_MAX = 100
+
+
+class Told(Protocol):
+    """A story under way: the host's clock, and the channel by the book."""
+
+    clock: int
+    oracle: OracleChannel
+
+
+def a_time(dice: Dice, story: Told) -> int:
+    """Near the newest item, near the clock on either side, near the edge of what is kept, or far off."""
+    newest, oldest = story.oracle.newest or story.clock, story.oracle.oldest or story.clock
+    cutoff = story.clock - min(story.oracle.max_age or 0, LOOKED_BACK_MAX)
+    around = dice.pick((story.clock, newest, oldest, cutoff, story.clock))
+    distant = dice.pick((10**6, -(10**6), 10**6, -(10**10), 10**10))
+    return around + dice.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21, distant))
+
+
+def an_offer(dice: Dice, story: Told) -> Offer:
+    """A run in any order, most of them small; its items stamped by the host, or each with a time of its own."""
+    items = dice.pick((40, 17)) if dice.one_in(30) else dice.pick(RUN_LENGTHS)
+    times = None if dice.one_in(6) else [a_time(dice, story) for _ in range(items)]
+    if times is not None and dice.below(2):
+        times.sort()
+    durations = [dice.pick(DURATIONS) for _ in range(items)] if dice.below(2) else None
+    column = None if durations is None else [-1 if one is None else one for one in durations]
+    return Offer(times=times, durations=column, lengths=[dice.pick(LENGTHS) for _ in range(items)])
+
+
+def a_bound(dice: Dice, story: Told) -> Bound:
+    """Any instant, or any meta-time and what is near it."""
+    meta = dice.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
+    if meta is None:
+        return Bound(None, dice.pick((MIN_INSTANT, MAX_INSTANT)) if dice.one_in(6) else a_time(dice, story))
+    return Bound(meta, dice.pick((0, -1, 1, -4, 4, -15, 15)))
+
+
+def a_position(dice: Dice, story: Told) -> Position | None:
+    """Mostly none, or an instant, or an item that is held or ever was."""
+    kind = dice.below(6)
+    if kind == 1:
+        return Position(a_time(dice, story))
+    return an_item_position(dice, story) if kind == 2 else None
+
+
+def an_item_position(dice: Dice, story: Told) -> Position | None:
+    """Of any item that ever was."""
+    if not story.oracle.log:
+        return None
+    item = story.oracle.log[1 + dice.below(len(story.oracle.log))]
+    return Position(item.time, item.seq)
+
+
+def a_query(dice: Dice, story: Told) -> Query:
+    """Any read that asks for items between two bounds."""
+    start, end = a_bound(dice, story), a_bound(dice, story)
+    if start.meta is None and end.meta is None and start.offset > end.offset:
+        start, end = end, start
+    return Query(
+        interval=Interval(start, end, bool(dice.below(2)), bool(dice.below(2))),
+        match=dice.pick(tuple(Match)),
+        limit=dice.pick((None, 1, 2, 3)),
+        newest_first=bool(dice.below(2)),
+        complete=bool(dice.below(2)),
+        after=a_position(dice, story),
+    )
+
+
+def some_seqs(dice: Dice, story: Told) -> list[int]:
+    """Of all that is held, its oldest items, its newest, or any that ever were; some twice, or none."""
+    held, kind = [item.seq for item in story.oracle.held], dice.below(4)
+    ever = len(story.oracle.log)
+    return (held, held[:2], held[-1:], [1 + dice.below(ever) for _ in range(2) if ever])[kind]
