@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, encode_snapshot
 from stampede_rt_supernode.core.change_ring import CHANGES_MAX
 from stampede_rt_supernode.core.frozen_directory import frozen
+from stampede_rt_supernode.replica import DirectoryReplica
 from tests.unit.supernode.deeds import (
     Log,
     delete,
@@ -90,3 +94,16 @@ def test_one_that_was_never_encoded_does_no_harm(log: Log) -> None:
     writer.begin(log.directory)
     log.apply(open_channel("e", host="host-1"))
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
+
+
+def test_a_state_that_was_replaced_is_freed_without_the_garbage_collector(log: Log) -> None:
+    replica = DirectoryReplica()
+    snapshot = encode_snapshot(log.directory)
+    replica.prepare_restore(snapshot)()
+    outdated = replica.read(lambda directory: weakref.ref(directory.tables))
+    gc.disable()
+    try:
+        replica.prepare_restore(snapshot)()
+        assert outdated() is None
+    finally:
+        gc.enable()

@@ -59,10 +59,12 @@ class DirectoryReplica:
         directory = decode_snapshot(snapshot)
 
         def restore() -> None:
+            outdated = self._directory  # freed when this returns: not while readers wait for the lock
             with self._lock:
                 self._directory, self._snapshots = directory, SnapshotWriter()
                 self.restored += 1
             self._listener()
+            del outdated
 
         return restore
 

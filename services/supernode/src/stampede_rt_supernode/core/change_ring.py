@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import islice
 
-from stampede_rt_supernode.core.records import Change
+from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Queue
 
 CHANGES_MAX = 16_384
 
@@ -29,6 +29,7 @@ class ChangeRing:
     def __init__(self, floor_index: int = 0, *, changes_max: int = CHANGES_MAX) -> None:
         self.floor_index = floor_index  # no change at or below it is held, and perhaps not all of those at it were
         self.end_index = floor_index  # the last log position noted, with or without a change
+        self._index = floor_index  # the one whose changes are being noted
         self._changes: deque[Change] = deque()
         self._dropped = 0  # changes that went; the first held one has this position
         self._changes_max = changes_max
@@ -37,6 +38,14 @@ class ChangeRing:
     def end_position(self) -> int:
         """Behind the newest change."""
         return self._dropped + len(self._changes)
+
+    def begin(self, index: int) -> None:
+        """What is noted from now on is of log position `index`, which is not below the one before."""
+        self._index = index
+
+    def note(self, kind: ChangeKind, subject: Channel | Host | Group | Queue) -> None:
+        """Append a change of the present log position."""
+        self.append(Change(index=self._index, kind=kind, subject=subject))
 
     def append(self, change: Change) -> None:
         """Note a change; its index is not below that of the one before. The oldest one goes if there is no room."""

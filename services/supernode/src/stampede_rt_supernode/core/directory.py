@@ -157,7 +157,7 @@ class Directory:
 
     def apply(self, index: int, command: Command) -> Result:
         """Apply the command at log position `index`, which grows and may skip. A refusal has changed nothing."""
-        self.tables.index = index
+        self.tables.begin(index)
         self.answered.forget_before(index)
         try:
             return self._answer(index, command)

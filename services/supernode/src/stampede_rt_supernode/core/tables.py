@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.change_ring import ChangeRing
 from stampede_rt_supernode.core.groups.table import GroupTable
 from stampede_rt_supernode.core.peers.table import PeerTable
 from stampede_rt_supernode.core.queues.table import QueueTable
-from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Peer, Queue, Replica
+from stampede_rt_supernode.core.records import ChangeKind, Channel, Group, Host, Peer, Queue, Replica
 from stampede_rt_supernode.core.replicas.table import ReplicaTable
 
 
@@ -47,10 +47,15 @@ class Tables:
                 self.host_ids[host.name] = host.host_id
         for channel in self.channels.values():
             self._channel_ids_at[channel.host_id].add(channel.channel_id)
-        self.groups = GroupTable(groups, self._note)
+        self.groups = GroupTable(groups, self.changes.note)
         self.replicas = ReplicaTable(replicas)
-        self.queues = QueueTable(queues, self._note)
+        self.queues = QueueTable(queues, self.changes.note)
         self.peers = PeerTable(peers, index)
+
+    def begin(self, index: int) -> None:
+        """Log position `index` is applied from now on."""
+        self.index = index
+        self.changes.begin(index)
 
     def note_index(self, index: int) -> None:
         """All changes of log position `index` are noted."""
@@ -80,7 +85,7 @@ class Tables:
         """Its id and name are new, its host is known."""
         self._link(channel)
         self._count(channel.host_id, +1)
-        self._note(ChangeKind.ADDED, channel)
+        self.changes.note(ChangeKind.ADDED, channel)
 
     def replace_channel(self, channel: Channel) -> None:
         """The channel of that id, which keeps its name, is now like this; its host may be another."""
@@ -89,7 +94,7 @@ class Tables:
             self._channel_ids_at[before].discard(channel.channel_id)
             self._count(channel.host_id, +1)
         self._link(channel)
-        self._note(ChangeKind.UPDATED, channel)
+        self.changes.note(ChangeKind.UPDATED, channel)
         if before != channel.host_id:
             self._count(before, -1)
 
@@ -98,7 +103,7 @@ class Tables:
         del self.channels[channel.channel_id]
         del self.channel_ids[channel.name]
         self._channel_ids_at[channel.host_id].discard(channel.channel_id)
-        self._note(ChangeKind.REMOVED, channel)
+        self.changes.note(ChangeKind.REMOVED, channel)
         self._count(channel.host_id, -1)
 
     def put_host(self, host: Host) -> None:
@@ -113,7 +118,7 @@ class Tables:
         self._channel_ids_at.setdefault(host.host_id, set())
         if host.alive:
             self.host_ids[host.name] = host.host_id
-        self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, host)
+        self.changes.note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, host)
         self._drop_if_done(host)
 
     def put_queue(self, queue: Queue) -> None:
@@ -142,7 +147,4 @@ class Tables:
         if not host.alive and host.channels == 0 and self.queues.count_at(host.host_id) == 0:
             del self.hosts[host.host_id]
             del self._channel_ids_at[host.host_id]
-            self._note(ChangeKind.REMOVED, host)
-
-    def _note(self, kind: ChangeKind, subject: Channel | Host | Group | Queue) -> None:
-        self.changes.append(Change(index=self.index, kind=kind, subject=subject))
+            self.changes.note(ChangeKind.REMOVED, host)
