@@ -29,7 +29,11 @@ FIGURES: dict[str, tuple[str, Figure]] = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the benchmarks. Returns the exit code: 0, 1 if charts cannot be written, 130 after Ctrl-C."""
-    arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
+    parser = _parser()
+    arguments = parser.parse_args(sys.argv[1:] if argv is None else argv)
+    if arguments.kind is None:
+        parser.print_help()
+        return 0
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
         return run(arguments)
@@ -63,7 +67,7 @@ def _matching(arguments: argparse.Namespace) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="stampede bench", description="Benchmarks, with their peers beside them.")
-    kinds = parser.add_subparsers(dest="kind", metavar="NAME", required=True)
+    kinds = parser.add_subparsers(dest="kind", metavar="NAME")
     _add_paper(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
@@ -74,14 +78,16 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_paper(kinds: Any) -> None:
-    listing = "\n".join(f"  {name:<10}{title}" for name, (title, _) in FIGURES.items())
+    listing = "\n".join(f"  {name:<12}{title}" for name, (title, _) in FIGURES.items())
     paper = kinds.add_parser(
         "paper",
         description=f"The figures of the paper, measured on this machine:\n\n{listing}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         help="the figures of the paper",
     )
-    paper.add_argument("--figure", action="append", choices=FIGURES, help="this one only; may be repeated")
+    paper.add_argument(
+        "--figure", action="append", choices=FIGURES, metavar="NAME", help="this one only; may be repeated"
+    )
     paper.add_argument(
         "--items-max",
         type=_between(1000, ITEMS_MAX),
