@@ -11,70 +11,167 @@ from tests.oracle.channel import Item, OracleChannel
 from tests.oracle.reading import OracleReader, _remaining
 
 
+@dataclass(frozen=True)
+class Told:
+    """How far a channel was, as its owner said at some time. `end`: the largest by duration in its newest bucket."""
+
+    epoch: int
+    incarnation: int
+    newest: int | None
+    end: int | None
+    advance: int | None
+
+
 @dataclass
 class OracleMember:
-    """A channel as somebody sees it who looks after every put: how far it ever was, and when it last said something."""
+    """A channel as its owner knows it, who looks after every put from some moment on."""
 
     channel: OracleChannel
+    epoch: int
+    incarnation: int
     spoke_at: int
-    newest: int | None = None
-    ends: list[int] = field(default_factory=list)  # by duration, of what was ever seen in the newest bucket
+    ends: dict[int, int] = field(default_factory=dict)  # by time of the bucket: the largest end that was seen in it
+    _known: tuple[int, int | None] = (0, None)
 
-    def observe(self, clock: int, *, spoke: bool) -> None:
-        self.spoke_at = clock if spoke else self.spoke_at
-        newest = self.channel.newest
-        if newest is None or (self.newest is not None and newest < self.newest):
-            return
-        if newest != self.newest:
-            self.newest, self.ends = newest, []
-        bucket = [one for one in self.channel.held if one.time == newest]
-        self.ends += [newest + one.duration for one in bucket if one.duration is not None]
+    def __post_init__(self) -> None:
+        self.observe(self.spoke_at)
+
+    def observe(self, clock: int) -> None:
+        known = len(self.channel.log), self.channel.advanced_to
+        self.spoke_at = self.spoke_at if known == self._known else clock
+        self._known = known
+        for one in self.channel.held:
+            if one.duration is not None:
+                self.ends[one.time] = max(one.time + one.duration, self.ends.get(one.time, one.time))
+
+    def says(self) -> Told:
+        """Collection takes nothing back: every item that ever was counts."""
+        newest = max((one.time for one in self.channel.log.values()), default=None)
+        end = None if newest is None else self.ends.get(newest)
+        return Told(self.epoch, self.incarnation, newest, end, self.channel.advanced_to)
+
+
+@dataclass
+class OracleHeard:
+    """What a host was told of a channel by those who owned it. `known_until` None: it is the owner."""
+
+    said: Told
+    silent_since: int
+    known_until: int | None
+    told: list[Told] = field(default_factory=list)  # all that was ever said
 
     @property
     def mark(self) -> int | None:
         """The later of the newest item's time and the advance."""
-        return max([one for one in (self.newest, self.channel.advanced_to) if one is not None], default=None)
-
-    def has_passed(self, instant: int) -> bool:
-        advance = self.channel.advanced_to
-        return (self.newest is not None and self.newest >= instant) or (advance is not None and advance > instant)
+        return max((one for one in (self.said.newest, self.said.advance) if one is not None), default=None)
 
     def cut(self, *, by_end: bool, max_lead: int) -> int | None:
-        cuts = [one for one in (self.newest, self.channel.advanced_to) if one is not None]
-        if by_end and self.newest is not None and self.ends:
-            cuts.append(min(max(self.ends), self.newest + max_lead))
+        said = self.said
+        cuts = [one for one in (said.newest, said.advance) if one is not None]
+        if by_end and said.newest is not None and said.end is not None:
+            cuts.append(min(said.end, said.newest + max_lead))
         return max(cuts, default=None)
+
+
+def all_in_all(told: list[Told]) -> Told:
+    """How far the channel is by everything that was said of its present life: an earlier one's items are lost."""
+    epoch = max(one.epoch for one in told)
+    life = next(one.incarnation for one in told if one.epoch == epoch)
+    valid = [one for one in told if one.incarnation == life]
+    newest = max((one.newest for one in valid if one.newest is not None), default=None)
+    end = max((one.end for one in valid if one.end is not None and one.newest == newest), default=None)
+    advance = max((one.advance for one in valid if one.advance is not None), default=None)
+    return Told(epoch, life, newest, end, advance)
+
+
+class OracleBoard:
+    """What one host was told of all channels."""
+
+    def __init__(self) -> None:
+        self.heard: dict[bytes, OracleHeard] = {}
+
+    def own(self, channel_id: bytes, member: OracleMember) -> None:
+        self._enter(channel_id, member.says(), member.spoke_at, None)
+
+    def hear(self, channel_id: bytes, owner: OracleHeard, clock: int) -> None:
+        """The owner tells all that it knows."""
+        self._enter(channel_id, owner.said, owner.silent_since, clock)
+
+    def _enter(self, channel_id: bytes, told: Told, silent_since: int, known_until: int | None) -> None:
+        """Words of a former owner are void."""
+        heard = self.heard.setdefault(channel_id, OracleHeard(told, silent_since, known_until))
+        if told.epoch < heard.said.epoch:
+            return
+        heard.silent_since, heard.known_until = silent_since, known_until
+        if told not in heard.told:
+            heard.told.append(told)
+            heard.said = all_in_all(heard.told)
+
+    def disown(self, channel_id: bytes, clock: int) -> None:
+        heard = self.heard.get(channel_id)
+        if heard is not None and heard.known_until is None:
+            heard.known_until = clock
 
 
 @dataclass
 class OracleGroup:
-    """The cut as somebody knows it who sees all channels at every moment; `observe` after each thing that happens."""
+    """The cut of a group at one host; `observe` after each thing that happens. Shows nothing before it is settled."""
 
-    members: dict[bytes, OracleMember]
+    board: OracleBoard
+    members: frozenset[bytes]
     reference: bytes | None
     by_end: bool
     max_lead: int
     idle_after: int | None
-    cut: int | None = None
+    is_settled: bool = False
+    floor: int | None = None
+
+    @property
+    def cut(self) -> int | None:
+        return self.floor if self.is_settled else None
 
     def observe(self, clock: int) -> None:
         reached = self.reached(clock)
-        if reached is not None and (self.cut is None or reached > self.cut):
-            self.cut = reached
+        if self.is_settled and reached is not None:
+            self.raise_to(reached)
+
+    def raise_to(self, cut: int) -> None:
+        self.floor = cut if self.floor is None else max(self.floor, cut)
+
+    def heard(self, channel_id: bytes) -> OracleHeard | None:
+        return self.board.heard.get(channel_id)
 
     def cut_of(self, channel_id: bytes) -> int | None:
-        return self.members[channel_id].cut(by_end=self.by_end, max_lead=self.max_lead)
+        heard = self.heard(channel_id)
+        return None if heard is None else heard.cut(by_end=self.by_end, max_lead=self.max_lead)
+
+    def mark_of(self, channel_id: bytes) -> int | None:
+        heard = self.heard(channel_id)
+        return None if heard is None else heard.mark
 
     def is_idle(self, channel_id: bytes, clock: int) -> bool:
-        return self.idle_after is not None and clock - self.members[channel_id].spoke_at >= self.idle_after
+        """Silent for so long as far as the host knows; of whom it never heard, it does not know."""
+        heard = self.heard(channel_id)
+        if heard is None or self.idle_after is None:
+            return False
+        until = clock if heard.known_until is None else heard.known_until
+        return max(0, until - heard.silent_since) >= self.idle_after
+
+    def next_idle(self, clock: int) -> int | None:
+        """When one of this host's members falls idle and is left out, if none speaks."""
+        if self.idle_after is None or self.reference is not None:
+            return None
+        awake = [self.heard(one) for one in self.members if not self.is_idle(one, clock)]
+        own = [one.silent_since for one in awake if one is not None and one.known_until is None]
+        return min(own) + self.idle_after if own else None
 
     def counting(self, clock: int) -> list[bytes]:
         """The members that the reference is chosen from; of none but silent ones, those that spoke last."""
         if self.reference is not None:
             return [self.reference]
         awake = [one for one in self.members if not self.is_idle(one, clock)]
-        last = max(member.spoke_at for member in self.members.values())
-        return awake or [one for one, member in self.members.items() if member.spoke_at == last]
+        spoke = {one: heard.silent_since for one in self.members if (heard := self.heard(one)) is not None}
+        return awake or [one for one in spoke if spoke[one] == max(spoke.values())]
 
     def reached(self, clock: int) -> int | None:
         cuts = [self.cut_of(one) for one in self.counting(clock)]
@@ -85,6 +182,13 @@ class OracleGroup:
         """The counting members that are not past the cut."""
         cuts = {one: self.cut_of(one) for one in self.counting(clock)}
         return sorted(one for one, own in cuts.items() if own is None or (self.cut is not None and own <= self.cut))
+
+    def due(self, cut: int, since: int, max_wait: int, clock: int) -> tuple[bool, tuple[bytes, ...]]:
+        """Whether an event for a cut that was reached at some time is due, and which members are behind."""
+        marks = {one: self.mark_of(one) for one in sorted(self.members)}
+        behind = tuple(one for one, mark in marks.items() if mark is None or mark < cut)
+        waits = clock < since + max_wait and any(not self.is_idle(one, clock) for one in behind)
+        return not waits, behind
 
 
 class _Shown(OracleChannel):
@@ -108,6 +212,30 @@ class OracleView(OracleReader):
         self.full, self.real_clock, self.cut = full, clock, cut
         self.channel = _Shown(full, cut)
         self.clock = clock if cut is None else min(clock, cut)
+
+    @property
+    def newest_place(self) -> tuple[int, int] | None:
+        """Of the latest visible item."""
+        return max(((one.time, one.seq) for one in self.channel.held), default=None)
+
+    @property
+    def window_is_too_short(self) -> bool:
+        """Something went before it was shown, or the channel keeps less than it is ahead of the cut."""
+        full, cut = self.full, self.cut
+        if any(cut is None or time >= cut for time in full.collected_times):
+            return True
+        return (
+            cut is not None
+            and full.newest is not None
+            and full.max_age is not None
+            and (full.newest - cut > full.max_age)
+        )
+
+    def wake_at(self, within: ResolvedInterval) -> int | None:
+        """The first whole nanosecond inside, if a clock that stops at the cut comes there later."""
+        first = within.start + 1 if within.start_exclusive else within.start
+        ahead = first > self.channel.now(self.clock)
+        return first if ahead and self.cut is not None and first <= self.cut else None
 
     def resolve(self, query: Query) -> ResolvedInterval | None:
         if self.cut is None and MetaTime.NOW in (query.interval.start.meta, query.interval.end.meta):
@@ -140,9 +268,6 @@ class OracleView(OracleReader):
             return "HIDDEN"
         return answer.reason
 
-    def known_end(self, item: Item) -> int | None:
-        return self.channel.end(item)
-
 
 @dataclass
 class OracleFollower:
@@ -152,21 +277,25 @@ class OracleFollower:
     cut: int | None
     owed: set[int]
     seen_seq: int
-    given: set[int] = field(default_factory=set)
-    lost: int = 0
 
     @classmethod
-    def begin(cls, channel: OracleChannel, cut: int | None) -> OracleFollower:
+    def begin(cls, channel: OracleChannel, cut: int | None, after_seq: int | None = None) -> OracleFollower:
+        """What lies at or past the cut is owed, and with `after_seq` whatever has a later seq, even if it is gone."""
         owed = {one.seq for one in channel.held if cut is None or one.time >= cut}
-        return cls(channel, cut, owed, len(channel.log))
+        return cls(channel, cut, owed, len(channel.log) if after_seq is None else after_seq)
 
-    def owe(self, up_to_seq: int) -> None:
-        """Take note of everything that was accepted up to a moment."""
-        self.owed |= set(range(self.seen_seq + 1, up_to_seq + 1))
-        self.seen_seq = up_to_seq
+    @property
+    def meant(self) -> set[int]:
+        """What is owed, and what was accepted since the last step."""
+        return self.owed | set(range(self.seen_seq + 1, len(self.channel.log) + 1))
 
-    def end_step(self, cut: int, new: list[Item], late: list[Item]) -> int:
-        """A step to `cut` brought these; checks them, and gives how many items are lost since the last step."""
+    def owe(self) -> None:
+        """Take note of everything that was accepted up to now."""
+        self.owed = self.meant
+        self.seen_seq = len(self.channel.log)
+
+    def end_step(self, cut: int, new: list[Item], late: list[Item]) -> set[int]:
+        """A step to `cut` brought these; checks them, and gives the items that are lost since the last step."""
         before = self.cut
         assert new == sorted(new)
         assert late == sorted(late)
@@ -174,16 +303,23 @@ class OracleFollower:
         assert all(before is not None and one.time < before for one in late)
         seqs = [one.seq for one in new + late]
         assert len(set(seqs)) == len(seqs)
-        assert set(seqs) <= self.owed
+        assert set(seqs) <= self.owed, "nothing twice, and nothing that is not meant for it"
         self.owed -= set(seqs)
-        self.given |= set(seqs)
-        held = {one.seq: one for one in self.channel.held}
-        missed = [seq for seq in self.owed if seq in held and held[seq].time < cut]
-        assert missed == []
-        gone = {seq for seq in self.owed if seq not in held}
-        self.owed -= gone
+        gone = self.pass_over(cut)
+        assert not gone & self.visible(cut), "nothing is left out"
+        return gone - self.visible(cut)
+
+    def visible(self, cut: int) -> set[int]:
+        """The seqs of what a group shows."""
+        return {one.seq for one in self.channel.held if one.time < cut}
+
+    def pass_over(self, cut: int) -> set[int]:
+        """What is owed, and was not given though it is visible, or is gone."""
+        held = {one.seq for one in self.channel.held}
+        passed = {seq for seq in self.owed if seq not in held} | (self.owed & self.visible(cut))
+        self.owed -= passed
         self.cut = cut
-        return len(gone)
+        return passed
 
 
 @dataclass
@@ -191,7 +327,7 @@ class OracleMatcher:
     """Each item of one channel in time order, with the nearest of every other member."""
 
     per: OracleChannel
-    others: Mapping[bytes, OracleMember]
+    others: Mapping[bytes, OracleChannel]
     tolerance: int
     place: tuple[int, int]
     unmatched: int = 0
@@ -201,10 +337,10 @@ class OracleMatcher:
         for item in sorted(self.per.held):
             if (item.time, item.seq) <= self.place:
                 continue
-            if not all(other.has_passed(item.time + self.tolerance) for other in self.others.values()):
+            if not all(_has_passed(other, item.time + self.tolerance) for other in self.others.values()):
                 break
             self.place = item.time, item.seq
-            found = {one: self._nearest(member.channel, item.time) for one, member in self.others.items()}
+            found = {one: self._nearest(channel, item.time) for one, channel in self.others.items()}
             matched = {one: near for one, near in found.items() if near is not None}
             self.unmatched += len(matched) < len(found)
             taken.append((item, matched))
@@ -213,3 +349,9 @@ class OracleMatcher:
     def _nearest(self, channel: OracleChannel, time: int) -> Item | None:
         near = [one for one in channel.held if abs(one.time - time) <= self.tolerance]
         return min(near, key=lambda one: (abs(one.time - time), one.time, one.seq), default=None)
+
+
+def _has_passed(channel: OracleChannel, instant: int) -> bool:
+    """It had an item at or after the instant, or promised that none comes up to it."""
+    promised = channel.advanced_to is not None and channel.advanced_to > instant
+    return promised or any(one.time >= instant for one in channel.log.values())

@@ -1,394 +1,312 @@
-"""Two hosts with the channels of one group between them, beside an oracle that sees everything at once.
+"""Hosts with channels between them and groups over those, beside oracles that know what each host was told.
 
-Every channel is a ChannelPair, so that whatever groups do, the original channels go on as their oracle says.
+Every channel is a ChannelPair, so that whatever groups do, the original channels go on as their oracle says. What reads
+through the groups is in `group_readers`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core.channel import DeliveredSlice, Pending, Query, WakeAt
-from stampede_rt_channel_host.core.group import (
-    Boundary,
-    ChannelTimes,
-    CutFollower,
-    EventDecider,
-    FarTrack,
-    GroupCut,
-    GroupDefinition,
-    GroupView,
-    Horizon,
-    Matcher,
-    OwnTimes,
-    OwnTrack,
-    TimesBoard,
-    Track,
-    VisibleAll,
-    VisibleNewest,
-)
-from tests.oracle.channel import Item
-from tests.oracle.group import OracleFollower, OracleGroup, OracleMatcher, OracleMember, OracleView
-from tests.oracle.reading import OracleReader
-from tests.property.channel_pair import INCARNATION, ChannelPair, ends_as_read, facts, items_of
+from stampede_rt_channel_host.core.channel import Channel
+from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, Horizon, OwnTimes, TimesBoard
+from tests.oracle.group import OracleBoard, OracleGroup, OracleMember
+from tests.property.channel_pair import INCARNATION, ChannelPair
 
 CHANNELS = (b"a", b"b", b"c")
-EPOCH = 1
 
 
 @dataclass
-class Host:
-    """One host: what it owns, and what it knows of the group."""
+class LivingPair(ChannelPair):
+    """A channel in one of its lives: a lost one begins again, empty."""
 
-    owned: list[bytes]
-    definition: GroupDefinition
-    board: TimesBoard = field(default_factory=TimesBoard)
-    cut: GroupCut = field(init=False)
-    last_cut: int | None = None
+    incarnation: int = INCARNATION
 
     def __post_init__(self) -> None:
-        self.cut = GroupCut(self.definition, self.board)
-        self.cut.settle()
-
-    def horizon(self) -> Horizon:
-        return Horizon(self.cut.cut, lambda: "somebody holds it back")
+        super().__post_init__()
+        self.core = Channel(self.policy, incarnation=self.incarnation, name="pair")
 
 
 @dataclass
-class Events:
-    """A subscription to cut events: the first host decides, every channel's owner brings its part."""
+class Placed:
+    """A channel and its owner. `own` and `member`: how the owner follows it, while any group has it."""
 
-    decider: EventDecider
-    followers: dict[bytes, tuple[CutFollower, OracleFollower]]
-    cuts: list[tuple[int, int]]  # taken by the deciding host and not decided yet: the cut, and when
-    decided: int | None
+    pair: LivingPair
+    owner: int
+    epoch: int = 1
+    own: OwnTimes | None = None
+    member: OracleMember | None = None
+
+
+class Host:
+    """What one host knows, twice. `told_by`: who has told it all since it began."""
+
+    def __init__(self, definitions: Sequence[GroupDefinition]) -> None:
+        self.is_up = True
+        self.board, self.oracle_board = TimesBoard(), OracleBoard()
+        self.told_by: set[int] = set()
+        self.deaf_owner_of: set[bytes] = set()  # it has lost these channels, and does not know yet
+        self.cuts = [GroupCut(one, self.board) for one in definitions]
+        self.oracles = [self._oracle(one) for one in definitions]
+        self.last_cuts: list[int | None] = [None for _ in definitions]
+
+    def _oracle(self, wanted: GroupDefinition) -> OracleGroup:
+        return OracleGroup(
+            self.oracle_board, wanted.members, wanted.reference, wanted.by_end, wanted.max_lead_nanos,
+            wanted.idle_after_nanos,
+        )  # fmt: skip
+
+    def define(self, group: int, definition: GroupDefinition) -> None:
+        self.cuts[group].define(definition)
+        self.oracles[group].members = definition.members
+
+    def begin_anew(self, group: int, definition: GroupDefinition) -> None:
+        self.define(group, definition)
+        self.oracles[group] = self._oracle(definition)
+        self.last_cuts[group] = None
+
+    def horizon(self, group: int) -> Horizon:
+        return Horizon(self.cuts[group].cut, lambda: "somebody holds it back")
+
+    def settle(self, others: set[int]) -> None:
+        """Once all that live have told."""
+        for cut, oracle in zip(self.cuts, self.oracles, strict=True):
+            if not cut.is_settled and others <= self.told_by:
+                cut.settle()
+                oracle.is_settled = True
+
+    def look(self, clock: int) -> None:
+        """Every cut moves as the oracle's does, and never back."""
+        for group, (cut, oracle) in enumerate(zip(self.cuts, self.oracles, strict=True)):
+            before = cut.cut
+            oracle.observe(clock)
+            assert cut.refresh(clock) == (cut.cut != before)
+            last = self.last_cuts[group]
+            assert last is None or (cut.cut is not None and cut.cut >= last)
+            self.last_cuts[group] = cut.cut
+            self._agree(cut, oracle, clock)
+
+    def _agree(self, cut: GroupCut, oracle: OracleGroup, clock: int) -> None:
+        assert cut.cut == oracle.cut
+        assert cut.is_settled == oracle.is_settled
+        assert cut.waiting_on(clock) == oracle.waiting_on(clock)
+        assert cut.next_idle(clock) == oracle.next_idle(clock)
+        for member in cut.members(clock):
+            assert member.cut == oracle.cut_of(member.channel_id)
+            assert member.mark == oracle.mark_of(member.channel_id)
+            assert member.is_idle == oracle.is_idle(member.channel_id, clock)
 
 
 @dataclass
 class World:
-    """`tick`, `put`, ... change it; after each, `look` makes every host look and checks what must always hold."""
+    """`put`, `tick`, `migrate`, ... change it; after each, `look` makes every host look and checks what always holds.
+
+    Hosts may hear late of each other and of what they own; a lost host's channels begin anew at another one.
+    """
 
     policies: list[Policy]
-    definition: GroupDefinition
-    split: bool
+    definitions: list[GroupDefinition]
+    hosts_count: int
     clock: int
-    pairs: dict[bytes, ChannelPair] = field(init=False)
-    own: dict[bytes, OwnTimes] = field(init=False)
+    placed: dict[bytes, Placed] = field(init=False)
     hosts: list[Host] = field(init=False)
-    oracle: OracleGroup = field(init=False)
-    everybody: dict[bytes, OracleMember] = field(init=False)
-    gets: list[tuple[bytes, Pending]] = field(default_factory=list)
-    readers: list[tuple[bytes, VisibleAll, OracleFollower]] = field(default_factory=list)
-    newest: list[tuple[bytes, VisibleNewest, OracleFollower, list[tuple[int, int]]]] = field(default_factory=list)
-    events: list[Events] = field(default_factory=list)
-    matchers: list[tuple[Matcher, OracleMatcher, FarTrack, list[int], set[int]]] = field(default_factory=list)
-    members_changed: bool = False
+    is_plain: list[bool] = field(init=False)  # nothing has happened that makes a group's cut less than it could be
+    reached: list[int | None] = field(init=False)  # by who sees all channels at once
 
     def __post_init__(self) -> None:
-        self.pairs = {one: ChannelPair(policy, self.clock) for one, policy in zip(CHANNELS, self.policies, strict=True)}
-        self.own = {one: OwnTimes(pair.core, self.clock) for one, pair in self.pairs.items()}
-        shares = ([b"a", b"b"], [b"c"]) if self.split else (list(CHANNELS),)
-        self.hosts = [Host(share, self.definition) for share in shares]
-        self.everybody = {one: OracleMember(pair.oracle, self.clock) for one, pair in self.pairs.items()}
-        wanted = self.definition
-        self.oracle = OracleGroup(
-            {one: self.everybody[one] for one in sorted(wanted.members)},
-            wanted.reference, wanted.by_end, wanted.max_lead_nanos, wanted.idle_after_nanos,
-        )  # fmt: skip
+        self.placed = {
+            one: Placed(LivingPair(policy, self.clock), at % self.hosts_count)
+            for at, (one, policy) in enumerate(zip(CHANNELS, self.policies, strict=True))
+        }
+        self.hosts = [Host(self.definitions) for _ in range(self.hosts_count)]
+        self.is_plain = [not one.by_end and one.idle_after_nanos is None for one in self.definitions]
+        self.reached = [None for _ in self.definitions]
+        self.follow()
         self.exchange()
         self.look()
 
-    def host_of(self, channel_id: bytes) -> Host:
-        return next(host for host in self.hosts if channel_id in host.owned)
-
-    def view(self, channel_id: bytes) -> tuple[GroupView, Horizon]:
-        return GroupView(self.pairs[channel_id].core), self.host_of(channel_id).horizon()
-
-    def spoken(self, channel_id: bytes) -> None:
-        """Something was put into the channel, or it advanced."""
-        seqs = len(self.pairs[channel_id].oracle.log)
-        member = self.everybody[channel_id]
-        changed = self.own[channel_id].observe(self.clock)
-        member.observe(self.clock, spoke=self.own[channel_id].silent_since == self.clock)
-        assert not changed or seqs or member.channel.advanced_to is not None
-
-    def look(self) -> None:
-        """Every host takes in what its channels say, and moves its cut; it never moves back or past the truth."""
-        self.oracle.observe(self.clock)
-        for host in self.hosts:
-            for channel_id in host.owned:
-                own = self.own[channel_id]
-                host.board.tell_own(channel_id, own.times(EPOCH), own.silent_since)
-            host.cut.refresh(self.clock)
-            cut = host.cut.cut
-            assert host.last_cut is None or (cut is not None and cut >= host.last_cut)
-            host.last_cut = cut
-            if not self.split or self.is_exact:
-                assert cut is None or (self.oracle.cut is not None and cut <= self.oracle.cut)
-        if not self.split:
-            self.check_whole_knowledge()
-        for events in self.events:
-            self.note(events)
+    @property
+    def up(self) -> list[int]:
+        return [at for at, host in enumerate(self.hosts) if host.is_up]
 
     @property
-    def is_exact(self) -> bool:
-        """What others tell late never makes a cut too high: ends shrink, and silence is over before it is heard of."""
-        return not self.definition.by_end and self.definition.idle_after_nanos is None
+    def followed(self) -> set[bytes]:
+        """The channels that any group has."""
+        return set().union(*(one.members for one in self.definitions))
 
-    def check_whole_knowledge(self) -> None:
-        """A host that owns every channel knows what the oracle knows."""
-        cut = self.hosts[0].cut
-        assert cut.cut == self.oracle.cut
-        assert cut.waiting_on(self.clock) == self.oracle.waiting_on(self.clock)
-        for member in cut.members(self.clock):
-            assert member.cut == self.oracle.cut_of(member.channel_id)
-            assert member.mark == self.everybody[member.channel_id].mark
-            assert member.is_idle == self.oracle.is_idle(member.channel_id, self.clock)
+    def pair(self, channel_id: bytes) -> LivingPair:
+        return self.placed[channel_id].pair
+
+    def host_of(self, channel_id: bytes) -> Host:
+        return self.hosts[self.placed[channel_id].owner]
+
+    def follow(self) -> None:
+        """Owners follow the members of groups, and nobody any other channel."""
+        followed = self.followed
+        for channel_id, one in self.placed.items():
+            if channel_id not in followed:
+                one.own = one.member = None
+            elif one.own is None:
+                one.pair.oracle.age(self.clock)
+                one.own = OwnTimes(one.pair.core, self.clock)
+                one.member = OracleMember(one.pair.oracle, one.epoch, one.pair.incarnation, self.clock)
+        for host in self.hosts:
+            host.board.keep_only(followed)
+            heard = host.oracle_board.heard
+            host.oracle_board.heard = {one: heard[one] for one in heard if one in followed}
+
+    def spoken(self, channel_id: bytes) -> None:
+        """Something may have been put into the channel, or it advanced."""
+        one = self.placed[channel_id]
+        one.pair.oracle.age(self.clock)
+        if one.own is not None and one.member is not None:
+            one.own.observe(self.clock)
+            one.member.observe(self.clock)
+
+    def look(self) -> None:
+        """Every host takes in what its channels say, and moves its cuts."""
+        for at, host in enumerate(self.hosts):
+            for channel_id, one in self.placed.items():
+                if one.own is None or one.member is None or not host.is_up:
+                    continue
+                if one.owner == at:
+                    host.board.tell_own(channel_id, one.own.times(one.epoch), one.own.silent_since)
+                    host.oracle_board.own(channel_id, one.member)
+                elif channel_id in host.deaf_owner_of:
+                    stale = ChannelTimes(one.epoch - 1, one.pair.incarnation, 2**61, 2**62, 2**61)
+                    if (known := host.board.find(channel_id)) is not None and known.times.epoch >= one.epoch:
+                        host.board.tell_own(channel_id, stale, self.clock)
+            if host.is_up:
+                host.settle(set(self.up) - {at})
+                host.look(self.clock)
+        self._look_at_all()
+
+    def _look_at_all(self) -> None:
+        """No host shows more than who sees all channels at once would."""
+        for group, wanted in enumerate(self.definitions):
+            counting = wanted.members if wanted.reference is None else [wanted.reference]
+            marks = [self._mark(one) for one in counting]
+            known = [mark for mark in marks if mark is not None]
+            if len(known) == len(marks):
+                self.reached[group] = max([min(known), *[one for one in [self.reached[group]] if one is not None]])
+            for host in self.hosts:
+                cut, most = host.cuts[group].cut, self.reached[group]
+                assert not self.is_plain[group] or cut is None or (most is not None and cut <= most)
+
+    def _mark(self, channel_id: bytes) -> int | None:
+        channel = self.pair(channel_id).oracle
+        advance = [] if channel.advanced_to is None else [channel.advanced_to]
+        return max([*advance, *(one.time for one in channel.log.values())], default=None)
 
     def exchange(self) -> None:
         """What the hosts have to say to each other arrives: times, floors, signs of life."""
-        for teller in self.hosts:
-            for hearer in self.hosts:
-                if hearer is not teller:
+        for teller in self.up:
+            for hearer in self.up:
+                if hearer != teller:
                     self.tell(teller, hearer)
 
-    def tell(self, teller: Host, hearer: Host) -> None:
-        for channel_id in teller.owned:
-            own = self.own[channel_id]
-            hearer.board.hear(channel_id, own.times(EPOCH), self.clock - own.silent_since, self.clock)
-        hearer.board.confirm(teller.owned, self.clock)
-        if teller.cut.cut is not None:
-            hearer.cut.merge_floor(teller.cut.cut)
+    def tell(self, teller: int, hearer: int) -> None:
+        speaking, hearing = self.hosts[teller], self.hosts[hearer]
+        for channel_id, one in self.placed.items():
+            known = speaking.board.find(channel_id)
+            if one.owner != teller or known is None:
+                continue
+            hearing.board.hear(channel_id, known.times, known.silent_nanos(self.clock), self.clock)
+            hearing.oracle_board.hear(channel_id, speaking.oracle_board.heard[channel_id], self.clock)
+        hearing.board.confirm([one for one in CHANNELS if self.placed[one].owner == teller], self.clock)
+        for group, cut in enumerate(speaking.cuts):
+            floor = cut.cut
+            if floor is not None:
+                hearing.cuts[group].merge_floor(floor)
+                hearing.oracles[group].raise_to(floor)
+        hearing.told_by.add(teller)
 
     def agree(self) -> None:
-        """Once everything is told, all hosts show the same; and if nothing could be missed on the way, the truth."""
-        for _ in range(2):
+        """Once everything is told, all hosts show the same; and if nothing could be missed on the way, all there is."""
+        for _ in range(3):
             self.exchange()
             self.look()
-        assert len({host.cut.cut for host in self.hosts}) == 1
-        if self.is_exact and not self.members_changed:
-            assert self.hosts[0].cut.cut == self.oracle.cut
+        for group, most in enumerate(self.reached):
+            assert len({self.hosts[at].cuts[group].cut for at in self.up}) == 1
+            if self.is_plain[group]:
+                assert self.hosts[self.up[0]].cuts[group].cut == most
 
-    def change_member(self, channel_id: bytes, *, joins: bool) -> None:
-        """At all hosts at once; the reference and the last member stay."""
-        wanted = self.definition.members | {channel_id} if joins else self.definition.members - {channel_id}
-        if not wanted or self.definition.reference not in {None, *wanted}:
-            return
-        self.definition = replace(
-            self.definition, members=frozenset(wanted), spec_version=self.definition.spec_version + 1
-        )
-        self.members_changed = True
+    def change_member(self, group: int, channel_id: bytes, *, joins: bool) -> bool:
+        """At all hosts at once; the reference and the last member stay. True if it was possible."""
+        former = self.definitions[group]
+        wanted = former.members | {channel_id} if joins else former.members - {channel_id}
+        if not wanted or former.reference not in {None, *wanted} or wanted == former.members:
+            return False
+        self._define(group, replace(former, members=frozenset(wanted), spec_version=former.spec_version + 1))
+        return True
+
+    def _define(self, group: int, definition: GroupDefinition) -> None:
+        self.definitions[group] = definition
+        self.is_plain[group] = False
         for host in self.hosts:
-            host.cut.define(self.definition)
-        self.oracle.members = {one: self.everybody[one] for one in sorted(wanted)}
+            host.define(group, definition)
+        self.follow()
+
+    def migrate(self, channel_id: bytes, to: int, *, heard: bool) -> bool:
+        """A clean move; unless `heard`, the former owner learns of it from the new one. True if it moved."""
+        one = self.placed[channel_id]
+        if to == one.owner or not self.hosts[to].is_up:
+            return False
+        former = self.hosts[one.owner]
+        if heard:
+            former.board.disown(channel_id, self.clock)
+            former.oracle_board.disown(channel_id, self.clock)
+        else:
+            former.deaf_owner_of.add(channel_id)
+        self._take_up(channel_id, one.pair, to)
+        return True
+
+    def _take_up(self, channel_id: bytes, pair: LivingPair, by: int) -> None:
+        self.hosts[by].deaf_owner_of.discard(channel_id)
+        self.placed[channel_id] = Placed(pair, by, self.placed[channel_id].epoch + 1)
+        self.follow()
+
+    def lose(self, host: int, heir: int) -> list[bytes]:
+        """A host and all that it holds; another one begins its channels anew. Which channels these are.
+
+        Of several hosts one lives on. The only one is back at once. A group that no host can vouch for begins anew.
+        """
+        lost = [one for one in CHANNELS if self.placed[one].owner == host]
+        self.hosts[host] = Host(self.definitions)
+        self.hosts[host].is_up = heir == host
+        for other in self.hosts:
+            other.told_by.discard(host)
+        for group, former in enumerate(self.definitions):
+            if not any(self.hosts[at].cuts[group].is_settled for at in self.up):
+                self._begin_anew(group, replace(former, incarnation=former.incarnation + 1))
+        for channel_id in lost:
+            former_pair = self.pair(channel_id)
+            life = former_pair.incarnation + 1
+            self._take_up(channel_id, LivingPair(former_pair.policy, self.clock, incarnation=life), heir)
+        self.is_plain = [False for _ in self.is_plain]
+        return lost
+
+    def _begin_anew(self, group: int, definition: GroupDefinition) -> None:
+        self.definitions[group] = definition
+        for host in self.hosts:
+            host.begin_anew(group, definition)
+
+    def bring_back(self, host: int) -> None:
+        """A host that was lost returns, and knows nothing."""
+        if not self.hosts[host].is_up:
+            self.hosts[host] = Host(self.definitions)
 
     def stale_words(self, channel_id: bytes) -> None:
         """A former owner says something: it changes nothing."""
+        one = self.placed[channel_id]
         for host in self.hosts:
-            far = ChannelTimes(EPOCH - 1, INCARNATION, 2**61, 2**62, 2**61)
-            host.board.hear(channel_id, far, 0, self.clock)
-
-    def read(self, channel_id: bytes, query: Query) -> None:
-        view, horizon = self.view(channel_id)
-        pair = self.pairs[channel_id]
-        reader = OracleView(pair.oracle, pair.clock, horizon.cut)
-        answer = view.read(query, horizon, pair.clock)
-        within = reader.resolve(query)
-        expected = reader.read(query, within)
-        items = items_of(answer.slices)
-        assert facts(items) == facts(expected.items)
-        assert all(horizon.cut is not None and item.time < horizon.cut for item in items)
-        assert answer.next_time is None or (horizon.cut is not None and answer.next_time < horizon.cut)
-        assert ends_as_read(items, answer.next_time) == expected.ends
-        assert (answer.interval, answer.complete, answer.truncated, answer.more) == (
-            within, expected.complete, expected.truncated, expected.more,
-        )  # fmt: skip
-        assert answer.reason == reader.reason(query, within)
-
-    def begin(self, channel_id: bytes, query: Query) -> None:
-        view, horizon = self.view(channel_id)
-        self.gets.append((channel_id, view.begin(query, horizon, self.clock)))
-
-    def poll_all(self) -> None:
-        """A blocked get is released as soon as an answer is due, and wakes for nothing but what can bring one."""
-        still = []
-        for channel_id, pending in self.gets:
-            view, horizon = self.view(channel_id)
-            reader = OracleView(self.pairs[channel_id].oracle, self.clock, horizon.cut)
-            answer = view.poll(pending, horizon, self.clock)
-            within = pending.interval
-            if within is None:
-                assert isinstance(answer, WakeAt)
-                still.append((channel_id, pending))
-                continue
-            expected = reader.read(pending.query, within)
-            due = expected.complete or (bool(expected.items) and not pending.query.complete)
-            assert isinstance(answer, WakeAt) != due
-            if isinstance(answer, WakeAt):
-                assert answer.instant is None or answer.instant > self.clock
-                still.append((channel_id, pending))
-            else:
-                assert facts(items_of(answer.slices)) == facts(expected.items)
-        self.gets = still
-
-    def subscribe(self, channel_id: bytes) -> None:
-        """To what becomes visible from now on, in both modes."""
-        _, horizon = self.view(channel_id)
-        pair = self.pairs[channel_id]
-        OracleReader(pair.oracle, self.clock)
-        shown = [one for one in pair.oracle.held if horizon.cut is not None and one.time < horizon.cut]
-        last = max(((one.time, one.seq) for one in shown), default=(-(2**64), 0))
-        every, newest = VisibleAll(pair.core, horizon, self.clock), VisibleNewest(pair.core, horizon, self.clock)
-        self.readers.append((channel_id, every, OracleFollower.begin(pair.oracle, horizon.cut)))
-        self.newest.append((channel_id, newest, OracleFollower.begin(pair.oracle, horizon.cut), [last]))
-
-    def deliver(self, limit_bytes: int) -> None:
-        """Every subscription through the group takes what there is."""
-        for channel_id, reader, follower in self.readers:
-            self._deliver(channel_id, reader, follower, limit_bytes)
-        for channel_id, newest, _, last in self.newest:
-            _, horizon = self.view(channel_id)
-            pair = self.pairs[channel_id]
-            OracleReader(pair.oracle, self.clock)
-            shown = [one for one in pair.oracle.held if horizon.cut is not None and one.time < horizon.cut]
-            best = max(((one.time, one.seq) for one in shown), default=(-(2**64), 0))
-            given = newest.take(horizon, self.clock)
-            assert (given is None) == (best <= last[0])
-            if given is not None:
-                assert (given.slice.first_time, given.slice.first_seq) == best
-                last[0] = best
-
-    def _deliver(self, channel_id: bytes, reader: VisibleAll, follower: OracleFollower, limit_bytes: int) -> None:
-        _, horizon = self.view(channel_id)
-        pair = self.pairs[channel_id]
-        OracleReader(pair.oracle, self.clock)
-        if horizon.cut is None or (horizon.cut == follower.cut and len(pair.oracle.log) == follower.seen_seq):
-            assert reader.take(horizon, self.clock, limit_bytes).is_empty
-            return
-        follower.owe(len(pair.oracle.log))
-        items: list[Item] = []
-        missed = 0
-        while not (part := reader.take(horizon, self.clock, limit_bytes)).is_empty:
-            items += items_of([one.slice for one in part.slices])
-            missed += part.gap.items if part.gap else 0
-            self._check_ends(pair, part.slices, horizon.cut)
-        late = [one for one in items if follower.cut is not None and one.time < follower.cut]
-        lost = follower.end_step(horizon.cut, [one for one in items if one not in late], late)
-        assert missed == lost
-        assert items[: len(late)] == late
-        assert reader.lowest_owed_seq(self.clock) == min([*follower.owed, len(pair.oracle.log) + 1])
-
-    def _check_ends(self, pair: ChannelPair, slices: object, cut: int) -> None:
-        """Each part's last span ends where it does among what is visible."""
-        shown = sorted(one.time for one in pair.oracle.held if one.time < cut)
-        assert isinstance(slices, list | tuple)
-        for one in slices:
-            assert isinstance(one, DeliveredSlice)
-            assert one.next_time == next((time for time in shown if time > one.slice.last_time), None)
-
-    def subscribe_cuts(self, max_wait: int) -> None:
-        host = self.hosts[0]
-        cut = host.cut.cut
-        followers = {}
-        for channel_id in self.definition.members:
-            pair = self.pairs[channel_id]
-            OracleReader(pair.oracle, self.clock)
-            follower = CutFollower(pair.core, cut, self.clock)
-            followers[channel_id] = follower, OracleFollower.begin(pair.oracle, cut)
-        self.events.append(Events(EventDecider(cut, max_wait), followers, [], cut))
-
-    def note(self, events: Events) -> None:
-        """The deciding host looks: an event is due when every member is as far, or the wait is over."""
-        host = self.hosts[0]
-        cut = host.cut.cut
-        last = events.cuts[-1][0] if events.cuts else events.decided
-        if cut is not None and (last is None or cut > last):
-            events.cuts.append((cut, self.clock))
-        events.decider.note(cut, self.clock)
-
-    def take_events(self, max_wait: int, limit_bytes: int) -> None:
-        for events in self.events:
-            host = self.hosts[0]
-            members = list(host.cut.members(self.clock))
-            boundary = events.decider.due(members, self.clock)
-            due = []
-            for cut, since in events.cuts:
-                behind = [one for one in members if one.mark is None or one.mark < cut]
-                if self.clock < since + max_wait and [one for one in behind if not one.is_idle]:
-                    break
-                due.append((cut, tuple(one.channel_id for one in behind)))
-            assert boundary == (Boundary(*due[-1]) if due else None)
-            if boundary is not None:
-                events.cuts = events.cuts[len(due) :]
-                events.decided = boundary.cut
-                self._take_parts(events, boundary.cut, limit_bytes)
-            assert events.decider.wake_at() == (events.cuts[0][1] + max_wait if events.cuts else None)
-
-    def _take_parts(self, events: Events, cut: int, limit_bytes: int) -> None:
-        """Each channel's part, once its owner's cut is there, which the reader's word has not raised."""
-        for channel_id, (follower, expected) in list(events.followers.items()):
-            if channel_id not in self.definition.members:
-                continue
-            if (own := self.host_of(channel_id).cut.cut) is None or own < cut:
-                self.exchange()
-                self.look()
-            pair = self.pairs[channel_id]
-            OracleReader(pair.oracle, self.clock)
-            expected.owe(len(pair.oracle.log))
-            follower.begin(cut)
-            new: list[Item] = []
-            late: list[Item] = []
-            while True:
-                step = follower.take(self.clock, limit_bytes)
-                new += items_of([one.slice for one in step.slices])
-                late += items_of([one.slice for one in step.late])
-                if step.is_last:
-                    break
-            lost = expected.end_step(cut, new, late)
-            assert (step.loss.items if step.loss else 0) == lost
-            assert follower.cut == cut
-            if lost % 2:  # the same reader goes on in another process, with nothing but its place
-                follower = CutFollower(pair.core, cut, self.clock, next_seq=follower.next_seq, incarnation=INCARNATION)
-                assert not follower.under_way
-
-    def match(self, tolerance: int) -> None:
-        """Channel a against b, which is at the same host, and c, of which only places are told."""
-        pair = self.pairs[b"a"]
-        OracleReader(pair.oracle, self.clock)
-        far = FarTrack()
-        far.add((one.time, one.seq) for one in self.pairs[b"c"].oracle.log.values())
-        tracks: dict[bytes, Track] = {b"b": OwnTrack(self.pairs[b"b"].core), b"c": far}
-        place = (pair.oracle.newest, len(pair.oracle.log)) if pair.oracle.held else (-(2**64), 0)
-        assert place[0] is not None
-        matcher = Matcher(pair.core, tracks, tolerance, self.clock)
-        others = {one: self.everybody[one] for one in (b"b", b"c")}
-        expected = OracleMatcher(pair.oracle, others, tolerance, (place[0], place[1]))
-        seqs = {len(self.pairs[b"c"].oracle.log)}
-        self.matchers.append((matcher, expected, far, [len(pair.oracle.log)], seqs))
-
-    def take_matches(self) -> None:
-        for matcher, expected, far, begun, seen in self.matchers:
-            log = self.pairs[b"c"].oracle.log
-            far.add((log[seq].time, seq) for seq in range(max(seen) + 1, len(log) + 1))
-            seen.add(len(log))
-            for one in (b"a", b"b", b"c"):
-                OracleReader(self.pairs[one].oracle, self.clock)
-            kept = self.pairs[b"c"].oracle.held
-            self.pairs[b"c"].oracle.held = list(log.values())  # places stay with those who were told them
-            taken = matcher.take(lambda one, at: self.own[one].times(EPOCH).has_passed(at), self.clock, 1000)
-            wanted = expected.take()
-            self.pairs[b"c"].oracle.held = kept
-            given = [
-                (one.item.slice.first_seq, {name: near.seq for name, near in one.matched.items()}) for one in taken
-            ]
-            assert given == [(item.seq, {name: near.seq for name, near in found.items()}) for item, found in wanted]
-            assert matcher.unmatched == expected.unmatched
-            begun.append(len(taken))
-            total = len(self.pairs[b"a"].oracle.log) - begun[0]
-            waiting = [one for one in self.pairs[b"a"].oracle.held if (one.time, one.seq) > expected.place]
-            assert matcher.dropped == total - sum(begun[1:]) - len(waiting)
+            if (known := host.board.find(channel_id)) is not None and known.times.epoch == one.epoch:
+                far = ChannelTimes(one.epoch - 1, one.pair.incarnation, 2**61, 2**62, 2**61)
+                assert not host.board.hear(channel_id, far, 0, self.clock)
 
     def check(self) -> None:
         """The original channels are as if there were no group."""
-        for pair in self.pairs.values():
-            pair.check()
+        for one in self.placed.values():
+            one.pair.check()

@@ -1,4 +1,8 @@
-"""Whatever happens to the channels of a group, its cut, its views and its events tell what the oracle tells.
+"""Whatever happens to channels and hosts, the cuts, views and events of their groups tell what the oracle tells.
+
+After any schedule of puts, late items, collection, consumption, joins, leaves, migrations, lost and returned hosts: no
+reader of any descriptor sees an item at or past the cut, no cut moves back, every item becomes visible exactly once, in
+order, and the original channels are not affected.
 
 `STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/test_group_against_oracle.py` searches at length.
 """
@@ -6,18 +10,32 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from unittest import mock
 
 import pytest
-from hypothesis import HealthCheck, given, note, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
+from stampede_rt_channel_host.core.channel import holdings
 from stampede_rt_channel_host.core.group import GroupDefinition
+from tests.property.channel_pair import INCARNATION
 from tests.property.dice import Dice
+from tests.property.group_readers import Readers
 from tests.property.group_world import CHANNELS, World
-from tests.property.test_channel_against_oracle import FIRST_CLOCK, a_query, a_time, an_offer
+from tests.property.test_channel_against_oracle import (
+    FIRST_CLOCK,
+    a_bound,
+    a_query,
+    a_time,
+    an_item_position,
+    an_offer,
+    consume,
+)
 
-EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "600"))
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "400"))
 MAX_WAIT = 6
 
 POLICIES = (
@@ -26,11 +44,30 @@ POLICIES = (
     Policy(max_age_nanos=12, max_items=5, max_bytes=500, max_future_nanos=8),
     Policy(max_items=40, max_future_nanos=8),
     Policy(max_age_nanos=9, max_future_nanos=0),
+    Policy(consumers=1, max_items=12, max_future_nanos=8),
+    Policy(consumers=2, max_age_nanos=30, max_future_nanos=8),
 )
 
 
+@dataclass
+class Story:
+    """A world, its readers, and what has happened so far."""
+
+    world: World
+    readers: Readers
+    told: list[str] = field(default_factory=list)
+
+    def a_group(self, dice: Dice) -> int:
+        return dice.below(len(self.world.definitions))
+
+    def a_member(self, dice: Dice) -> tuple[int, bytes]:
+        """A group, and one of its channels."""
+        group = self.a_group(dice)
+        return group, dice.pick(sorted(self.world.definitions[group].members))
+
+
 def a_definition(dice: Dice) -> GroupDefinition:
-    members = dice.pick((CHANNELS, CHANNELS, CHANNELS[:2], CHANNELS[:1]))
+    members = dice.pick((CHANNELS, CHANNELS, CHANNELS[:2], CHANNELS[:1], CHANNELS[1:]))
     return GroupDefinition(
         members=frozenset(members),
         reference=dice.pick((None, None, members[0])),
@@ -40,102 +77,177 @@ def a_definition(dice: Dice) -> GroupDefinition:
     )
 
 
-def put(dice: Dice, world: World) -> None:
+def put(dice: Dice, story: Story) -> None:
     channel_id = dice.pick(CHANNELS)
-    pair = world.pairs[channel_id]
+    pair = story.world.pair(channel_id)
     pair.put(an_offer(dice, pair))
-    world.spoken(channel_id)
+    story.world.spoken(channel_id)
 
 
-def advance(dice: Dice, world: World) -> None:
+def advance(dice: Dice, story: Story) -> None:
     channel_id = dice.pick(CHANNELS)
-    pair = world.pairs[channel_id]
+    pair = story.world.pair(channel_id)
     pair.advance(min(a_time(dice, pair), pair.clock))
-    world.spoken(channel_id)
+    story.world.spoken(channel_id)
 
 
-def tick(dice: Dice, world: World) -> None:
+def tick(dice: Dice, story: Story) -> None:
     nanos = dice.pick((1, 2, 0, 5, 9, 30))
-    world.clock += nanos
-    for pair in world.pairs.values():
-        pair.tick(nanos)
+    story.world.clock += nanos
+    for channel_id in CHANNELS:
+        story.world.pair(channel_id).tick(nanos)
 
 
-def read(dice: Dice, world: World) -> None:
+def use_up(dice: Dice, story: Story) -> None:
+    """Consume on a channel that counts it; on others they do as they do without groups."""
+    consume(dice, story.world.pair(dice.pick(CHANNELS)))
+
+
+def original(dice: Dice, story: Story) -> None:
+    """Somebody reads the channel itself."""
+    pair = story.world.pair(dice.pick(CHANNELS))
+    if len(pair.all_subscriptions) < 2:
+        pair.subscribe(None, False, None)
+    pair.deliver(dice.pick((10**6, 1)))
+    if pair.incarnation == INCARNATION:
+        pair.read(a_query(dice, pair))
+
+
+def read(dice: Dice, story: Story) -> None:
+    group, channel_id = story.a_member(dice)
+    earlier = dice.pick((None, None, FIRST_CLOCK))
+    story.readers.read(group, channel_id, a_query(dice, story.world.pair(channel_id)), earlier)
+
+
+def begin(dice: Dice, story: Story) -> None:
+    group, channel_id = story.a_member(dice)
+    if len(story.readers.gets) < 4:
+        story.readers.begin(group, channel_id, a_query(dice, story.world.pair(channel_id)))
+
+
+def give_up(dice: Dice, story: Story) -> None:
+    story.readers.give_up()
+
+
+def subscribe(dice: Dice, story: Story) -> None:
+    group, channel_id = story.a_member(dice)
+    pair, kind = story.world.pair(channel_id), dice.below(4)
+    start = a_bound(dice, pair) if kind == 1 else None
+    after = an_item_position(dice, pair) if kind == 2 and pair.oracle.log else None
+    if len(story.readers.subscribers) < 4:
+        story.readers.subscribe(group, channel_id, start, bool(dice.below(2)), after)
+
+
+def resume(dice: Dice, story: Story) -> None:
+    story.readers.resume(dice.below(12))
+
+
+def deliver(dice: Dice, story: Story) -> None:
+    story.readers.deliver(dice.pick((10**6, 1, 150)))
+
+
+def subscribe_cuts(dice: Dice, story: Story) -> None:
+    if len(story.readers.events) < 2:
+        story.readers.subscribe_cuts(story.a_group(dice), dice.pick(story.world.up), MAX_WAIT)
+
+
+def take_events(dice: Dice, story: Story) -> None:
+    story.readers.take_events(MAX_WAIT, dice.pick((10**6, 1, 150)))
+
+
+def match(dice: Dice, story: Story) -> None:
+    if len(story.readers.matches) < 2:
+        story.readers.match(dice.pick((2, 0, 5)))
+
+
+def take_matches(dice: Dice, story: Story) -> None:
+    story.readers.take_matches()
+
+
+def exchange(dice: Dice, story: Story) -> None:
+    """All hosts tell all others, or one tells one."""
+    teller, hearer = dice.pick(story.world.up), dice.pick(story.world.up)
+    if dice.below(2) and teller != hearer:
+        story.world.tell(teller, hearer)
+    else:
+        story.world.exchange()
+
+
+def change_member(dice: Dice, story: Story) -> None:
+    group, channel_id, joins = story.a_group(dice), dice.pick(CHANNELS), bool(dice.below(2))
+    if story.world.change_member(group, channel_id, joins=joins):
+        story.readers.member_changed(group, channel_id, joins=joins)
+
+
+def migrate(dice: Dice, story: Story) -> None:
     channel_id = dice.pick(CHANNELS)
-    world.read(channel_id, a_query(dice, world.pairs[channel_id]))
+    if story.world.migrate(channel_id, dice.below(len(story.world.hosts)), heard=bool(dice.below(2))):
+        story.readers.channel_moved(channel_id)
 
 
-def begin(dice: Dice, world: World) -> None:
-    channel_id = dice.pick(CHANNELS)
-    if len(world.gets) < 4:
-        world.begin(channel_id, a_query(dice, world.pairs[channel_id]))
+def lose(dice: Dice, story: Story) -> None:
+    """A host, which another one of those that are left inherits."""
+    if not dice.one_in(3):
+        return
+    world = story.world
+    host = dice.pick(world.up)
+    heir = dice.pick([one for one in world.up if one != host] or [host])
+    incarnations = [one.incarnation for one in world.definitions]
+    lost = world.lose(host, heir)
+    anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
+    story.readers.channels_lost(host, lost, heir)
+    story.readers.groups_began_anew(anew)
 
 
-def subscribe(dice: Dice, world: World) -> None:
-    if len(world.readers) < 3:
-        world.subscribe(dice.pick(CHANNELS))
+def bring_back(dice: Dice, story: Story) -> None:
+    story.world.bring_back(dice.below(len(story.world.hosts)))
 
 
-def deliver(dice: Dice, world: World) -> None:
-    world.deliver(dice.pick((10**6, 1, 150)))
+def stale_words(dice: Dice, story: Story) -> None:
+    story.world.stale_words(dice.pick(CHANNELS))
 
 
-def subscribe_cuts(dice: Dice, world: World) -> None:
-    if len(world.events) < 2:
-        world.subscribe_cuts(MAX_WAIT)
-
-
-def take_events(dice: Dice, world: World) -> None:
-    world.take_events(MAX_WAIT, dice.pick((10**6, 1, 150)))
-
-
-def match(dice: Dice, world: World) -> None:
-    if len(world.matchers) < 2:
-        world.match(dice.pick((2, 0, 5)))
-
-
-def take_matches(dice: Dice, world: World) -> None:
-    world.take_matches()
-
-
-def exchange(dice: Dice, world: World) -> None:
-    world.exchange()
-
-
-def change_member(dice: Dice, world: World) -> None:
-    world.change_member(dice.pick(CHANNELS), joins=bool(dice.below(2)))
-
-
-def stale_words(dice: Dice, world: World) -> None:
-    world.stale_words(dice.pick(CHANNELS))
-
-
-def rest(dice: Dice, world: World) -> None:
+def rest(dice: Dice, story: Story) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
-STEPS = (
+Happening = Callable[[Dice, Story], None]
+
+STEPS: tuple[Happening, ...] = (
     rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
-    take_matches, advance, tick, change_member, stale_words, put,
+    take_matches, advance, tick, change_member, stale_words, put, use_up, original, migrate, resume, exchange, lose,
+    bring_back, put, read, give_up, take_events, deliver,
 )  # fmt: skip
 
 
 def play(numbers: list[int]) -> None:
-    """One story: a group, then a step for each number."""
+    """One story: hosts, channels and groups, then a step for each number."""
     first = Dice(numbers[0])
-    definition = a_definition(first)
-    world = World([first.pick(POLICIES) for _ in CHANNELS], definition, first.one_in(2), FIRST_CLOCK)
-    for number in numbers[1:]:
+    definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
+    policies = [first.pick(POLICIES) for _ in CHANNELS]
+    with mock.patch.object(holdings, "ITEMS_PER_BLOCK", first.pick((2, 1, 3, 1024))):
+        world = World(policies, definitions, first.pick((1, 2, 2, 3)), FIRST_CLOCK)
+        story = Story(world, Readers(world))
+        try:
+            _play_steps(story, numbers[1:])
+        except BaseException as error:
+            error.add_note(f"{definitions} {policies}, {len(world.hosts)} hosts: " + ", ".join(story.told))
+            raise
+
+
+def _play_steps(story: Story, numbers: list[int]) -> None:
+    world, readers = story.world, story.readers
+    for number in numbers:
         dice = Dice(number)
         step = dice.pick(STEPS)
-        note(step.__name__)
-        step(dice, world)
+        story.told.append(step.__name__)
+        step(dice, story)
         world.look()
-        world.poll_all()
-    world.deliver(10**6)
-    world.take_events(MAX_WAIT, 10**6)
-    world.take_matches()
+        readers.note()
+        readers.poll_all()
+    readers.deliver(10**6)
+    readers.take_events(MAX_WAIT, 10**6)
+    readers.take_matches()
     world.agree()
     world.check()
 

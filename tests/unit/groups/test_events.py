@@ -161,3 +161,14 @@ def test_a_reader_who_resumes_hears_that_something_was_used_up_meanwhile() -> No
     loss = follower.take(NOW, 10**6).loss
     assert loss is not None
     assert (loss.before, loss.is_exact) == (21, False)
+
+
+def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is_told() -> None:
+    made = channel(10, 20, 30, policy=Policy(max_items=2))
+    follower = CutFollower(made, 5, NOW, next_seq=1, incarnation=INCARNATION)
+    for time in (40, 50):
+        put(made, time)
+    follower.begin(60)
+    loss = follower.take(NOW, 10**6).loss
+    assert loss is not None
+    assert (loss.before, loss.is_exact, loss.last_seq) == (31, False, 5)

@@ -7,7 +7,7 @@ import pytest
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.model import Policy
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, parse_interval
-from stampede_rt_channel_host.core.channel import Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Offer, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll
 from tests.unit.groups.channels import INCARNATION, channel, put, times
 from tests.unit.groups.channels import NOW as CLOCK
@@ -120,3 +120,17 @@ def test_a_subscription_resumed_amid_a_step_leaves_out_no_late_item() -> None:
     assert first == [5]
     resumed = VisibleAll(made, horizon(25), CLOCK, after=Position(5, 2, INCARNATION))
     assert delivered(resumed, 25)[-1] == 20
+
+
+def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> None:
+    """What lay behind the place in the same run once counted twice, and was then told as lost."""
+    made = channel(policy=Policy(max_items=3))
+    made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
+    reader = VisibleAll(made, horizon(15), CLOCK, after=Position(10, 1, INCARNATION))
+    put(made, 40)
+    put(made, 50)
+    part = reader.take(horizon(60), CLOCK, 10**6)
+    assert times([one.slice for one in part.slices]) == [30, 40, 50]
+    gap = reader.take(horizon(60), CLOCK, 10**6).gap
+    assert gap is not None
+    assert gap.items == 1

@@ -156,10 +156,9 @@ class CutFollower:
         )
         self.under_way = False
         self.cut = self._target[0]
+        loss = _collected(self._channel, held, lost, first_seq) if lost else None
         unreported, self._unreported = self._unreported, None
-        if unreported is not None:
-            return replace(unreported, items=lost)
-        return _collected(self._channel, held, lost, first_seq) if lost else None
+        return loss if unreported is None else _joined(unreported, loss)
 
 
 def _place(cut: int | None) -> Place:
@@ -180,6 +179,14 @@ def _lost_with_host(channel: Channel, cut: int | None) -> Loss:
     before = max((one for one in (cut, channel.oldest) if one is not None), default=0)
     detail = "the channel's host was lost, and items with it that the group had not shown"
     return Loss(before=before, items=0, is_exact=False, reason=Reason("LOST", detail), first_seq=1, last_seq=1)
+
+
+def _joined(unreported: Loss, since: Loss | None) -> Loss:
+    """What was lost before the reader came back, and since."""
+    if since is None:
+        return unreported
+    before, last_seq = max(unreported.before, since.before), max(unreported.last_seq, since.last_seq)
+    return replace(unreported, before=before, items=since.items, last_seq=last_seq)
 
 
 def _collected(channel: Channel, held: Holdings, items: int, first_seq: int, *, is_exact: bool = True) -> Loss:

@@ -62,8 +62,9 @@ class Ledger:
 
 def _owed(held: Holdings, low: Place, next_seq: int) -> tuple[int, int]:
     """How many held items at or above the place have a seq below `next_seq`, and the lowest seq that is owed."""
-    parts = [part for part in held.slices(low) if part.run.first_seq < next_seq]
-    return sum(part.items for part in parts), min((part.first_seq for part in parts), default=next_seq)
+    parts = [part for part in held.slices(low) if part.first_seq < next_seq]
+    items = sum(min(part.end_seq, next_seq) - part.first_seq for part in parts)
+    return items, min((part.first_seq for part in parts), default=next_seq)
 
 
 def newest_gone(held: Holdings) -> int | None:
