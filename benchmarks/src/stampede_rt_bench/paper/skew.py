@@ -78,7 +78,8 @@ def _notes(effort: Effort, why_not: str | None) -> list[str]:
     if why_not:
         where = f"All processes share this machine's loopback: {why_not}."
     return [
-        f"Each {effort.runs} times for {SECONDS} s; medians (least to most), of captions over all runs. {where}",
+        f"Runs of {SECONDS} s, {effort.runs} for each row; medians (least to most), of captions over all runs.",
+        where,
         f"The goal through a group is {GOAL_MS:g} ms, 2 % of a caption's period.",
     ]
 
