@@ -1,7 +1,7 @@
 """What one directory of three supernodes carries: `python -m tests.benchmarks.directory_load`.
 
-Real processes on this machine, with stores on its disk; the clients are in this one process, and share its processors
-with the supernodes. Prints one table. `--channels` and `--clients` make it smaller.
+Real processes on this machine, with stores on its disk; the clients share its processors with the supernodes. Prints
+one table. `--channels` and `--clients` make it smaller.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import grpc
 from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
+from tests.benchmarks.directory_snapshots import snapshots
 from tests.unit.supernode import processes
 from tests.unit.supernode.processes import Cluster
 
@@ -160,24 +161,42 @@ async def reconnect(cluster: Cluster, clients: int) -> list[Row]:
         await asyncio.gather(*ready)  # everything is imported
         at = time.monotonic() + 0.5
         coming = [loop.run_in_executor(processes, come, addresses, share, at) for _ in range(CLIENT_PROCESSES)]
-        took = [seconds for part in await asyncio.gather(*coming) for seconds in part]
+        before = cpu_seconds(cluster)
+        parts = await asyncio.gather(*coming)
+    took = [seconds for part, _ in parts for seconds in part]
     text = f"p50 {percentile(took, 0.5)}, p99 {percentile(took, 0.99)}, last {percentile(took, 1.0)}"
-    return [(f"{len(took):,} clients connect at once and look up", text)]
+    of_supernodes, of_clients = cpu_seconds(cluster) - before, sum(cpu for _, cpu in parts)
+    return [
+        (f"{len(took):,} clients connect at once and look up", text),
+        ("... CPU of the supernodes, and of the clients", f"{of_supernodes:.2f} s, {of_clients:.2f} s"),
+    ]
 
 
-def come(addresses: list[str], clients: int, at: float) -> list[float]:
-    """How long after `at` (this machine's monotonic clock) each of so many clients had its answer."""
+def cpu_seconds(cluster: Cluster) -> float:
+    """What the supernodes have used since they were started."""
+    return sum(one.cpu_seconds() for one in cluster.supernodes)
 
-    async def one(number: int) -> float:
-        address = addresses[number % len(addresses)]
-        async with grpc.aio.insecure_channel(address, options=OWN_CONNECTION) as channel:
-            stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
-            await stub.ResolveChannel(pb.ResolveChannelRequest(name="many/0"), timeout=60.0)
-            return time.monotonic() - at
 
-    async def all_of_them() -> list[float]:
+def come(addresses: list[str], clients: int, at: float) -> tuple[list[float], float]:
+    """How long after `at` (this machine's monotonic clock) each of so many clients had its answer, and their CPU."""
+
+    async def one(channel: grpc.aio.Channel) -> float:
+        stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+        await stub.ResolveChannel(pb.ResolveChannelRequest(name="many/0"), timeout=60.0)
+        return time.monotonic() - at
+
+    async def all_of_them() -> tuple[list[float], float]:
         await asyncio.sleep(max(0.0, at - time.monotonic()))
-        return await asyncio.gather(*(one(number) for number in range(clients)))
+        cpu = time.process_time()
+        channels = [
+            grpc.aio.insecure_channel(addresses[number % len(addresses)], options=OWN_CONNECTION)
+            for number in range(clients)
+        ]
+        took = await asyncio.gather(*map(one, channels))
+        cpu = time.process_time() - cpu
+        for channel in channels:
+            await channel.close()
+        return took, cpu
 
     return asyncio.run(all_of_them())
 
@@ -188,7 +207,7 @@ async def restart(cluster: Cluster) -> list[Row]:
     await follower.end(signal.SIGKILL)
     began = time.monotonic()
     await follower.start()
-    one = time.monotonic() - began
+    one, cpu = time.monotonic() - began, follower.cpu_seconds()
     for each in cluster.supernodes:
         await each.end(signal.SIGKILL)
     began = time.monotonic()
@@ -202,7 +221,7 @@ async def restart(cluster: Cluster) -> list[Row]:
         break
     every = time.monotonic() - began
     return [
-        ("kill -9 of a follower to its ready line", f"{one:.1f} s"),
+        ("kill -9 of a follower to its ready line", f"{one:.1f} s, {cpu:.2f} s of CPU"),
         ("kill -9 of all to the first confirmed lookup", f"{every:.1f} s"),
     ]
 
@@ -229,6 +248,13 @@ async def measure(channels: int, clients: int) -> None:
             show(await restart(cluster))
         finally:
             await cluster.close()
+        show(await in_a_process(snapshots, Path(folder) / "alone", channels))
+
+
+async def in_a_process(measure: Callable[..., list[Row]], *arguments: Any) -> list[Row]:
+    """What `measure` gives in a process of its own, where nothing else runs."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as processes:
+        return await asyncio.get_running_loop().run_in_executor(processes, measure, *arguments)
 
 
 def main() -> None:

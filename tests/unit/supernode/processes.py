@@ -62,6 +62,20 @@ class Supernode:
         self._process = None
         return code, rest
 
+    def cpu_seconds(self) -> float:
+        """What it has used since it was started (proc_pid_stat(5): utime and stime)."""
+        assert self._process is not None
+        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    async def ended(self) -> int:
+        """Wait until it ends by itself; returns its exit code."""
+        assert self._process is not None
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            code = await self._process.wait()
+        self._process = None
+        return code
+
     def freeze(self) -> None:
         """Nothing of it runs until `thaw`."""
         assert self._process is not None

@@ -59,7 +59,7 @@ async def serve(settings: SupernodeSettings) -> None:
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
     async with _open_log(settings, founding, server, credentials) as (log, replica):
-        _tune_garbage_collection()
+        tune_garbage_collection()
         parts = _assemble(settings, founding, log, replica, credentials)
         _register(parts, server.grpc)
         await server.start()
@@ -78,7 +78,7 @@ async def serve(settings: SupernodeSettings) -> None:
             await server.run(parts.end_streams)
 
 
-def _tune_garbage_collection() -> None:
+def tune_garbage_collection() -> None:
     """Once the state is loaded, during which nothing is garbage: begin to collect, but never what was loaded.
 
     Records are freed by their last reference; only what refers in circles needs the collector. With Python's defaults
@@ -173,13 +173,19 @@ async def _enter(volunteering: Coroutine[Any, Any, None]) -> None:
 
 
 async def _watch_removal(server: ServiceServer, log: ReplicatedLog) -> None:
-    """End the service when this supernode is told that it was removed."""
+    """End the service when this supernode is told that it was removed, or that its folder is not the one it had."""
     while not server.stopping.is_set():
         status = log.status()
         if status.removed:
             raise StampedeError(
                 f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
                 "and let it join under a new id"
+            )
+        if status.has_lost_store:
+            raise StampedeError(
+                f"supernode {status.self_id} was here before with another data folder, which holds what it promised: "
+                f"start it with that one, or, if it is lost, let it go (stampede supernode remove {status.self_id}), "
+                "empty this one, and join under a new id"
             )
         await asyncio.sleep(HEALTH_SECONDS)
 

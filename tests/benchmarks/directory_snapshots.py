@@ -1,0 +1,221 @@
+"""What starting from, taking and receiving a snapshot costs a supernode: part of `tests.benchmarks.directory_load`.
+
+One replica with its store on disk, in this process and stepped by hand, so that every step, or tick, can be timed: by
+wall, which counts the disk and what other threads and processes take, and by CPU of its own thread. Snapshots are
+encoded and decoded on a thread of their own, as in a supernode, and writes come with every tick.
+"""
+
+from __future__ import annotations
+
+import gc
+import random
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from stampede_rt.model import Policy
+from stampede_rt_supernode.app import tune_garbage_collection
+from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
+from stampede_rt_supernode.core.commands import BeginTenure, Command, Deed, OpenChannel, Refused, RegisterHost
+from stampede_rt_supernode.core.records import Endpoint
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.mailroom import Connected, Outgoing, Received, StreamOpened
+from stampede_rt_supernode.replication.proposals import Proposal
+from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
+from stampede_rt_supernode.replication.snapshots import Piece, SnapshotKeeper
+from stampede_rt_supernode.replication.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.storage import StoredSnapshot
+
+BATCH = 250
+WRITES_PER_TICK = 16
+CHANGED = 5000  # so many entries lie between two snapshots of a busy supernode
+STEPS_MAX = 100_000
+
+Row = tuple[str, str]
+
+
+@dataclass
+class Alone:
+    """A replica that commits alone, or follows a leader that is played."""
+
+    folder: Path
+    peers: tuple[str, ...] = ()
+    machine: DirectoryReplica = field(default_factory=DirectoryReplica)
+    aside: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
+    proposed: int = 0
+    longest_wall: float = 0.0
+    longest_cpu: float = 0.0
+
+    def __post_init__(self) -> None:
+        members = [Member(member_id=name, address=f"{name}:1") for name in ("a", *self.peers)]
+        settings = ReplicationSettings(self_member=members[0], initial_members=members, cluster_id="c")
+        self.replica = Replica(
+            settings,
+            self.machine,
+            store=SqliteStore(self.folder, cluster_id="c", member_id="a", create=True),
+            network=self,
+            clock=time.monotonic,
+            dice=random.Random(1),
+            run_aside=self.aside.submit,
+        )
+
+    def release(self, messages: list[Outgoing]) -> None:
+        """Nobody listens."""
+
+    def has_room(self, member_id: str) -> bool:
+        return True
+
+    def follow(self, roster: object) -> None:
+        """Nobody is there."""
+
+    def step(self) -> None:
+        wall, cpu = time.perf_counter(), time.thread_time()
+        self.replica.step()
+        self.longest_cpu = max(self.longest_cpu, time.thread_time() - cpu)
+        self.longest_wall = max(self.longest_wall, time.perf_counter() - wall)
+
+    def step_until(self, done: Callable[[], bool]) -> None:
+        for _ in range(STEPS_MAX):
+            if done():
+                return
+            self.step()
+            time.sleep(0.001)  # as a supernode's own thread, which waits for what comes in
+        raise AssertionError("it did not happen")
+
+    def forget(self) -> None:
+        self.longest_wall = self.longest_cpu = 0.0
+
+    def ticks(self) -> str:
+        return f"longest tick {self.longest_wall * 1e3:.0f} ms, {self.longest_cpu * 1e3:.0f} ms of CPU"
+
+    def propose(self, deeds: list[Deed]) -> list[Any]:
+        """Where the outcomes will be."""
+        outcomes: list[Any] = []
+        for deed in deeds:
+            self.proposed += 1
+            op_id = self.proposed.to_bytes(16, "big")
+            command = encode_command(Command(op_id=op_id, time_unix_nano=0, deed=deed))
+            self.replica.propose(Proposal(command, time.monotonic() + 60, outcomes.append))
+        return outcomes
+
+    def apply(self, deeds: list[Deed]) -> None:
+        outcomes = self.propose(deeds)
+        self.step_until(lambda: len(outcomes) == len(deeds))
+        refused = next((one for one in map(decode_result, outcomes) if isinstance(one, Refused)), None)
+        assert refused is None, refused
+
+    def found(self) -> None:
+        self.apply([BeginTenure(supernode_id="a", tenure=1, new_cluster_id="c", new_lease_ttl_nanos=10**9)])
+        host = RegisterHost(
+            host_id=bytes(16),
+            name="host",
+            gatekeepers=(Endpoint(target="localhost:1"),),
+            boot_incarnation=1,
+            version="",
+            new_incarnation=1,
+        )
+        self.apply([host])
+
+    def open_channels(self, count: int) -> None:
+        for _ in range(0, count, BATCH):
+            self.apply(self.new_channels(BATCH))
+
+    def new_channels(self, count: int) -> list[Deed]:
+        return [_opening(self.proposed + number) for number in range(count)]
+
+    def snapshot(self) -> StoredSnapshot:
+        outcomes: list[SnapshotOutcome] = []
+        self.replica.take_snapshot(SnapshotRequest(outcomes.append))
+
+        def done() -> bool:
+            self.propose(self.new_channels(WRITES_PER_TICK))
+            return bool(outcomes)
+
+        self.step_until(done)
+        assert isinstance(outcomes[0], StoredSnapshot)
+        return outcomes[0]
+
+    def close(self) -> None:
+        self.replica.close()
+        self.aside.shutdown()
+
+
+def _opening(number: int) -> OpenChannel:
+    dice = random.Random(number)
+    return OpenChannel(
+        name=f"many/{number}",
+        policy=Policy(),
+        create=True,
+        host_name="",
+        new_channel_id=dice.randbytes(16),
+        new_incarnation=dice.getrandbits(60),
+        as_of_index=0,
+    )
+
+
+def snapshots(folder: Path, channels: int) -> list[Row]:
+    """Blocks for a while: opens so many channels in a directory of its own, and times what snapshots of it take."""
+    one = Alone(folder / "one")
+    one.found()
+    one.open_channels(channels)
+    one.snapshot()
+    one.close()
+    gc.disable()
+    began, cpu = time.perf_counter(), time.process_time()
+    again = Alone(folder / "one", proposed=one.proposed)
+    rows = [("start of a log: store read, directory decoded", _took(began, cpu))]
+    tune_garbage_collection()
+    again.step_until(lambda: again.replica.status().is_leader)
+    rows.append(_taken(again, "first snapshot after the start"))
+    again.open_channels(CHANGED)
+    rows.append(_taken(again, f"a snapshot {CHANGED:,} channels later"))
+    again.close()
+    return [*rows, _received(folder / "two", again)]
+
+
+def _taken(one: Alone, name: str) -> Row:
+    one.open_channels(1)
+    one.forget()
+    began, cpu = time.perf_counter(), time.process_time()
+    taken = one.snapshot()
+    return name, f"{_took(began, cpu)}, {len(taken.record) / 1e6:.1f} MB, {one.ticks()}"
+
+
+def _received(folder: Path, leader: Alone) -> Row:
+    """What a follower takes, from the last piece on, that a leader sends its snapshot to."""
+    stored = leader.replica._journal.snapshot
+    assert stored is not None
+    keeper = SnapshotKeeper(leader.replica._journal, leader.machine, lambda member_id: True)
+    two = Alone(folder, peers=("b", "c"))
+    two.replica.deliver(Connected("b"))
+    two.replica.deliver(StreamOpened("b"))
+    began, cpu = time.perf_counter(), time.process_time()
+    is_last = False
+    while not is_last:
+        keeper.begin_step()
+        while (piece := keeper.getTransmissionData(_B)) is not None and not is_last:
+            two.replica.deliver(Received("b", _message(piece, stored.last_log_index)))
+            is_last = piece.is_last
+        two.step()
+    two.step_until(lambda: two.machine.restored > 0)
+    row = f"{_took(began, cpu)}, {two.ticks()}"
+    two.close()
+    return "a follower receives and opens a snapshot", row
+
+
+class _B:
+    id = "b"
+
+
+def _message(piece: Piece, commit_index: int) -> dict[str, Any]:
+    return {"type": "append_entries", "term": 1, "commit_index": commit_index, "round": 0, "serialized": piece}
+
+
+def _took(began: float, cpu: float) -> str:
+    return f"{time.perf_counter() - began:.2f} s ({time.process_time() - cpu:.2f} s of CPU)"
