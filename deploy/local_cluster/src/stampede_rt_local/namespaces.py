@@ -7,10 +7,13 @@ import os
 import shutil
 import subprocess
 from dataclasses import dataclass
+from ipaddress import IPv4Network
 from types import TracebackType
 from typing import Self
 
 CLONE_NEWNET = 0x40000000  # sched.h
+NETWORKS = IPv4Network("198.18.0.0/15")  # kept for tests (RFC 2544): no machine beside this one has such an address
+PREFIX_BITS, PLACES_MAX = 27, 29
 
 
 def unavailable_because() -> str | None:
@@ -51,22 +54,25 @@ class Place:
 class Network:
     """`size` places that reach each other and this process. Use as a context manager; leaves nothing behind.
 
-    `address` is this process's own on the bridge.
+    `address` is this process's own on the bridge. PLACES_MAX of them at the most; one network for each process at once.
     """
 
     def __init__(self, size: int) -> None:
-        tag, third = f"{os.getpid() % 100_000}", 1 + os.getpid() % 250
+        if size > PLACES_MAX:
+            raise ValueError(f"a network has at most {PLACES_MAX} places, and not {size}")
+        tag = f"{os.getpid() % 100_000}"
         self._bridge = f"rtb{tag}"
-        prefix = f"10.213.{third}"
-        self.address = f"{prefix}.1"
+        networks = 1 << PREFIX_BITS - NETWORKS.prefixlen
+        first = NETWORKS[os.getpid() % networks << 32 - PREFIX_BITS] + 1
+        self.address = str(first)
         self.places = [
-            Place(f"rt{tag}-{number}", f"rtv{tag}-{number}", f"{prefix}.{10 + number}") for number in range(size)
+            Place(f"rt{tag}-{number}", f"rtv{tag}-{number}", str(first + 1 + number)) for number in range(size)
         ]
 
     def __enter__(self) -> Self:
         try:
             ip("link", "add", self._bridge, "type", "bridge")
-            ip("addr", "add", f"{self.address}/24", "dev", self._bridge)
+            ip("addr", "add", f"{self.address}/{PREFIX_BITS}", "dev", self._bridge)
             ip("link", "set", self._bridge, "up")
             for place in self.places:
                 self._make(place)
@@ -93,7 +99,7 @@ class Network:
         ip("link", "add", place.outer_link, "type", "veth", "peer", "name", inner, "netns", place.namespace)
         ip("link", "set", place.outer_link, "master", self._bridge)
         ip("link", "set", place.outer_link, "up")
-        ip("-n", place.namespace, "addr", "add", f"{place.address}/24", "dev", inner)
+        ip("-n", place.namespace, "addr", "add", f"{place.address}/{PREFIX_BITS}", "dev", inner)
         for link in (inner, "lo"):
             ip("-n", place.namespace, "link", "set", link, "up")
 
