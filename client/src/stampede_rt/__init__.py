@@ -6,180 +6,35 @@ it, subscribe to it. Everything here blocks; `stampede_rt.aio` has the same surf
 
 from __future__ import annotations
 
-import time as _time
+TYPE_CHECKING = False  # type checkers know better; `typing` itself takes as long to load as all of this
 
-from stampede_rt import grpc_quiet as _grpc_quiet  # isort: skip  # noqa: F401  # first: it decides what gRPC logs
+if TYPE_CHECKING:
+    from stampede_rt.surface import *  # noqa: F403
+    from stampede_rt.surface import __all__ as __all__
+    from stampede_rt.surface import __version__ as __version__
+else:
 
-from stampede_rt._sync.channel import Channel
-from stampede_rt._sync.connection import Connection
-from stampede_rt._sync.cuts import CutSubscription
-from stampede_rt._sync.group import Group, GroupChannel
-from stampede_rt._sync.listener import Listener
-from stampede_rt._sync.matches import MatchSubscription
-from stampede_rt._sync.message import Message
-from stampede_rt._sync.presence import Mailbox
-from stampede_rt._sync.producer import Producer
-from stampede_rt._sync.queue import Queue
-from stampede_rt._sync.sampler import Sampler
-from stampede_rt._sync.session import Session as _Session
-from stampede_rt._sync.subscription import Subscription
-from stampede_rt._sync.watch import PeerWatch, Watch
-from stampede_rt.codecs import Codec
-from stampede_rt.connecting import parse_target as _parse_target
-from stampede_rt.errors import (
-    ChannelExists,
-    ChannelFull,
-    ChannelNotFound,
-    CodecError,
-    DeadlineExceeded,
-    GroupExists,
-    GroupNotFound,
-    HostExists,
-    HostNotFound,
-    IncarnationLost,
-    InFuture,
-    InvalidArgument,
-    InvalidInterval,
-    InvalidName,
-    ItemTooLarge,
-    LeaseExpired,
-    Overloaded,
-    PeerExists,
-    PeerNotFound,
-    PermissionDenied,
-    QueueExists,
-    QueueNotFound,
-    StampedeError,
-    TooOld,
-    Unavailable,
-    VersionMismatch,
-    WatchRestart,
-)
-from stampede_rt.grouping import ByChannel, CrossSection, Cut, GroupInfo, GroupStatus, Matched, MemberStatus
-from stampede_rt.model import (
-    Change,
-    ChannelInfo,
-    ChannelStats,
-    ConsumerStats,
-    HostInfo,
-    Item,
-    Items,
-    Policy,
-    Reason,
-    SupernodeInfo,
-)
-from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
-from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
-from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
-from stampede_rt.tls import TlsFiles
-from stampede_rt.version import VERSION as __version__  # noqa: N811
+    def __getattr__(name):
+        """A submodule, or a name of the surface, all of which is then loaded.
 
-__all__ = [
-    "NEWEST",
-    "NOW",
-    "OLDEST",
-    "Bound",
-    "ByChannel",
-    "Change",
-    "Channel",
-    "ChannelExists",
-    "ChannelFull",
-    "ChannelInfo",
-    "ChannelNotFound",
-    "ChannelStats",
-    "ClockOffset",
-    "Codec",
-    "CodecError",
-    "Connection",
-    "ConsumerStats",
-    "CrossSection",
-    "Cut",
-    "CutSubscription",
-    "DeadlineExceeded",
-    "Group",
-    "GroupChannel",
-    "GroupExists",
-    "GroupInfo",
-    "GroupNotFound",
-    "GroupStatus",
-    "HostExists",
-    "HostInfo",
-    "HostNotFound",
-    "InFuture",
-    "IncarnationLost",
-    "InvalidArgument",
-    "InvalidInterval",
-    "InvalidName",
-    "Item",
-    "ItemTooLarge",
-    "Items",
-    "LeaseExpired",
-    "Listener",
-    "Mailbox",
-    "MatchSubscription",
-    "Matched",
-    "MemberStatus",
-    "Message",
-    "Overloaded",
-    "PeerChange",
-    "PeerExists",
-    "PeerInfo",
-    "PeerNotFound",
-    "PeerWatch",
-    "PermissionDenied",
-    "Policy",
-    "Producer",
-    "Queue",
-    "QueueExists",
-    "QueueInfo",
-    "QueueNotFound",
-    "QueuePolicy",
-    "QueueStats",
-    "Reason",
-    "ResolvedInterval",
-    "Sampler",
-    "StampedeError",
-    "Subscription",
-    "SupernodeInfo",
-    "TlsFiles",
-    "TooOld",
-    "Unavailable",
-    "VersionMismatch",
-    "Watch",
-    "WatchRestart",
-    "__version__",
-    "connect",
-    "last",
-    "now",
-]
+        Not before: gRPC and protobuf take 0.1 s of a processor, for which who needs a submodule alone does not pay, and
+        which the command line spends where it can be interrupted.
+        """
+        from importlib import import_module
+        from importlib.util import find_spec
+
+        if find_spec(f"{__name__}.{name}") is not None:
+            return import_module(f"{__name__}.{name}")
+        surface = import_module(f"{__name__}.surface")
+        if name == "__all__":
+            return surface.__all__
+        if name not in surface.__all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals().update({one: getattr(surface, one) for one in surface.__all__})
+        return globals()[name]
+
+    def __dir__():
+        return sorted({*globals(), *__getattr__("__all__")})
 
 
-def connect(
-    url: str | None = None,
-    *,
-    name: str | None = None,
-    proof: str | None = None,
-    secret: str | None = None,
-    zone: str | None = None,
-    tls: TlsFiles | None = None,
-) -> Connection:
-    """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
-
-    `name`: this participant's name among the live ones, under which it gets a mailbox; without it, it is nobody in
-    particular. `proof`: a secret text of 16 characters or more, kept over restarts: who brings it is the same
-    participant again, and takes over name and mailbox at once. `secret`: the cluster's, found by itself on the same
-    machine; `zone`: where the caller is, to prefer what is near; `tls`: certificates, if the cluster asks for them.
-    Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
-    """
-    target = _parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
-    session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
-    try:
-        return Connection(session, target.name, proof).open()
-    except BaseException:
-        session.close()
-        raise
-
-
-def now() -> int:
-    """This machine's clock in nanoseconds since the epoch, not corrected towards any host's."""
-    return _time.time_ns()
+del TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Imports gRPC so that it logs errors only; imported before anything else that imports gRPC.
+"""Imports gRPC so that it logs errors only; imported before anything else here that imports gRPC.
 
 Otherwise gRPC writes two lines about each refused handshake to the standard error of every program that uses this
 package, beside the sentence that the program gets as an exception. `$GRPC_VERBOSITY`, which it reads once, when it is

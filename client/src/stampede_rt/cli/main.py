@@ -1,86 +1,20 @@
-"""The entry of the command line: finds the verb, runs it, and turns every error into a sentence and an exit status.
+"""The entry of the command line: small, so that an interrupt finds it ready while all the rest is still loaded.
 
 Exit status: 0 done, 1 failed, 2 used wrongly, 3 nothing there to return, 130 interrupted.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-from stampede_rt.cli import data, discovery, doctor, group, mailbox, queue, rates
-from stampede_rt.cli.arguments import VerbParser
-from stampede_rt.errors import StampedeError
-from stampede_rt.version import VERSION
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
-FAILED, MISUSED, NOTHING, INTERRUPTED = 1, 2, 3, 130
-
-SERVICE_VERBS = {
-    "dev": "the whole system on this machine, in memory, in one command",
-    "frontend": "run a front-end",
-    "supernode": "run a supernode",
-    "host": "run a channel host",
-    "certs": "make the certificates of a cluster",
-    "demo": "see it at work on real media",
-    "bench": "take the paper's figures on this machine, with charts",
-}
+INTERRUPTED = 130
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: list[str] | None = None) -> int:
     """Run one command; the exit status is returned."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        if arguments and arguments[0] in SERVICE_VERBS:
-            return _run_service(arguments[0], arguments[1:])
-        parsed = _parser().parse_args(arguments)
-        return int(parsed.run(parsed))
-    except StampedeError as error:
-        print(f"stampede: {error.message}", file=sys.stderr)
-        return FAILED
+        from stampede_rt.cli.commands import run
+
+        return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except Exception as error:
-        if os.environ.get("STAMPEDE_DEBUG"):
-            raise
-        print(f"stampede: a defect: {type(error).__name__}: {error}. STAMPEDE_DEBUG=1 shows where", file=sys.stderr)
-        return FAILED
-
-
-def _run_service(verb: str, arguments: Sequence[str]) -> int:
-    from importlib.metadata import entry_points  # not at the top: what is no service starts faster without it
-
-    found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
-    if not found:
-        extra = verb if verb in ("demo", "bench") else "server"
-        print(f"stampede: `{verb}` is not installed here; run: pip install 'stampede-rt[{extra}]'", file=sys.stderr)
-        return FAILED
-    return _load_and_run(found[0], arguments)
-
-
-def _load_and_run(point: EntryPoint, arguments: Sequence[str]) -> int:
-    run = point.load()
-    return int(run(arguments))
-
-
-def _parser() -> argparse.ArgumentParser:
-    verbs = "\n".join(f"  {verb:<10}{text}" for verb, text in SERVICE_VERBS.items())
-    parser = argparse.ArgumentParser(
-        prog="stampede",
-        description="Stampede RT: time-indexed live streams.",
-        epilog=f"to run parts of the system (each has --help):\n{verbs}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"stampede {VERSION}")
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=VerbParser)
-    for module in (discovery, data, group, queue, mailbox, rates, doctor):
-        module.add_verbs(subparsers)
-    return parser

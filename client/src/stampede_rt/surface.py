@@ -1,0 +1,179 @@
+"""What `import stampede_rt` gives, all of it: loaded when its first name is asked for."""
+
+from __future__ import annotations
+
+import time
+
+from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.connection import Connection
+from stampede_rt._sync.cuts import CutSubscription
+from stampede_rt._sync.group import Group, GroupChannel
+from stampede_rt._sync.listener import Listener
+from stampede_rt._sync.matches import MatchSubscription
+from stampede_rt._sync.message import Message
+from stampede_rt._sync.presence import Mailbox
+from stampede_rt._sync.producer import Producer
+from stampede_rt._sync.queue import Queue
+from stampede_rt._sync.sampler import Sampler
+from stampede_rt._sync.session import Session
+from stampede_rt._sync.subscription import Subscription
+from stampede_rt._sync.watch import PeerWatch, Watch
+from stampede_rt.codecs import Codec
+from stampede_rt.connecting import parse_target
+from stampede_rt.errors import (
+    ChannelExists,
+    ChannelFull,
+    ChannelNotFound,
+    CodecError,
+    DeadlineExceeded,
+    GroupExists,
+    GroupNotFound,
+    HostExists,
+    HostNotFound,
+    IncarnationLost,
+    InFuture,
+    InvalidArgument,
+    InvalidInterval,
+    InvalidName,
+    ItemTooLarge,
+    LeaseExpired,
+    Overloaded,
+    PeerExists,
+    PeerNotFound,
+    PermissionDenied,
+    QueueExists,
+    QueueNotFound,
+    StampedeError,
+    TooOld,
+    Unavailable,
+    VersionMismatch,
+    WatchRestart,
+)
+from stampede_rt.grouping import ByChannel, CrossSection, Cut, GroupInfo, GroupStatus, Matched, MemberStatus
+from stampede_rt.model import (
+    Change,
+    ChannelInfo,
+    ChannelStats,
+    ConsumerStats,
+    HostInfo,
+    Item,
+    Items,
+    Policy,
+    Reason,
+    SupernodeInfo,
+)
+from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
+from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
+from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
+from stampede_rt.tls import TlsFiles
+from stampede_rt.version import VERSION as __version__  # noqa: N811
+
+__all__ = [
+    "NEWEST",
+    "NOW",
+    "OLDEST",
+    "Bound",
+    "ByChannel",
+    "Change",
+    "Channel",
+    "ChannelExists",
+    "ChannelFull",
+    "ChannelInfo",
+    "ChannelNotFound",
+    "ChannelStats",
+    "ClockOffset",
+    "Codec",
+    "CodecError",
+    "Connection",
+    "ConsumerStats",
+    "CrossSection",
+    "Cut",
+    "CutSubscription",
+    "DeadlineExceeded",
+    "Group",
+    "GroupChannel",
+    "GroupExists",
+    "GroupInfo",
+    "GroupNotFound",
+    "GroupStatus",
+    "HostExists",
+    "HostInfo",
+    "HostNotFound",
+    "InFuture",
+    "IncarnationLost",
+    "InvalidArgument",
+    "InvalidInterval",
+    "InvalidName",
+    "Item",
+    "ItemTooLarge",
+    "Items",
+    "LeaseExpired",
+    "Listener",
+    "Mailbox",
+    "MatchSubscription",
+    "Matched",
+    "MemberStatus",
+    "Message",
+    "Overloaded",
+    "PeerChange",
+    "PeerExists",
+    "PeerInfo",
+    "PeerNotFound",
+    "PeerWatch",
+    "PermissionDenied",
+    "Policy",
+    "Producer",
+    "Queue",
+    "QueueExists",
+    "QueueInfo",
+    "QueueNotFound",
+    "QueuePolicy",
+    "QueueStats",
+    "Reason",
+    "ResolvedInterval",
+    "Sampler",
+    "StampedeError",
+    "Subscription",
+    "SupernodeInfo",
+    "TlsFiles",
+    "TooOld",
+    "Unavailable",
+    "VersionMismatch",
+    "Watch",
+    "WatchRestart",
+    "__version__",
+    "connect",
+    "last",
+    "now",
+]
+
+
+def connect(
+    url: str | None = None,
+    *,
+    name: str | None = None,
+    proof: str | None = None,
+    secret: str | None = None,
+    zone: str | None = None,
+    tls: TlsFiles | None = None,
+) -> Connection:
+    """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
+
+    `name`: this participant's name among the live ones, under which it gets a mailbox; without it, it is nobody in
+    particular. `proof`: a secret text of 16 characters or more, kept over restarts: who brings it is the same
+    participant again, and takes over name and mailbox at once. `secret`: the cluster's, found by itself on the same
+    machine; `zone`: where the caller is, to prefer what is near; `tls`: certificates, if the cluster asks for them.
+    Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
+    """
+    target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
+    session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
+    try:
+        return Connection(session, target.name, proof).open()
+    except BaseException:
+        session.close()
+        raise
+
+
+def now() -> int:
+    """This machine's clock in nanoseconds since the epoch, not corrected towards any host's."""
+    return time.time_ns()

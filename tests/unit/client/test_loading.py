@@ -1,0 +1,92 @@
+"""What is loaded when: little by `import stampede_rt` and the command's entry, and gRPC so that it logs errors only."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+
+import pytest
+
+from stampede_rt.cli.main import main
+
+SECONDS_MAX = 60
+# Tells of the first module of a name that is looked for, with the level at which gRPC would log if it were that one.
+WATCH = """
+import os, sys
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("grpc", "google.protobuf", "argparse"):
+            print(name, os.environ.get("GRPC_VERBOSITY"))
+sys.meta_path.insert(0, Watch())
+"""
+
+
+def said_by(code: str) -> str:
+    command = [sys.executable, "-c", WATCH + code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS_MAX, check=True)
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    "module", ["stampede_rt", "stampede_rt.cli.main", "stampede_rt.timeline", "stampede_rt.errors"]
+)
+def test_what_needs_no_connection_loads_no_grpc(module: str) -> None:
+    assert said_by(f"import {module}") == ""
+
+
+def test_the_surface_is_there_once_it_is_asked_for() -> None:
+    code = """
+import stampede_rt as st
+print("connect" in dir(st), "Mailbox" in st.__all__)
+from stampede_rt import *
+print(connect is st.connect, st.errors.TooOld is TooOld, hasattr(st, "nothing"), hasattr(st, "surface"))
+"""
+    said = said_by(code)
+    assert said.splitlines()[-2:] == ["True True", "True True False True"], said
+
+
+def test_the_awaited_surface_comes_without_the_blocking_one() -> None:
+    said = said_by("from stampede_rt import aio; print([name for name in sys.modules if 'stampede_rt._sync' in name])")
+    assert said.splitlines()[-1] == "[]", said
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import stampede_rt; stampede_rt.connect",
+        "import stampede_rt.aio",
+        "import stampede_rt.status",
+        "import stampede_rt.transports.stubs",
+        "import stampede_rt._sync.ports",
+        "from stampede_rt.cli.main import main; main(['info'])",
+        "from stampede_rt.cli.main import main; main(['frontend', '--help'])",
+        *(
+            f"import runpy; sys.argv = ['x', '--help']; runpy.run_module('stampede_rt_{service}', run_name='__main__')"
+            for service in ("frontend", "supernode", "channel_host")
+        ),
+    ],
+)
+def test_grpc_is_loaded_so_that_it_logs_errors_only(code: str) -> None:
+    said = said_by(f"try:\n    {code}\nexcept SystemExit:\n    pass")
+    assert "grpc ERROR" in said.splitlines(), said
+
+
+class Interrupted:
+    """Ctrl-C at the moment when a module is looked for."""
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        if name == "stampede_rt.cli.commands":
+            raise KeyboardInterrupt
+        return None
+
+
+def test_an_interrupt_while_the_command_is_being_loaded_ends_it_in_silence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert find_spec("stampede_rt.cli.commands") is not None
+    monkeypatch.delitem(sys.modules, "stampede_rt.cli.commands", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    assert main(["ls"]) == 130
+    assert capsys.readouterr() == ("", "")
