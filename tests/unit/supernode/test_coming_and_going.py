@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_supernode.replication.known_stores import FILE_NAME
 from tests.unit.supernode.processes import (
     PATIENCE_SECONDS,
     Supernode,
@@ -20,6 +21,7 @@ from tests.unit.supernode.processes import (
     open_channel,
     register,
     resolve,
+    running_cluster,
 )
 
 pytestmark = pytest.mark.timeout(120)
@@ -165,6 +167,29 @@ async def test_nobody_is_removed_without_a_majority_and_status_tells_who_is_not_
     finally:
         await one.close()
         await other.close()
+
+
+async def test_a_founder_that_lost_its_disk_is_refused_and_what_was_acknowledged_before_is_kept(tmp_path: Path) -> None:
+    async with running_cluster(tmp_path) as cluster:
+        leader = await cluster.leader()
+        wiped, away = cluster.others(leader)
+        async for _ in attempts():
+            met = [json.loads((tmp_path / one.name / FILE_NAME).read_text()[9:])["known"] for one in cluster.supernodes]
+            if all(len(known) == 2 for known in met):
+                break
+        await away.end(signal.SIGKILL)
+        await register(leader, 1)
+        opened = await open_channel(leader, "cam/kept")
+        for one in (leader, wiped):
+            await one.end(signal.SIGKILL)
+        for file in (tmp_path / wiped.name).iterdir():
+            file.unlink()
+        # The two that lack the channel are a majority: with the old id back, they would lead without it.
+        await away.start()
+        await wiped.start()
+        assert await wiped.ended() == 1
+        await leader.start()
+        assert (await resolve(leader, "cam/kept")).channel.channel_id == opened.channel.channel_id
 
 
 async def test_an_empty_folder_is_refused_with_the_way_out(tmp_path: Path) -> None:

@@ -47,7 +47,8 @@ class ReplicationStatus:
     """What a replica believes of the log at this moment; it may be stale.
 
     `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may be
-    committed or not yet. `removed`: another member has said that this one was removed, for good.
+    committed or not yet. `removed`: another member has said that this one was removed, for good; `has_lost_store`: that
+    it was here before with another store.
     """
 
     self_id: str
@@ -58,6 +59,7 @@ class ReplicationStatus:
     applied_index: int
     members: Sequence[Member]
     removed: bool = False
+    has_lost_store: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

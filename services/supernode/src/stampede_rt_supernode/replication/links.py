@@ -31,6 +31,8 @@ REQUEST_BYTES = 1 << 20
 HELLO_SECONDS = 2.0
 # In the refusal of a member that was removed for good.
 REMOVED = "was removed from this cluster"
+# In the refusal of a member that was here before with another store.
+ANOTHER_STORE = "has come with another store before"
 # A snapshot is fed to a link only while less than this waits in it.
 ROOM_BYTES = 4 << 20
 
@@ -63,10 +65,13 @@ class Link:
         settings: ReplicationSettings,
         dial: Dial,
         deliver: Callable[[NetworkEvent], None],
-        on_removed: Callable[[], None],
+        on_refused: Callable[[str], None],
+        *,
+        store_id: str,
     ) -> None:
         self.member = self._member = member
-        self._on_removed = on_removed
+        self._on_refused = on_refused
+        self._store_id = store_id
         self._settings = settings
         self._dial = dial
         self._deliver = deliver
@@ -104,8 +109,7 @@ class Link:
                 await self._hold_stream()
             except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
                 self._report(_brief(error))
-                if REMOVED in str(error):
-                    self._on_removed()
+                self._on_refused(str(error))
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:
@@ -129,6 +133,7 @@ class Link:
             member_id=self._settings.self_member.member_id,
             peer_member_id=self._member.member_id,
             protocol_version=PROTOCOL_VERSION,
+            store_id=self._store_id,
         )
         async with asyncio.timeout(HELLO_SECONDS):
             await call.write(pb.RaftServiceExchangeRequest(hello=hello))
@@ -234,6 +239,8 @@ class Links:
         on_fatal: Callable[[BaseException], None],
     ) -> None:
         self._settings = settings
+        # Of this member's own store; set before `start`.
+        self.store_id = ""
         self._dial = dial
         self._bridge = bridge
         self._on_fatal = on_fatal
@@ -241,8 +248,8 @@ class Links:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
-        # True since a member has said that this one was removed for good.
-        self.removed = False
+        # True since a member has said that this one was removed for good, or that it had another store before.
+        self.removed = self.has_lost_store = False
 
     def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member]) -> None:
         """Begin to connect to every peer; on the loop."""
@@ -265,14 +272,15 @@ class Links:
                 task.cancel()
         for member_id, member in peers.items():
             if member_id not in self._links:
-                link = Link(member, self._settings, self._dial, self._deliver, self._on_removed)
+                link = Link(member, self._settings, self._dial, self._deliver, self._on_refused, store_id=self.store_id)
                 self._links[member_id] = link
                 task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member_id}")
                 task.add_done_callback(self._on_end)
                 self._tasks[member_id] = task
 
-    def _on_removed(self) -> None:
-        self.removed = True
+    def _on_refused(self, why: str) -> None:
+        self.removed = self.removed or REMOVED in why
+        self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why
 
     def release(self, messages: Sequence[Outgoing]) -> None:
         """Queue messages on their links; from the tick thread."""

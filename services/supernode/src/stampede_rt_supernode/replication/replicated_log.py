@@ -21,6 +21,7 @@ from stampede_rt_supernode.replication.interface import (
     TakenSnapshot,
     Unavailable,
 )
+from stampede_rt_supernode.replication.known_stores import KnownStores
 from stampede_rt_supernode.replication.links import Dial, Links
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.member_changes import ChangeOutcome, HandOver, MemberChange
@@ -30,7 +31,7 @@ from stampede_rt_supernode.replication.servicer import RaftServicer
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
-from stampede_rt_supernode.replication.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.sqlite_store import SqliteStore, holds_store
 from stampede_rt_supernode.replication.storage import MemoryStore, Store
 from stampede_rt_supernode.replication.tick_thread import TickThread, end_process
 
@@ -59,9 +60,10 @@ class PySyncObjLog:
         self._servicer: RaftServicer | None = None
         self._closed = False
 
-    def start(self, settings: ReplicationSettings, server: grpc.aio.Server) -> None:
+    def start(self, settings: ReplicationSettings, server: grpc.aio.Server, stores: KnownStores) -> None:
         """Join the network and begin to tick; once."""
-        self._servicer = RaftServicer(settings, self._replica.deliver, lambda: self._replica.roster)
+        self._links.store_id = stores.own
+        self._servicer = RaftServicer(settings, self._replica.deliver, lambda: self._replica.roster, stores)
         self._servicer.add_to_server(server)
         self._links.start(self._replica.deliver, self._replica.roster.peers)
         self._thread.start(self._replica)
@@ -98,7 +100,10 @@ class PySyncObjLog:
     def status(self) -> ReplicationStatus:
         """See ReplicatedLog."""
         status = self._replica.status()
-        return replace(status, removed=True) if self._links.removed else status
+        links = self._links
+        if not (links.removed or links.has_lost_store):
+            return status
+        return replace(status, removed=links.removed, has_lost_store=links.has_lost_store)
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """See ReplicatedLog."""
@@ -192,9 +197,15 @@ async def open_replicated_log(
     thread = TickThread(tick_seconds=settings.timing.tick_seconds, on_fatal=on_fatal)
     # Its thread ends with the process: what it encodes for a closed log is thrown away.
     encoder = ThreadPoolExecutor(1, thread_name_prefix="snapshot")
+    had_store = settings.data_dir is not None and holds_store(settings.data_dir)
     replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, encoder.submit)
+    try:
+        stores = await asyncio.to_thread(KnownStores.open, settings.data_dir, had_store=had_store)
+    except BaseException:
+        replica.close()
+        raise
     log = PySyncObjLog(replica, thread, bridge, links, encoder, reads_max=settings.reads_max)
-    log.start(settings, server)
+    log.start(settings, server, stores)
     return log
 
 

@@ -16,7 +16,8 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message, encode_members
-from stampede_rt_supernode.replication.links import REMOVED, REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.known_stores import KnownStores
+from stampede_rt_supernode.replication.links import ANOTHER_STORE, REMOVED, REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.replica import InboxFull, Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
@@ -33,9 +34,14 @@ class RaftServicer:
     """Takes in the streams of the other members. Runs on the loop."""
 
     def __init__(
-        self, settings: ReplicationSettings, deliver: Callable[[NetworkEvent], None], roster: Callable[[], Roster]
+        self,
+        settings: ReplicationSettings,
+        deliver: Callable[[NetworkEvent], None],
+        roster: Callable[[], Roster],
+        stores: KnownStores,
     ) -> None:
         self._settings = settings
+        self._stores = stores
         self._deliver = deliver
         # Whom the replica knows at this moment.
         self._roster = roster
@@ -80,6 +86,8 @@ class RaftServicer:
         if request is grpc.aio.EOF or not request.HasField("hello") or request.messages:
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
         await self._check(request.hello, context)
+        # Before anything is heard of this member, and so before anything rests on what it says.
+        await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id)
         await context.write(self._greeting(knows_caller=True))
         return str(request.hello.member_id)
 
@@ -109,6 +117,8 @@ class RaftServicer:
             )
         if hello.member_id in self._roster().removed:
             await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {REMOVED}")
+        if not self._stores.admits(hello.member_id, hello.store_id):
+            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {ANOTHER_STORE}")
         if hello.member_id not in self._roster().peers:
             # Perhaps it does not know those who know it.
             await context.write(self._greeting(knows_caller=False))
