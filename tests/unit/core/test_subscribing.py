@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
-from stampede_rt.timeline import NEWEST, Bound
+from stampede_rt.model import Policy
+from stampede_rt.timeline import NEWEST, OLDEST, Bound
 from stampede_rt_channel_host.core.channel import Position
 from tests.unit.core.channels import CLOCK, a_channel, put, seqs_of, times_of
 
@@ -59,6 +60,24 @@ def test_what_was_collected_before_it_was_sent_is_a_gap_with_its_count() -> None
     assert "max_items (3)" in delivery.gap.reason.detail
     assert seqs_of([one.slice for one in delivery.slices]) == [5, 6, 7]
     assert (cursor.delivered, cursor.dropped) == (3, 2)
+
+
+def test_a_reader_that_is_far_behind_is_told_in_gaps_that_adjoin() -> None:
+    """One call looked at all that was collected, half a second for a million items, and everybody waited."""
+    channel = a_channel(max_items=9999)
+    for time in range(2500):
+        put(channel, time)
+    cursor = channel.subscribe_all(CLOCK, start=OLDEST)
+    channel.configure(Policy(max_items=2), CLOCK)
+    gaps = []
+    while (gap := (delivery := channel.since(cursor, CLOCK, ALL)).gap) is not None and not delivery.slices:
+        gaps.append(gap)
+    assert gap is not None
+    assert seqs_of([one.slice for one in delivery.slices]) == [2499, 2500]
+    told = [(one.first_seq, one.last_seq) for one in [*gaps, gap]]
+    assert len(told) > 1
+    assert [seq for first, last in told for seq in range(first, last + 1)] == list(range(1, 2499))
+    assert (cursor.delivered, cursor.dropped) == (2, 2498)
 
 
 def test_a_part_ends_at_the_byte_bound_but_brings_one_slice_at_least() -> None:

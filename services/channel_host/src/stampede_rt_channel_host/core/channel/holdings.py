@@ -162,6 +162,10 @@ class Holdings:
         """Held items with seqs from `low` up to, not including, `high`, in seq order."""
         return self.index.slices_by_seq(low, high, self.floor)
 
+    def seq_from(self, low: int, high: int, entries_max: int) -> int:
+        """The first held seq from `low` on, or how far it is known that none is held (see `ChannelIndex.seq_from`)."""
+        return self.index.seq_from(low, high, self.floor, entries_max)
+
     def next_time(self, time: int) -> int | None:
         """The time of the next later bucket than `time`."""
         if self.newest is None or time >= self.newest:

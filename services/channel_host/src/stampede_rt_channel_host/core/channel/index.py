@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
+from itertools import chain, islice
 from operator import attrgetter
 from typing import Any
 
@@ -174,6 +175,19 @@ class ChannelIndex:
             yield from _clipped_by_seq(before, low, high, floor)
         for entry in self._by_seq.irange_key(low, high, (True, False)):
             yield from _clipped_by_seq(entry, low, high, floor)
+
+    def seq_from(self, low: int, high: int, floor: Place, entries_max: int) -> int:
+        """The first seq from `low` on of an item at or above `floor`, `high` if there is none below it.
+
+        Looks at so many entries at most; then it gives how far it came: all below are gone.
+        """
+        before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
+        entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
+        for entry in islice(entries, entries_max):
+            for part in _clipped_by_seq(entry, low, high, floor):
+                return part.first_seq
+        beyond: Entry | None = next(entries, None)
+        return high if beyond is None else beyond.first_seq
 
     def next_time(self, time: int) -> int | None:
         """The earliest item time after `time`."""

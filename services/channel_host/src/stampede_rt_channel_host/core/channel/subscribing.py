@@ -12,6 +12,9 @@ from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Delivery, Gap
 
+GAP_ENTRIES_MAX = 1024
+"""What one call looks at of outdated items: a reader that is far behind stalls nobody, and hears of several gaps."""
+
 
 class AllCursor:
     """Where a subscription in seq order stands. Made by `Channel.subscribe_all`, moved by `Channel.since`.
@@ -90,13 +93,13 @@ def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
     while (owed := cursor.owed()) is not None and limit_bytes > 0:
-        missing = _first_missing(held, *owed)
-        if missing is not None:
+        low = held.seq_from(*owed, GAP_ENTRIES_MAX)
+        if low > owed[0]:
             if slices or gap is not None:
                 break
-            gap = _gap(limits, held, *missing)
+            gap = _gap(limits, held, owed[0], low - 1)
             cursor.dropped += gap.items
-            cursor.settle(gap.last_seq + 1)
+            cursor.settle(low)
             continue
         for part in _contiguous(held, *owed):
             slices.append(DeliveredSlice(part, held.next_time(part.last_time)))
@@ -106,14 +109,6 @@ def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -
             if limit_bytes <= 0:
                 break
     return Delivery(slices=slices, gap=gap)
-
-
-def _first_missing(held: Holdings, low: int, high: int) -> tuple[int, int] | None:
-    """The first and last seq of the gap at `low`; None if `low` is held."""
-    part = next(held.slices_by_seq(low, high), None)
-    if part is None:
-        return low, high - 1
-    return (low, part.first_seq - 1) if part.first_seq > low else None
 
 
 def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
