@@ -16,8 +16,14 @@ from tests.unit.groups.rig import CutReader, Host, running_cluster
 
 
 @pytest.fixture
-async def host() -> AsyncIterator[Host]:
-    async with running_cluster() as cluster:
+def clock() -> ManualClock:
+    """Stands until a test moves it, so that nothing ages while the machine is busy."""
+    return ManualClock()
+
+
+@pytest.fixture
+async def host(clock: ManualClock) -> AsyncIterator[Host]:
+    async with running_cluster(clock) as cluster:
         yield await cluster.start("h1", b"host-number-one!")
 
 
@@ -37,22 +43,19 @@ async def test_a_group_shows_what_lies_before_the_newest_of_its_reference(host: 
     assert not (await audio.get())[1].HasField("cut_unix_nano")
 
 
-async def test_a_member_that_is_silent_for_long_is_left_out_until_it_speaks() -> None:
-    clock = ManualClock()
-    async with running_cluster(clock) as cluster:
-        host = await cluster.start("h1", b"host-number-one!")
-        left, right, t = await host.open("left"), await host.open("right"), host.now()
-        group = host.directory.add_group("pair", [left, right], idle_after_nanos=2 * S)
-        await host.status(group)
-        await left.put(t)
-        await right.put(t + 1)
-        clock.advance(3 * S)
-        await left.put(t + 2 * S)
-        status = await host.status(group)
-        assert status.cut_unix_nano == t + 2 * S
-        assert {one.times.channel_id for one in status.members if one.idle} == {right.channel_id}
-        await right.put(t + 1)  # late, and at once to be seen
-        assert (await right.get(group))[0] == [t + 1, t + 1]
+async def test_a_member_that_is_silent_for_long_is_left_out_until_it_speaks(host: Host, clock: ManualClock) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now()
+    group = host.directory.add_group("pair", [left, right], idle_after_nanos=2 * S)
+    await host.status(group)
+    await left.put(t)
+    await right.put(t + 1)
+    clock.advance(3 * S)
+    await left.put(t + 2 * S)
+    status = await host.status(group)
+    assert status.cut_unix_nano == t + 2 * S
+    assert {one.times.channel_id for one in status.members if one.idle} == {right.channel_id}
+    await right.put(t + 1)  # late, and at once to be seen
+    assert (await right.get(group))[0] == [t + 1, t + 1]
 
 
 async def test_a_blocked_get_is_released_when_the_cut_comes(host: Host) -> None:
@@ -184,7 +187,7 @@ async def test_cut_events_bring_each_item_once_and_late_ones_apart(host: Host) -
     assert (await resumed.event()).times(video) == [t + 8]
 
 
-async def test_a_member_that_lags_is_waited_for_and_then_named(host: Host) -> None:
+async def test_a_member_that_lags_is_waited_for_and_then_named(host: Host, clock: ManualClock) -> None:
     text, video, t = await host.open("text"), await host.open("video"), host.now() - S
     group = host.directory.add_group(
         "tv", [text, video], reference=group_pb2.GROUP_REFERENCE_CHANNEL, reference_channel_id=text.channel_id
@@ -192,9 +195,14 @@ async def test_a_member_that_lags_is_waited_for_and_then_named(host: Host) -> No
     reader = CutReader(host, group, decides=True, max_wait_nanos=30 * MS)
     await reader.opened()
     await text.put(t)
-    event = await reader.event()
+    waiting = asyncio.create_task(reader.event())
+    while not waiting.done():
+        clock.advance(MS)
+        await host.status(group)
+    event = await waiting
     assert list(event.boundary.incomplete_channel_ids) == [video.channel_id]
     await video.put(t - 1)
+    await video.put(t + 2)
     await text.put(t + 1)
     assert (await reader.event()).late(video) == [t - 1]
 

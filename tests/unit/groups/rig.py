@@ -62,12 +62,13 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
         self.groups[record.group_id] = record
         return record
 
-    def change_members(self, group_id: bytes, channels: Sequence[GroupedChannel]) -> None:
-        """The group has these members from now on, and watchers hear of it."""
+    def change_members(self, group_id: bytes, channels: Sequence[GroupedChannel], *, told: bool = True) -> None:
+        """The group has these members from now on, and watchers hear of it if they are `told`."""
         record = self.groups[group_id]
         record.spec.channel_ids[:] = [one.channel_id for one in channels]
         record.spec_version += 1
-        self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, group=record))
+        if told:
+            self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, group=record))
 
     def delete_group(self, group_id: bytes) -> None:
         """There is no such group any more, and watchers hear of it."""

@@ -57,6 +57,7 @@ class CutSubscription:
         self._max_wait_nanos = max_wait_nanos
         self._payloads = payloads
         self._talks: list[_Talk] = []  # the first decides
+        self._beginning: list[_Talk] = []  # the same while they are being opened
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
         begin_now(self._open)
@@ -89,6 +90,10 @@ class CutSubscription:
                 if not error.retryable:
                     self._closed = True
                     raise
+                self._group.forget_places()
+            except BaseException:  # an interrupt: the event that was under way comes again from its beginning
+                self._hang_up()
+                raise
         raise StopAsyncIteration
 
     def close(self) -> None:
@@ -97,11 +102,9 @@ class CutSubscription:
         self._hang_up()
 
     def _hang_up(self) -> None:
-        talks, self._talks = self._talks, []
+        talks, self._talks, self._beginning = [*self._talks, *self._beginning], [], []
         for talk in talks:
             talk.conversation.cancel()
-        if not self._closed:
-            self._group.forget_places()
 
     async def _open(self) -> None:
         """Begin, or go on behind the last event, with one stream to each host that owns members."""
@@ -111,32 +114,32 @@ class CutSubscription:
                 await self._open_each()
             except StampedeError as error:
                 self._hang_up()
-                if not error.retryable or self._closed or self._group._session.closed:
+                if self._closed:
+                    return
+                if not error.retryable or self._group._session.closed:
                     raise
+                self._group.forget_places()
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:
                     raise
                 await sleep(delay_s)
 
     async def _open_each(self) -> None:
-        if self._cursor is not None:
-            await self._group.refresh()
-        talks: list[_Talk] = []
+        await self._group.refresh()  # others may have let members in or out
         try:
             for target in await self._group.targets():
                 port = self._group._session.ports.to(target)
                 talk = _Talk(port.converse(port.groups.SubscribeCuts))
-                talks.append(talk)
-                opened = await talk.open(self._opening(decides=len(talks) == 1))
+                self._beginning.append(talk)
+                opened = await talk.open(self._opening(decides=len(self._beginning) == 1))
                 self._cursor = self._cursor or opened
                 self._learn(opened)
         except StopAsyncIteration:
             raise Unavailable("a host ended the subscription while it began") from None
         except BaseException:
-            for talk in talks:
-                talk.conversation.cancel()
+            self._hang_up()
             raise
-        self._talks = talks
+        self._talks, self._beginning = self._beginning, []
         if self._closed:  # while it was being opened
             self._hang_up()
 
@@ -147,6 +150,7 @@ class CutSubscription:
             max_wait_nanos=self._max_wait_nanos,
             after=self._cursor,
             without_payloads=not self._payloads,
+            spec_version=self._group.info.spec_version,
         )
 
     def _learn(self, opened: group_pb.CutCursor) -> None:

@@ -81,11 +81,17 @@ class MatchSubscription:
 
         async def open_at(binding: Binding) -> None:
             port = self._group._session.ports.to(binding.target)
-            stream = port.stream(port.groups.SubscribeMatches, self._request(binding.epoch))
-            responses = stream.__aiter__()
-            first = await responses.__anext__()  # says that the subscription holds
-            self._stream, self._responses = stream, responses
-            await self._take(first)
+            self._stream = stream = port.stream(port.groups.SubscribeMatches, self._request(binding.epoch))
+            try:
+                if self._closed:
+                    raise StopAsyncIteration
+                self._responses = stream.__aiter__()
+                await self._take(await self._responses.__anext__())  # says that the subscription holds
+            except StopAsyncIteration:  # closed meanwhile
+                self._resume()
+            except BaseException:
+                self._resume()
+                raise
 
         await self._group._session.perform(self._per._state, open_at)
 
@@ -110,25 +116,43 @@ class MatchSubscription:
                 self._closed = True
                 raise
             self._group.forget_places()
+        except BaseException:  # an interrupt: what was being fetched comes again
+            self._resume()
+            raise
 
     def _resume(self) -> None:
-        self._stream = None
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.cancel()
         self._unmatched_before, self._dropped_before = self.unmatched, self.dropped
 
     async def _take(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        self.unmatched = self._unmatched_before + response.unmatched
-        self.dropped = self._dropped_before + response.dropped
-        for message in response.matches:
-            matched = await self._matched(message)
-            run = message.item.run
+        """Take in a response as a whole or, if a fetch fails, nothing of it."""
+        await self._know_members(response)
+        found = await together([functools.partial(self._matched, message) for message in response.matches])
+        for message, (matched, gone) in zip(response.matches, found, strict=True):
+            self._dropped_before += gone
+            self._unmatched_before += bool(matched.missing) and not (gone or message.unmatched_channel_ids)
+            if self._partial or not matched.missing:
+                self._ready.append(matched)
+        if response.matches:
+            run = response.matches[-1].item.run
             self._after = item_pb2.ItemPosition(
                 time_unix_nano=run.time_unix_nano[0], seq=run.first_seq, incarnation=self._per.incarnation
             )
-            if self._partial or not matched.missing:
-                self._ready.append(matched)
+        self.unmatched = self._unmatched_before + response.unmatched
+        self.dropped = self._dropped_before + response.dropped
 
-    async def _matched(self, message: group_pb.ItemMatch) -> Matched[Channel]:
-        """All items of a match; those of other hosts are fetched from there, at the same time."""
+    async def _know_members(self, response: group_pb.SubscribeMatchesResponse) -> None:
+        """Others may have let members in or out: every match names all that the host knows."""
+        known = {channel.info.channel_id for channel in self._group.channels}
+        for message in response.matches[-1:]:
+            partners = {one.channel_id for one in message.matched} | {*message.unmatched_channel_ids}
+            if known != partners | {self._per.info.channel_id}:
+                await self._group.refresh()
+
+    async def _matched(self, message: group_pb.ItemMatch) -> tuple[Matched[Channel], int]:
+        """All items of a match, and how many could not be had. Those of other hosts are fetched from there, at once."""
         by_id = {channel.info.channel_id: channel for channel in self._group.channels}
         mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
         others = [one for one in message.matched if one.channel_id in by_id]
@@ -136,7 +160,7 @@ class MatchSubscription:
         found = {one.channel_id: item for one, item in zip(others, fetched, strict=True) if item is not None}
         found[self._per.info.channel_id] = mine
         missing = [channel for channel in self._group.channels if channel.info.channel_id not in found]
-        return Matched(self._group.channels, found, missing=missing, time=mine.time)
+        return Matched(self._group.channels, found, missing=missing, time=mine.time), fetched.count(None)
 
     async def _item(self, channel: Channel, matched: group_pb.MatchedItem) -> Item | None:
         """The item itself; None if retention at its host was faster."""
@@ -148,5 +172,4 @@ class MatchSubscription:
         query = Read(interval, match=Match.START, payloads=self._payloads, wait=Wait(0))
         items = await read(self._group._session, channel._state, query)
         found = [item for item in items if (item.seq, item.incarnation) == (position.seq, position.incarnation)]
-        self.dropped += not found
         return found[0] if found else None

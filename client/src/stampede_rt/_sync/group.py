@@ -4,17 +4,25 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cuts import CutSubscription
 from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.binding import Binding
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import (
+    ChannelNotFound,
+    DeadlineExceeded,
+    InvalidArgument,
+    StaleBinding,
+    StampedeError,
+    Unavailable,
+)
 from stampede_rt.grouping import ByChannel, GroupInfo, GroupStatus, GroupView, Named, parse_tolerance
 from stampede_rt.model import Item, Items
 from stampede_rt.reading import Read, parse_limit
@@ -33,6 +41,9 @@ from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.wire.groups import group_info, member_status
 
+Result = TypeVar("Result")
+
+HOST_TIMEOUT_S = 2.0  # where any of several hosts may answer
 CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already seen may wait to catch up
 
 
@@ -41,6 +52,18 @@ class GroupChannel(Reader):
 
     Read like the channel itself, which is not touched and still sees everything. Nothing can be put through it.
     """
+
+    def __init__(self, session: Session, state: ChannelState, group: Group) -> None:
+        super().__init__(session, state, group._view)
+        self._group = group
+
+    def _read(self, query: Read) -> Items:
+        floor = self._group._view.cut_floor
+        items = super()._read(query)
+        if floor is None or (items.cut is not None and items.cut >= floor):
+            return items
+        self._group.refresh()  # the host is behind what was seen, or the group has begun anew
+        return super()._read(query) if self._group._view.cut_floor is None else items
 
     def __repr__(self) -> str:
         return f"<GroupChannel {self.name!r} at host {self.host!r}>"
@@ -76,9 +99,12 @@ class Group:
         return f"<Group {self.name!r} of {', '.join(channel.name for channel in self.channels)}>"
 
     def __getitem__(self, channel: Named | str) -> GroupChannel:
-        """The descriptor of a member, by its handle or name. Raises InvalidArgument for a channel that is none."""
+        """The descriptor of a member, by its handle, whose codec it has, or by its name.
+
+        Raises InvalidArgument for a channel that is no member.
+        """
         member = self._member(channel)
-        return GroupChannel(self._session, member._state, self._view)
+        return GroupChannel(self._session, channel._state if isinstance(channel, Reader) else member._state, self)
 
     def __iter__(self) -> Iterator[GroupChannel]:
         return (self[channel] for channel in self.channels)
@@ -120,6 +146,20 @@ class Group:
         return ByChannel(self.channels, found)
 
     def _read(self, query: Read) -> ByChannel[Channel, Items]:
+        return self._with_members_of_now(functools.partial(self._read_all, query))
+
+    def _with_members_of_now(self, operation: Callable[[], Result]) -> Result:
+        """The result of `operation`; once more, if it fails because others have let members in or out."""
+        version = self.info.spec_version
+        try:
+            return operation()
+        except (InvalidArgument, ChannelNotFound):
+            self.refresh()
+            if self.info.spec_version == version:
+                raise
+        return operation()
+
+    def _read_all(self, query: Read) -> ByChannel[Channel, Items]:
         query = replace(query, cut=self._cut())
         answers = together(
             [functools.partial(read, self._session, one._state, query, self._view) for one in self.channels]
@@ -127,8 +167,8 @@ class Group:
         ids = (channel.info.channel_id for channel in self.channels)
         return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
 
-    def _cut(self) -> int | None:
-        """One cut for one read of all channels; None: nothing is visible yet."""
+    def _cut(self) -> int:
+        """One cut for one read of all channels; the least instant: nothing is visible yet."""
 
         def cut_at(binding: Binding) -> group_pb.GetCutResponse:
             port = self._session.ports.to(binding.target)
@@ -140,7 +180,7 @@ class Group:
 
         response = self._session.perform(self.channels[0]._state, cut_at)
         if not response.HasField("floor"):
-            return None
+            return MIN_INSTANT
         if (response.floor.spec_version, response.floor.incarnation) != (self.info.spec_version, self.incarnation):
             self.refresh()
         self._view.saw(response.floor.cut_unix_nano)
@@ -166,15 +206,18 @@ class Group:
         return MatchSubscription(self, member, parse_tolerance(tolerance), partial=partial, payloads=payloads)
 
     def status(self) -> GroupStatus[Channel]:
-        """The cut, who holds it back, and how far each member is, as the host of the first member sees it."""
+        """The cut, who holds it back, and how far each member is, as the first of the members' hosts that answers
+        sees it."""
+        return self._with_members_of_now(self._status)
 
+    def _status(self) -> GroupStatus[Channel]:
         def status_at(binding: Binding) -> group_pb.GetGroupStatusResponse:
             port = self._session.ports.to(binding.target)
             request = group_pb.GetGroupStatusRequest(group_id=self.info.group_id)
-            response: group_pb.GetGroupStatusResponse = port.call(port.groups.GetGroupStatus, request, CALL_TIMEOUT_S)
+            response: group_pb.GetGroupStatusResponse = port.call(port.groups.GetGroupStatus, request, HOST_TIMEOUT_S)
             return response
 
-        status = (self._session.perform(self.channels[0]._state, status_at)).status
+        status = (self._at_any_host(status_at)).status
         if status.record.spec_version != self.info.spec_version:
             self.refresh()
         by_id = {channel.info.channel_id: channel for channel in self.channels}
@@ -184,6 +227,19 @@ class Group:
             members=ByChannel(self.channels, {one.times.channel_id: member_status(one) for one in status.members}),
             host_time=status.host_time_unix_nano,
         )
+
+    def _at_any_host(self, operation: Callable[[Binding], Result]) -> Result:
+        """The result of `operation` at the first of the members' hosts that can be reached."""
+        failure: StampedeError = Unavailable(f"the group {self.name!r} has no members")
+        first_at: dict[str, Channel] = {}
+        for channel in self.channels:
+            first_at.setdefault(channel.host, channel)
+        for member in first_at.values():
+            try:
+                return self._session.perform(member._state, operation, HOST_TIMEOUT_S)
+            except (Unavailable, DeadlineExceeded, StaleBinding) as error:
+                failure = error
+        raise failure
 
     def add(self, channel: Channel) -> None:
         """Make a channel a member. The cut stays; what the channel holds below it is readable at once."""

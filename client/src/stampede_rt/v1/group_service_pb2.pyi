@@ -82,18 +82,20 @@ class SubscribeCutsRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[SubscribeCutsOpen, _Mapping]] = ..., boundary: _Optional[_Union[CutBoundary, _Mapping]] = ...) -> None: ...
 
 class SubscribeCutsOpen(_message.Message):
-    __slots__ = ("group_id", "decides", "max_wait_nanos", "after", "without_payloads")
+    __slots__ = ("group_id", "decides", "max_wait_nanos", "after", "without_payloads", "spec_version")
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     DECIDES_FIELD_NUMBER: _ClassVar[int]
     MAX_WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     AFTER_FIELD_NUMBER: _ClassVar[int]
     WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
+    SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
     group_id: bytes
     decides: bool
     max_wait_nanos: int
     after: CutCursor
     without_payloads: bool
-    def __init__(self, group_id: _Optional[bytes] = ..., decides: bool = ..., max_wait_nanos: _Optional[int] = ..., after: _Optional[_Union[CutCursor, _Mapping]] = ..., without_payloads: bool = ...) -> None: ...
+    spec_version: int
+    def __init__(self, group_id: _Optional[bytes] = ..., decides: bool = ..., max_wait_nanos: _Optional[int] = ..., after: _Optional[_Union[CutCursor, _Mapping]] = ..., without_payloads: bool = ..., spec_version: _Optional[int] = ...) -> None: ...
 
 class CutCursor(_message.Message):
     __slots__ = ("incarnation", "cut_unix_nano", "channels")

@@ -11,7 +11,6 @@ from collections import deque
 from typing import Any
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
-from stampede_rt.timeline import MIN_INSTANT
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
@@ -19,14 +18,13 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.group import MAX_WAIT_NANOS_DEFAULT, Boundary, CutFollower, EventDecider, Loss
 from stampede_rt_channel_host.groups.frames import cut_part
-from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.hosted_group import NOTHING_VISIBLE, HostedGroup
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
 
 BOUNDARIES_MAX = 256
-NOTHING_VISIBLE = MIN_INSTANT  # the cut of a place from before the group had one
 _TIMER_SECONDS_MIN = 0.0001
 
 
@@ -68,7 +66,7 @@ class CutEvents:
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
         begun = request.open
         self._groups.check_serving()
-        group = await self._groups.find(begun.group_id)
+        group = await self._groups.find(begun.group_id, begun.spec_version)
         await self._begin(group, begun)
         hearing = group.watchers if begun.decides else group.listeners
         hearing[self._waiter] = None
@@ -98,7 +96,7 @@ class CutEvents:
             )
         self._cut = floor if resumes else group.cut.cut
         self._kept = {one.channel_id: one for one in begun.after.channels}
-        self._spec_version = group.record.spec_version
+        self._spec_version = begun.spec_version or group.record.spec_version
         self._follow(group)
 
     def _opened(self, group: HostedGroup) -> pb.CutCursor:

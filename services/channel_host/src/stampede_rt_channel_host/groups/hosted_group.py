@@ -6,12 +6,14 @@ import asyncio
 from collections.abc import Callable
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.timeline import MIN_INSTANT
 from stampede_rt.v1 import group_directory_service_pb2, group_pb2
 from stampede_rt_channel_host.channels.hosted_channels import Listener
 from stampede_rt_channel_host.core.group import GroupCut, Horizon, Member, TimesBoard
 from stampede_rt_channel_host.groups.messages import definition_of
 from stampede_rt_channel_host.groups.waiting import Waiter
 
+NOTHING_VISIBLE = MIN_INSTANT  # stands on the wire for the cut of a group that has none yet
 _TIMER_SECONDS_MIN = 0.001
 
 
@@ -62,6 +64,8 @@ class HostedGroup:
 
     def horizon(self, cut: int | None = None) -> Horizon:
         """Up to where the group can be seen now; or up to an earlier `cut`."""
+        if cut == NOTHING_VISIBLE:
+            return Horizon(None, self.held_by)
         return Horizon(self.cut.cut if cut is None else cut, self.held_by)
 
     def held_by(self) -> str:
@@ -117,7 +121,7 @@ class HostedGroup:
     def has_reached(self, floor: int | None) -> bool:
         """The group is settled and its cut is at or past `floor`."""
         cut = self.cut.cut
-        return self.cut.is_settled and (floor is None or (cut is not None and cut >= floor))
+        return self.cut.is_settled and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
 
     def floor(self) -> group_pb2.CutFloor | None:
         """What this host stands by, as it tells others."""

@@ -60,14 +60,12 @@ class MatchStream:
         now = self._groups.channels.now()
         after = position_of(request.after) if request.HasField("after") else None
         matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after)
-        newest = hosted.channel.newest
-        since = (after.time if after is not None else now if newest is None else newest) - request.tolerance_nanos
         arrangement = 0
         counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
         while True:  # ends with the stream
             if arrangement != group.arrangement:
                 arrangement = group.arrangement
-                matcher.set_tracks(self._arrange(group, member_of(group, hosted), since))
+                matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
             found = self._take(matcher, group)
             holds = counted is not None or all(far.is_followed for far, _ in self._far.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))

@@ -73,6 +73,7 @@ class Peers:
                     peer.link.tell_floor(group_id)
             if peer.task is None:
                 peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
+                peer.task.add_done_callback(_check)
 
     def is_linked(self, host_id: bytes) -> bool:
         """A stream to the host stands."""
@@ -195,6 +196,11 @@ class Peers:
             raise from_rpc_error(error, peer.target) from error
         finally:
             await channel.close(None)
+
+
+def _check(task: asyncio.Task[None]) -> None:
+    if not task.cancelled() and (failure := task.exception()) is not None:
+        logger.error("a link between hosts is not kept any more", exc_info=failure, extra={"task": task.get_name()})
 
 
 async def _unwrapped(work: Any) -> None:

@@ -60,12 +60,17 @@ class GroupStore:
             group.named_s = _now_s()
         return group
 
-    async def find(self, group_id: bytes) -> HostedGroup:
-        """The group; the directory is asked if it is new here. Raises GROUP_NOT_FOUND, Overloaded, Unavailable."""
+    async def find(self, group_id: bytes, spec_version: int = 0) -> HostedGroup:
+        """The group; the directory is asked if it, or its version, is new here.
+
+        Raises GROUP_NOT_FOUND, Overloaded, Unavailable.
+        """
         group = self.known(group_id)
         if group is None and len(group_id) == ID_BYTES:
             await self._look_up(group_id, only_new=True)
             group = self.known(group_id)
+        elif group is not None and group.record.spec_version < spec_version:
+            await self._look_up(group_id, only_new=False)
         if group is None:
             raise _not_found(group_id)
         return group

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from stampede_rt.timeline import clamp
 from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Position, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
 from stampede_rt_channel_host.core.channel.selection import behind
@@ -123,6 +124,11 @@ class Matcher:
         self._ledger = Ledger(held, self._place, channel.next_seq)
         self.unmatched = 0
         self.dropped = 0
+
+    @property
+    def earliest(self) -> int:
+        """No earlier time of another member is asked for any more."""
+        return clamp(self._place[0] - self._tolerance)
 
     def set_tracks(self, tracks: Mapping[bytes, Track]) -> None:
         """Members came, went, or moved to another host."""

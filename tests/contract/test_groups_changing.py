@@ -1,0 +1,141 @@
+"""Groups that others change while they are read, by both clients."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.contract.surfaces import Surface, take
+from tests.support.cluster import cluster_fixture
+
+MS = 1_000_000
+SECOND = 1_000 * MS
+
+grouped_cluster = cluster_fixture(hosts=2, supernodes=1)
+_names = itertools.count()
+
+
+@pytest.fixture(params=["aio", "sync"])
+async def surface(request: pytest.FixtureRequest, grouped_cluster: LocalCluster) -> AsyncIterator[Surface]:
+    if request.param == "aio":
+        async with aio.connect(grouped_cluster.address) as connection:
+            yield Surface(connection)
+        return
+    with st.connect(grouped_cluster.address) as blocking, ThreadPoolExecutor(16) as pool:
+        yield Surface(blocking, pool)
+
+
+@pytest.fixture
+async def other(grouped_cluster: LocalCluster) -> AsyncIterator[aio.Connection]:
+    """Another process, as far as the cluster can tell."""
+    async with aio.connect(grouped_cluster.address) as connection:
+        yield connection
+
+
+async def channel_at_each_host(surface: Surface) -> list[Any]:
+    return [await surface.channel(host=host.name, max_age="120s") for host in await surface.connection.hosts()]
+
+
+def group_name() -> str:
+    return f"changing/{next(_names)}-{st.now()}"
+
+
+async def put_all(channels: list[Any], time: int) -> None:
+    for channel in channels:
+        await channel.put(channel.name.encode(), time=time)
+
+
+async def test_cut_events_bring_the_items_of_members_that_others_let_in(
+    surface: Surface, other: aio.Connection
+) -> None:
+    left, right = await channel_at_each_host(surface)
+    group, base = await surface.group(group_name(), [left]), st.now() - 20 * SECOND
+    async with group.subscribe() as cuts:
+        await (await other.group(group.name)).add(await other.channel(right.name))
+        brought = []
+        for step in itertools.count():  # ends with the test's time limit
+            await put_all([left, right], base + step * SECOND // 100)
+            cut = (await take(cuts, 1))[0] if step else None
+            if cut is not None and right.name in [channel.name for channel in cut]:
+                brought += [item.payload for item in cut[right.name]]
+            if brought:
+                break
+    assert brought[0] == right.name.encode()
+
+
+async def test_matches_are_made_with_members_that_others_let_in_and_without_those_they_let_out(
+    surface: Surface, other: aio.Connection
+) -> None:
+    left, right = await channel_at_each_host(surface)
+    third = await surface.channel(max_age="120s")
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    theirs = await other.group(group.name)
+    async with group.match(left, "1ms", partial=True) as matches:
+        await theirs.add(await other.channel(third.name))
+        await theirs.remove(await other.channel(right.name))
+        for step in range(1, 1_000):
+            await put_all([left, right, third], base + step * SECOND // 100)
+            await put_all([right, third], base + step * SECOND // 100 + 2 * MS)
+            (matched,) = await take(matches, 1)
+            if [channel.name for channel in matched] == [left.name, third.name]:
+                break
+    assert {item.payload for item in matched.values()} == {left.name.encode(), third.name.encode()}
+    assert not matched.missing
+
+
+async def test_a_read_of_a_group_goes_by_the_members_of_now(surface: Surface, other: aio.Connection) -> None:
+    left, right = await channel_at_each_host(surface)
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    await left.put(b"0", time=base)
+    assert (await group.newest())[left.name] is None
+    await (await other.group(group.name)).remove(await other.channel(right.name))
+    await left.put(b"1", time=base + SECOND)
+    await group[left].get(base, base, match="start", timeout=10)
+    found = await group.newest()
+    assert [(channel.name, item.payload) for channel, item in found.items()] == [(left.name, b"0")]
+    assert [channel.name for channel in (await group.status()).members] == [left.name]
+
+
+async def test_a_group_whose_member_was_deleted_is_read_without_it(surface: Surface, other: aio.Connection) -> None:
+    left, right = await channel_at_each_host(surface)
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    await put_all([left, right], base)
+    await group.status()
+    await (await other.channel(left.name)).delete()
+    await right.put(b"1", time=base + SECOND)
+    assert [channel.name for channel in await group.get(base, base + SECOND)] == [right.name]
+    assert [channel.name for channel in (await group.status()).members] == [right.name]
+
+
+async def test_a_descriptor_made_from_a_handle_decodes_as_the_handle_does(surface: Surface) -> None:
+    left, _ = await channel_at_each_host(surface)
+    name, base = group_name(), st.now() - 20 * SECOND
+    await surface.group(name, [left])
+    coded = await surface.channel(left.name, codec="json")
+    await coded.put({"x": 1}, time=base)
+    await coded.put({"x": 2}, time=base + 1)
+    group = await surface.group(name)
+    assert (await group[coded].newest(timeout=10)).value == {"x": 1}
+
+
+async def test_partners_that_retention_took_before_they_were_fetched_stay_counted(surface: Surface) -> None:
+    left, _ = await channel_at_each_host(surface)
+    hosts = [host.name for host in await surface.connection.hosts()]
+    right = await surface.channel(host=hosts[-1], max_items=1)
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    async with group.match(left, "1ms", partial=True) as matches:
+        await right.put(b"gone", time=base)
+        await left.put(b"alone", time=base)
+        await right.put(b"held", time=base + SECOND)
+        await left.put(b"matched", time=base + SECOND)
+        await right.advance(base + 2 * SECOND)
+        alone, matched = await take(matches, 2)
+        assert (len(alone), len(matched)) == (1, 2)
+        assert matches.unmatched + matches.dropped == 1

@@ -1,0 +1,130 @@
+"""What keeps hosts that share groups in touch: their links, and what they ask the directory about."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+from stampede_rt.v1 import group_pb2
+from stampede_rt_channel_host.groups import link
+from stampede_rt_channel_host.groups.link import Link
+from tests.unit.channel_host.manual_clock import ManualClock
+from tests.unit.channel_host.rig import S
+from tests.unit.groups.rig import WAIT_SECONDS, Cluster, GroupedChannel, running_cluster
+
+LOWER, HIGHER = b"a-lower-host-id!", b"b-higher-host-id"
+
+
+@pytest.fixture
+def clock() -> ManualClock:
+    return ManualClock()
+
+
+@pytest.fixture
+async def cluster(clock: ManualClock) -> AsyncIterator[Cluster]:
+    """Two hosts on one clock, which stands until a test moves it."""
+    async with running_cluster(clock) as cluster:
+        await cluster.start("h1", LOWER)
+        await cluster.start("h2", HIGHER)
+        yield cluster
+
+
+async def two_channels(cluster: Cluster) -> tuple[GroupedChannel, GroupedChannel]:
+    lower, higher = cluster.hosts
+    return await lower.open("left"), await higher.open("right")
+
+
+async def synced(channels: list[GroupedChannel], group: group_pb2.GroupRecord, cut: int) -> None:
+    for channel in channels:
+        await channel.host.until_cut(group, cut)
+
+
+async def test_a_link_is_opened_again_though_a_write_came_behind_its_end(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, broken = Link.run, asyncio.Event()
+
+    async def run_once_in_vain(self: Link, peer: bytes | None = None) -> None:
+        if peer is not None and not broken.is_set():
+            broken.set()
+            raise asyncio.InvalidStateError("RPC already finished.")
+        await run(self, peer)
+
+    monkeypatch.setattr(Link, "run", run_once_in_vain)
+    left, right = await two_channels(cluster)
+    group, t = cluster.directory.add_group("pair", [left, right]), left.host.now()
+    await left.put(t, t + 5)
+    await right.put(t + 3)
+    await synced([left, right], group, t + 3)
+    assert broken.is_set()
+
+
+async def test_hosts_that_part_and_share_another_group_at_once_hear_of_each_other_again(cluster: Cluster) -> None:
+    left, right = await two_channels(cluster)
+    first, t = cluster.directory.add_group("first", [left, right]), left.host.now()
+    await left.put(t)
+    await right.put(t)
+    await synced([left, right], first, t)
+    cluster.directory.groups.pop(first.group_id)  # the lower host, which opened the link, is not told yet
+    await right.host.host.groups._look_up_again(first.group_id)
+    second = cluster.directory.add_group("second", [left, right])
+    await left.put(t + 5)
+    await right.put(t + 7)
+    await synced([right, left], second, t + 5)
+
+
+async def test_a_member_is_followed_though_nobody_names_the_group_at_its_host(cluster: Cluster) -> None:
+    left, right = await two_channels(cluster)
+    third, fourth = await right.host.open("third"), await right.host.open("fourth")
+    group, t = cluster.directory.add_group("group", [left, right]), left.host.now()
+    await left.put(t)
+    await right.put(t)
+    await synced([left, right], group, t)
+    right.host.host.groups.known(group.group_id).named_s = -1_000.0  # type: ignore[union-attr]
+    for members in (
+        [left, right, third],
+        [left, right, third, fourth],
+    ):  # the second change before the first is learned
+        cluster.directory.change_members(group.group_id, members)
+    for channel in (left, right, third, fourth):
+        await channel.put(t + 5)
+    await synced([left], group, t + 5)
+
+
+async def test_a_host_that_missed_a_new_member_learns_of_it_from_who_waits_for_it(cluster: Cluster) -> None:
+    left, right = await two_channels(cluster)
+    third = await right.host.open("third")
+    group, t = cluster.directory.add_group("group", [left, right]), left.host.now()
+    await left.put(t)
+    await right.put(t)
+    await synced([left, right], group, t)
+    cluster.directory.change_members(group.group_id, [left, right, third], told=False)
+    await left.host.host.groups._look_up_again(group.group_id)
+    for channel in (left, right, third):
+        await channel.put(t + 5)
+    await left.host.until(group, lambda status: len(status.members) == 3 and status.cut_unix_nano == t + 5)
+
+
+async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
+    cluster: Cluster, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "LIFE_SECONDS", link.BROKEN_AFTER_SECONDS)
+    left, right = await two_channels(cluster)
+    group, t = cluster.directory.add_group("pair", [left, right], idle_after_nanos=S // 10), left.host.now()
+    await left.put(t)
+    await right.put(t + 1)
+    await synced([left, right], group, t)
+    clock.advance(S // 10 - 1)
+    await left.put(t + 2)
+    clock.advance(1)
+
+    def only_the_other_is_left_out(status: group_pb2.GroupStatus) -> bool:
+        return [one.times.channel_id for one in status.members if one.idle] == [right.channel_id]
+
+    async with asyncio.timeout(WAIT_SECONDS):
+        for host in cluster.hosts:
+            await host.until(group, only_the_other_is_left_out)
+    await synced([left, right], group, t + 2)
+    assert (await left.get(group))[0] == [t]

@@ -1,0 +1,195 @@
+"""Streams of groups: signs of life, members that come and go, where to go on, and what the status counts."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.v1 import channel_service_pb2, group_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels import subscription
+from stampede_rt_channel_host.groups import writing
+from tests.unit.channel_host.manual_clock import ManualClock
+from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between
+from tests.unit.groups.rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
+
+
+@pytest.fixture
+async def host() -> AsyncIterator[Host]:
+    async with running_cluster(ManualClock()) as cluster:
+        yield await cluster.start("h1", b"host-number-one!")
+
+
+@asynccontextmanager
+async def busy(channel: GroupedChannel, start: int) -> AsyncIterator[None]:
+    """The channel gets one item after the other, as fast as they are taken."""
+
+    async def put() -> None:
+        time = start
+        while True:
+            time += 1
+            await channel.put(time)
+
+    producer = asyncio.create_task(put())
+    try:
+        yield
+    finally:
+        producer.cancel()
+
+
+def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) -> Any:
+    request = pb.SubscribeMatchesRequest(
+        group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3, **fields
+    )
+    return left.host.groups.SubscribeMatches(request)
+
+
+@pytest.mark.parametrize("kind", ["items", "cuts", "matches"])
+async def test_a_stream_gives_signs_of_life_though_news_wake_it_all_the_time(
+    host: Host, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "LIFE_SECONDS", 0.05)
+    monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.05)
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    if kind == "items":
+        call = (await left.subscribe(group).opened()).call
+    elif kind == "cuts":
+        reader = CutReader(host, group, decides=True)
+        await reader.opened()
+        call = reader.call
+    else:
+        call = matching(left, group)
+        await call.read()
+    async with busy(left, t), asyncio.timeout(WAIT_SECONDS):  # the other one is silent: there is nothing to show
+        for _ in range(3):
+            assert await call.read() is not grpc.aio.EOF
+
+
+async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t, t + 2, t + 4)
+    await right.put(t + 3)
+    begun = left.subscribe(group)
+    place = (await begun.call.read()).resume_after
+    begun.call.cancel()  # before anything came: what was visible already is not meant for it
+    resumed = left.subscribe(group, after=place)
+    assert (await resumed.call.read()).resume_after == place
+    await left.put(t + 1, t + 6)
+    await right.put(t + 5)
+    assert await resumed.take(2) == [t + 1, t + 4]
+
+
+async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the_first_item(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t)
+    begun = left.subscribe(group)
+    place = (await begun.call.read()).resume_after
+    begun.call.cancel()
+    resumed = await left.subscribe(group, after=place).opened()
+    await right.put(t + 1)
+    await left.put(t + 2)
+    assert await resumed.take(1) == [t]
+
+
+async def test_what_reads_a_member_through_the_group_ends_when_it_is_let_out(host: Host) -> None:
+    left, right = await host.open("left"), await host.open("right")
+    group = host.directory.add_group("pair", [left, right])
+    items = (await left.subscribe(group).opened()).call
+    matches = matching(left, group)
+    await matches.read()
+    waiting = get_through(left, group)
+    await until_counted(left, waiting_gets=1)
+    await host.directory.called("Watch", times=1)
+    host.directory.change_members(group.group_id, [right])
+    async with asyncio.timeout(WAIT_SECONDS):
+        assert "no member" in (await items.details())
+        assert "no member" in (await matches.details())
+        assert "no member" in (await waiting.read()).error.message
+
+
+async def test_cut_events_end_when_the_group_has_other_members_and_go_on_with_them(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left])
+    reader = CutReader(host, group, decides=True, spec_version=1)
+    await reader.opened()
+    await left.put(t, t + 2)
+    event = await reader.event()
+    while event.boundary.cut_unix_nano < t + 2:
+        event = await reader.event()
+    host.directory.change_members(group.group_id, [left, right], told=False)
+    anew = CutReader(host, group, decides=True, spec_version=2, after=event.cursor(group))
+    assert {one.channel_id for one in (await anew.opened()).channels} == {left.channel_id, right.channel_id}
+    async with asyncio.timeout(WAIT_SECONDS):
+        assert await reader.call.code() is grpc.StatusCode.UNAVAILABLE
+    await right.put(t + 3)
+    await left.put(t + 5)
+    event = await anew.event()
+    assert (event.times(left), event.times(right)) == ([t + 2], [])
+
+
+async def test_readers_through_a_group_are_counted_in_the_status_of_the_channel(host: Host) -> None:
+    left, right = await host.open("left"), await host.open("right")
+    group = host.directory.add_group("pair", [left, right])
+    cuts = CutReader(host, group, decides=True)
+    await cuts.opened()
+    items = await left.subscribe(group).opened()
+    matches = matching(left, group)
+    await matches.read()
+    waiting = get_through(left, group)
+    await until_counted(left, subscriptions=3, waiting_gets=1)
+    await until_counted(right, subscriptions=2, waiting_gets=0)
+    for stream in (cuts.call, items.call, matches, waiting):
+        stream.cancel()
+    await until_counted(left, subscriptions=0, waiting_gets=0)
+    await until_counted(right, subscriptions=0)
+
+
+async def test_the_bytes_of_a_match_count_for_the_channel_that_each_item_is_from(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    matches = matching(left, group)
+    await matches.read()
+    await right.put(t)
+    await left.put(t)
+    await right.put(t + 10)
+    async with asyncio.timeout(WAIT_SECONDS):
+        while not (await matches.read()).matches:
+            pass
+    size = len(str(t))
+    assert (await status_of(left)).counters.delivered_bytes == size
+    assert (await status_of(right)).counters.delivered_bytes == size
+
+
+async def status_of(channel: GroupedChannel) -> Any:
+    request = channel_service_pb2.GetChannelStatusRequest(channel_id=channel.channel_id)
+    return (await channel.host.channels.GetChannelStatus(request)).status
+
+
+async def until_counted(channel: GroupedChannel, **expected: int) -> None:
+    """Ask for the channel's status, as fast as it is answered, until it is as expected."""
+    async with asyncio.timeout(WAIT_SECONDS):
+        while True:
+            status = await status_of(channel)
+            if {name: getattr(status, name) for name in expected} == expected:
+                return
+
+
+def get_through(channel: GroupedChannel, group: group_pb2.GroupRecord) -> Any:
+    """The call of a get that waits for what the group does not show yet."""
+    request = channel_service_pb2.GetRequest(
+        call_id=1,
+        channel_id=channel.channel_id,
+        epoch=1,
+        interval=between(MIN_INSTANT, MAX_INSTANT),
+        group_id=group.group_id,
+        wait_nanos=-1,
+    )
+    return channel.host.channels.Get(iter((request,)))
