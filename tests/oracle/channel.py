@@ -43,7 +43,7 @@ class OracleChannel:
 
     Who consumes is in `consumers`, if the policy counts it: with `consumers` that many, with `max_age_unconsumed` alone
     as many as a host takes. Time is settled by `age`, in this order: leases end; buckets grow too old; the oldest items
-    go that nobody holds back, one after the other, up to the first that somebody does.
+    go that nobody holds back, one after the other, up to the first that somebody does; until nothing goes any more.
     """
 
     def __init__(self, policy: Policy) -> None:
@@ -188,10 +188,12 @@ class OracleChannel:
         return len(self.held) <= (self.policy.max_items or len(self.held)) and self.bytes() <= self.max_bytes
 
     def _retry_at(self, item: Item) -> int | None:
-        """When age makes room or a lease ends; if nobody holds anything back any more, as soon as it is the newest."""
+        """When age makes room, with the item in or without it, or a lease ends; if nobody holds anything back any more,
+        as soon as it is the newest."""
+        instants = [self._as_if_put(item).next_due(), self.next_due()]
         if self._nobody_holds and self.newest is not None and item.time > self.newest:
-            return item.time
-        return self._as_if_put(item).next_due()
+            instants[0] = item.time
+        return min((one for one in instants if one is not None), default=None)
 
     @property
     def _nobody_holds(self) -> bool:
@@ -239,8 +241,11 @@ class OracleChannel:
         """What time alone brings about, as far as it has not."""
         if self.consumers is not None:
             self.consumers.expire(clock)
-        self.grow_old(clock)
-        self.use_up(clock)
+        left = None
+        while left != len(self.held):  # what goes for one reason may let others go for the other
+            left = len(self.held)
+            self.grow_old(clock)
+            self.use_up(clock)
 
     def grow_old(self, clock: int) -> None:
         """From the oldest on, every bucket but the newest goes whose last span end is its max_age ago or more. With

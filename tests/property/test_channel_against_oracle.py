@@ -232,3 +232,32 @@ def test_what_bytes_laid_bare_goes_by_age_if_it_is_old_enough_though_everybody_h
     pair.put(_untimed(40, 8, 8, 500, 40, 0))
     pair.check()
     assert pair.oracle.collected == {"age": 1, "count": 0, "bytes": 1, "consumption": 0}
+
+
+def test_what_is_left_of_a_bucket_goes_by_age_at_once_if_it_ends_sooner_than_what_was_used_up() -> None:
+    """It once was returned by the next read, and went by the one after that. In one story of 20 000."""
+    policy = Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8)
+    pair = ChannelPair(policy, FIRST_CLOCK)
+    pair.put(Offer(times=[100, 100], durations=[HUGE, 7], lengths=[0, 64]))
+    pair.consume(1, [1], 10**6)
+    pair.tick(50)
+    pair.put(_timed(150))
+    pair.consume(2, [1, 2, 3], 3)
+    pair.tick(3)
+    pair.check()
+    assert pair.oracle.collected == {"age": 1, "count": 0, "bytes": 0, "consumption": 1}
+
+
+def test_a_put_that_waits_is_offered_again_when_age_makes_room_though_its_own_item_would_not_go_then() -> None:
+    """It once was told to come back when the last lease ended. In one story of 4 000."""
+    policy = Policy(max_age_nanos=8, max_age_unconsumed_nanos=25, max_items=2, max_future_nanos=8, on_full="block")
+    pair = ChannelPair(policy, FIRST_CLOCK)
+    pair.put(_timed(95, 98))
+    pair.consume(1, [1, 2], 10**6)
+    outcome = pair.core.put(_timed(95), FIRST_CLOCK, lambda *_: b"")
+    assert (outcome.waiting, outcome.retry_at) == (0, 98 + 8)
+    pair.put(_timed(95))
+    pair.tick(6)
+    pair.retry_put(0)
+    assert pair.waiting == []
+    pair.check()

@@ -18,6 +18,9 @@ from tests.property.path_book import SteeredHost
 from tests.property.path_steps import play
 from tests.property.surfaces import Surface, awaited_surface, blocking_surface
 
+# The clients draw the delays of their retries in threads of their own, whatever hypothesis is at.
+pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
+
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "100"))
 SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
 

@@ -52,7 +52,8 @@ class Retention:
             return
         self.consumers.expire(clock)
         self.age_out(clock)
-        self.use_up(clock)
+        while self.use_up(clock) and self.age_out(clock):
+            pass  # a bucket may end sooner without what was used up, and then lays bare what is behind it
 
     def cutoff(self, clock: int) -> int | None:
         """Buckets whose last span ended at or before this instant go, unless a live consumer has yet to consume them;
@@ -67,17 +68,20 @@ class Retention:
         owed = longest is not None and self.consumers is not None and self.consumers.live
         return longest if owed else self.limits.max_age_nanos
 
-    def age_out(self, clock: int) -> None:
-        """Collect the buckets that are past the age: whole ones, never the newest."""
+    def age_out(self, clock: int) -> bool:
+        """Collect the buckets that are past the age: whole ones, never the newest. True if there were any."""
         cutoff = self.cutoff(clock)
         held = self._held
         if cutoff is None or held.oldest is None or held.oldest > cutoff or held.oldest == held.newest:
-            return
+            return False
         bound = self._age_bound(cutoff)
         if bound is not None and self.limits.max_age_unconsumed_nanos is not None:
             bound = self._prolonged(bound, clock - self.limits.max_age_unconsumed_nanos)
-        if bound is not None:
-            held.outdate(held.front_before(bound), AGE, clock)
+        if bound is None:
+            return False
+        front = held.front_before(bound)
+        held.outdate(front, AGE, clock)
+        return front.items > 0
 
     def _age_bound(self, cutoff: int) -> int | None:
         """The time of the first bucket that age leaves. Span ends ascend with the buckets, so one bucket decides."""
@@ -129,8 +133,9 @@ class Retention:
         end = self._lease_end()
         return instant if end is None else min(instant, end)
 
-    def use_up(self, clock: int) -> None:
+    def use_up(self, clock: int) -> bool:
         """Collect the oldest items that all consumers have consumed, a bounded part; `has_more`: there may be others.
+        True if there were any.
 
         Looks at what goes and one slice more, and frees what went, so that it costs the same for each item however many
         go together. With no consumer left to hold anything back all go but the newest bucket: by it the next one finds
@@ -139,13 +144,14 @@ class Retention:
         self.has_more = False
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
-            return
+            return False
         going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest))
         front = held.front(going)
         self.has_more = going.held_back
         if front.items:
             held.outdate(front, CONSUMPTION, clock)
             held.free(SLICES_USED_UP_MAX)
+        return front.items > 0
 
     @property
     def _nobody_holds(self) -> bool:
@@ -209,10 +215,15 @@ class Retention:
         return self.limits.consumers is None and self._held.oldest == self._held.newest == time
 
     def retry_at(self, time: int, own_end: int | None) -> int | None:
-        """When time next makes room, judged as if an item were in at `time`; `own_end` is its end by duration, if any.
+        """When time next makes room for an item at `time`; `own_end` is its end by duration, if any.
 
-        None: only another put, or consumption, can bring that about.
+        Judged as if the item were in, but not later than time takes something without it, which may be sooner if it
+        would belong to the oldest bucket. None: only another put, or consumption, can bring that about.
         """
+        instants = (self._due_as_if_put(time, own_end), self.next_due())
+        return min((one for one in instants if one is not None), default=None)
+
+    def _due_as_if_put(self, time: int, own_end: int | None) -> int | None:
         held, age = self._held, self.age_of_new
         if self._nobody_holds and held.newest is not None and time > held.newest:
             return time
