@@ -5,7 +5,7 @@ Instants and durations are int nanoseconds. A cut is exclusive: items before it 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
@@ -54,10 +54,9 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
 
     def __getitem__(self, channel: Named | str) -> Value:
         for one in self._channels:
-            info = one.info
-            if channel == info.name or (not isinstance(channel, str) and channel.info.channel_id == info.channel_id):
-                return self._values[info.channel_id]
-        raise KeyError(channel if isinstance(channel, str) else channel.info.name)
+            if _names(channel, one):
+                return self._values[one.info.channel_id]
+        raise KeyError(_shown(channel))
 
     def __iter__(self) -> Iterator[Key]:
         return iter(self._channels)
@@ -175,7 +174,12 @@ def parse_group_bound(bound: str) -> str:
 
 def parse_members(channels: Sequence[Key]) -> list[Key]:
     """The channels as they are. Raises InvalidArgument if there are none, too many, or one twice."""
+    if not isinstance(channels, Iterable) or isinstance(channels, str):
+        raise InvalidArgument(f"channels is {channels!r}; give a list of channels, even for one")
     members = list(channels)
+    for member in members:
+        if not hasattr(member, "info"):
+            raise InvalidArgument(f"{member!r} is no channel; give what channel(...) gave, not its name")
     if not 1 <= len(members) <= MEMBERS_MAX:
         raise InvalidArgument(f"a group has 1 to {MEMBERS_MAX} channels, not {len(members)}")
     names = [member.info.name for member in members]
@@ -190,14 +194,28 @@ def parse_reference(reference: Named | str, members: Sequence[Named]) -> bytes |
     if reference == OLDEST_REFERENCE:
         return None
     for member in members:
-        if reference == member.info.name or (
-            not isinstance(reference, str) and reference.info.channel_id == member.info.channel_id
-        ):
+        if _names(reference, member):
             return member.info.channel_id
-    name = reference if isinstance(reference, str) else reference.info.name
-    raise InvalidArgument(f'the reference {name!r} is no member of the group; name one of its channels, or "oldest"')
+    raise InvalidArgument(
+        f'the reference {_shown(reference)!r} is no member of the group; name one of its channels, or "oldest"'
+    )
+
+
+def _names(named: Named | str, channel: Named) -> bool:
+    """It is the channel's name, or a handle or descriptor of it."""
+    if isinstance(named, str):
+        return named == channel.info.name
+    return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id
+
+
+def _shown(named: Named | str) -> object:
+    """What to call it in an error."""
+    return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 
 
 def parse_tolerance(tolerance: DurationLike) -> int:
-    """Nanoseconds, 0 or more."""
-    return parse_duration(tolerance, "tolerance")
+    """Nanoseconds, 0 or more. Raises InvalidArgument."""
+    nanos = parse_duration(tolerance, "tolerance")
+    if nanos < 0:
+        raise InvalidArgument(f"tolerance is {tolerance!r}; it is a distance of times: give 0 or more")
+    return nanos
