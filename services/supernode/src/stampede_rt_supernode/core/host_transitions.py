@@ -81,8 +81,7 @@ def _check_name_is_free(tables: Tables, deed: RegisterHost) -> None:
 def _renew_channels(tables: Tables, deed: RegisterHost) -> None:
     left = tables.channels_at(deed.host_id)
     for channel in left:
-        incarnation = fresh_incarnation(channel, deed.new_incarnation)
-        give_owner(tables, channel, replace(channel, epoch=channel.epoch + 1, incarnation=incarnation))
+        give_owner(tables, channel, channel.begun_anew(fresh_incarnation(channel, deed.new_incarnation)))
     note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=deed.host_id)
 
 

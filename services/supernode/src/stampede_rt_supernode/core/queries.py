@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice
 
 from sortedcontainers import SortedDict
 
@@ -76,4 +75,4 @@ def host_page(tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, i
 
 def channels_of(tables: Tables, host_id: bytes) -> tuple[Channel, ...]:
     """The channels that a host owns, 1000 at most."""
-    return tuple(islice(tables.channels_at(host_id), HOST_CHANNELS_MAX))
+    return tuple(tables.channels_at(host_id, HOST_CHANNELS_MAX))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from heapq import nsmallest
 
 from sortedcontainers import SortedDict
 
@@ -63,9 +64,10 @@ class Tables:
         self.changes.note_index(index)
         self.peers.changes.note_index(index)
 
-    def channels_at(self, host_id: bytes) -> list[Channel]:
-        """The channels that a host owns, in the order of their ids."""
-        return [self.channels[one] for one in sorted(self._channel_ids_at.get(host_id, ()))]
+    def channels_at(self, host_id: bytes, channels_max: int | None = None) -> list[Channel]:
+        """The channels that a host owns, in the order of their ids: all, or the first so many."""
+        ids = self._channel_ids_at.get(host_id, ())
+        return [self.channels[one] for one in (sorted(ids) if channels_max is None else nsmallest(channels_max, ids))]
 
     def channel_named(self, name: str) -> Channel | None:
         """The channel of that name, if there is one."""
@@ -83,17 +85,20 @@ class Tables:
 
     def add_channel(self, channel: Channel) -> None:
         """Its id and name are new, its host is known."""
-        self._link(channel)
+        self.channels[channel.channel_id] = channel
+        self.channel_ids[channel.name] = channel.channel_id
+        self._channel_ids_at[channel.host_id].add(channel.channel_id)
         self._count(channel.host_id, +1)
         self.changes.note(ChangeKind.ADDED, channel)
 
     def replace_channel(self, channel: Channel) -> None:
         """The channel of that id, which keeps its name, is now like this; its host may be another."""
         before = self.channels[channel.channel_id].host_id
+        self.channels[channel.channel_id] = channel
         if before != channel.host_id:
             self._channel_ids_at[before].discard(channel.channel_id)
+            self._channel_ids_at[channel.host_id].add(channel.channel_id)
             self._count(channel.host_id, +1)
-        self._link(channel)
         self.changes.note(ChangeKind.UPDATED, channel)
         if before != channel.host_id:
             self._count(before, -1)
@@ -132,11 +137,6 @@ class Tables:
         """Forget a queue or mailbox that is there."""
         self.queues.remove(queue)
         self._drop_if_done(self.hosts[queue.host_id])
-
-    def _link(self, channel: Channel) -> None:
-        self.channels[channel.channel_id] = channel
-        self.channel_ids[channel.name] = channel.channel_id
-        self._channel_ids_at[channel.host_id].add(channel.channel_id)
 
     def _count(self, host_id: bytes, step: int) -> None:
         host = self.hosts[host_id]

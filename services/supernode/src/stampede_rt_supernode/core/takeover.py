@@ -37,8 +37,9 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, tables.channels[channel_id], host_id)
     inherited: list[bytes] = []
-    for channel in tables.channels_at(host_id):
-        heir = _heir(tables, channel)
+    for channel_id, _ in tables.replicas.entries():  # not all channels of the host: few may have a copy
+        channel = tables.channels[channel_id]
+        heir = _heir(tables, channel) if channel.host_id == host_id else None
         if heir is not None:
             incarnation = (channel.incarnation + 1) % 2**64 or 1  # random at first, and counted on
             after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)

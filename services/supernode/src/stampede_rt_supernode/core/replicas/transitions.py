@@ -166,7 +166,8 @@ def adopted(tables: Tables, before: Channel, after: Channel) -> tuple[Replica, .
 def store(tables: Tables, channel: Channel, replicas: tuple[Replica, ...]) -> None:
     """`channel` is now like this, with these copies; watchers hear of it if its record is another."""
     tables.replicas.store(channel.channel_id, replicas)
-    told = replace(channel, proxy_host_ids=tuple(one.host_id for one in replicas))
+    host_ids = tuple(one.host_id for one in replicas)
+    told = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
     if told != tables.channels[channel.channel_id]:
         tables.replace_channel(told)
 
