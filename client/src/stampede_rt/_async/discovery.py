@@ -59,16 +59,16 @@ class Discovery:
     async def peers(self, name_glob: str = "*", *, include_dead: bool = False) -> list[PeerInfo]:
         """The participants whose names match, see `channels`; in the order of names. Live ones with their clocks."""
         found: list[PeerInfo] = []
-        request = peer_pb.ListPeersRequest(name_glob=name_glob, include_dead=include_dead)
-        async for page in self._pages("ListPeers", request, self._ask_with_clocks):
+        request = peer_pb.ListPeersRequest(name_glob=name_glob, include_dead=include_dead, with_clocks=True)
+        async for page in self._pages("ListPeers", request):
             found += [peer_info(record) for record in page.peers]
         return found
 
     async def peer(self, name: str) -> PeerInfo:
         """The live participant with that name, and its clock. Raises PeerNotFound."""
-        request = peer_pb.ResolvePeerRequest(name=parse_name(name, "peer"))
+        request = peer_pb.ResolvePeerRequest(name=parse_name(name, "peer"), with_clocks=True)
         try:
-            response = await self._ask_with_clocks("ResolvePeer", request)
+            response = await self._ask("ResolvePeer", request)
         except PeerNotFound as error:
             raise peer_not_found(name) from error
         return peer_info(response.peer)
@@ -100,25 +100,23 @@ class Discovery:
             page_request.page_token = page.next_page_token
         return stats
 
-    async def _pages(self, method: str, request: Any, ask: Any = None) -> Any:
+    async def _pages(self, method: str, request: Any) -> Any:
         for _ in range(PAGES_MAX):
-            page = await (ask or self._ask)(method, request)
+            page = await self._ask(method, request)
             yield page
             if not page.next_page_token:
                 return
             request.page_token = page.next_page_token
 
     async def _ask(self, method: str, request: Any) -> Any:
-        return await self._session.supernodes.call(method, request, CALL_TIMEOUT_S)
-
-    async def _ask_with_clocks(self, method: str, request: Any) -> Any:
-        """Ask the leader, who alone knows clocks; if it does not answer, whoever does."""
-        request.with_clocks = True
-        try:
-            return await self._session.supernodes.call_leader(method, request, LEADER_TIMEOUT_S)
-        except (Unavailable, DeadlineExceeded):
-            request.with_clocks = False
-            return await self._ask(method, request)
+        """Ask whoever answers; for clocks the leader, who alone knows them. If it does not answer, there are none."""
+        supernodes = self._session.supernodes
+        if getattr(request, "with_clocks", False):
+            try:
+                return await supernodes.call_leader(method, request, LEADER_TIMEOUT_S)
+            except (Unavailable, DeadlineExceeded):
+                request.with_clocks = False
+        return await supernodes.call(method, request, CALL_TIMEOUT_S)
 
     async def supernodes(self) -> list[SupernodeInfo]:
         """The supernodes, as the nearest one sees them."""

@@ -152,7 +152,7 @@ class Presence:
             boot_incarnation=self._boot_incarnation,
             clock=clock_message(supernodes.clock),
         )
-        sent, began = time.time_ns(), time.monotonic_ns()
+        began, sent = time.monotonic_ns(), time.time_ns()  # in this order, see Supernodes._ping
         response = supernodes.call_leader("RenewPeerLease", request, timeout_s)
         took = time.monotonic_ns() - began
         if response.supernode_id:  # an older one tells no time

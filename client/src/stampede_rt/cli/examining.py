@@ -148,7 +148,7 @@ class Examination:
         port = self._ports.to(part.address)
         method = getattr(getattr(port, part.service), part.method)
         for is_last in (False, True):
-            sent, started = time.time_ns(), time.monotonic_ns()
+            started, sent = time.monotonic_ns(), time.time_ns()  # a pause in between makes the round trip longer
             response = port.call(method, part.request, TIMEOUT_S)
             round_trip = time.monotonic_ns() - started
             # The first one makes the connection, too; one that waits will wait again.

@@ -96,11 +96,14 @@ class LeaseKeeper:
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         self._resign()
+        cluster_id = self._replica.read(lambda directory: directory.cluster_id)
         deed = BeginTenure(
             tenure=status.tenure,
             supernode_id=status.self_id,
             new_cluster_id=self.founding_cluster_id or secrets.token_hex(16),
             new_lease_ttl_nanos=self._founding_ttl_nanos,
+            # Front-ends tell clusters apart by it: they must not take one that comes back for the restored one.
+            founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
         )
         begun = await self._submission.submit(deed, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
@@ -167,8 +170,9 @@ class LeaseKeeper:
         ttl_nanos, tenure = await self._renew(
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
         )
-        told, held = self._clock.time_unix_nano(), self._clock.boottime_nanos() - received
-        return PeerRenewal(ttl_nanos, tenure, told, self._log.status().self_id, held)
+        self_id = self._log.status().self_id
+        held = self._clock.boottime_nanos() - received  # before the time is told: rather too short than too long
+        return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
     def note_clock(self, peer: Peer, clock: ClockOffset | None) -> None:
         """What a peer told with this registration of it: of use if this supernode leads, and the peer still lives."""
