@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from itertools import islice
+from itertools import takewhile
 
 from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Queue
 
@@ -59,17 +59,20 @@ class ChangeRing:
         self.end_index = max(self.end_index, index)
 
     def position_after(self, index: int) -> int | None:
-        """Where the changes after `index` begin, or None if they are not all held. O(changes held)."""
+        """Where the changes after `index` begin, or None if they are not all held. O(changes after it)."""
         if index < self.floor_index:
             return None
-        return self._dropped + sum(1 for change in self._changes if change.index <= index)
+        later = takewhile(lambda change: change.index > index, reversed(self._changes))
+        return self.end_position - sum(1 for _ in later)
 
     def read(self, position: int, changes_max: int) -> ChangePage | None:
         """Up to `changes_max` changes from `position` on, or None if they are not held any more."""
         start = position - self._dropped
         if start < 0:
             return None
-        changes = tuple(islice(self._changes, start, start + changes_max))
+        # By position, which is near at both ends of a deque: nearly all readers are at its end, and islice would walk
+        # there from the beginning for each of them.
+        changes = tuple(self._changes[one] for one in range(start, min(start + changes_max, len(self._changes))))
         following = start + len(changes)
         index = self.end_index
         if following < len(self._changes):
