@@ -107,9 +107,9 @@ def test_nothing_is_left_when_the_cluster_ends() -> None:
 
 def test_a_cluster_that_cannot_start_says_why_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "s1").write_text("a file where the supernode wants its folder")
-    made = LocalCluster(hosts=0, supernodes=1, folder=tmp_path)
+    made = LocalCluster(hosts=1, supernodes=1, folder=tmp_path)
     with pytest.raises(ServiceFailed, match="supernode s1 ended with exit code"):
-        made.start()
+        made.start(timeout=1000)  # the host would wait for it
     assert not any(one.alive for one in made.processes())
 
 

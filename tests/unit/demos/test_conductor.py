@@ -37,6 +37,10 @@ class BrokenCluster:
             "the cluster did not start: supernode s1 ended with exit code 1: no space left on device",
         ),
         (
+            ServiceFailed(f"{STORY}\n      | KeyError: 'a'\n      +------------------"),
+            "the cluster did not start: supernode s1 ended with exit code 1: KeyError: 'a'",
+        ),
+        (
             OSError("no 4 free ports at localhost"),
             "the cluster did not start: no 4 free ports at localhost",
         ),

@@ -99,7 +99,7 @@ class LocalCluster:
             for process in reversed(list(self.processes())):
                 process.start()
             for process in self.processes():
-                process.wait_ready(max(0.0, deadline - time.monotonic()))
+                process.wait_ready(max(0.0, deadline - time.monotonic()), unless=self._has_lost_one)
         except BaseException as error:
             culprit = self._first_dead()
             self.stop()
@@ -142,6 +142,9 @@ class LocalCluster:
     def _first_dead(self) -> ServiceProcess | None:
         """A supernode that died explains a host that is not ready, not the other way round."""
         return next((one for one in reversed(list(self.processes())) if one.ended), None)
+
+    def _has_lost_one(self) -> bool:
+        return self._first_dead() is not None
 
     def _at(self, port: int) -> str:
         return str(Address(self._listen.host, port))

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import IO
@@ -17,6 +18,7 @@ from stampede_rt_local.namespaces import Place
 
 LAST_LINES_MAX = 50
 LINE_CHARS_MAX = 4096
+LOOK_SECONDS = 0.25
 STOP_SECONDS = 6.0  # more than a service's own bound for its drain (2 * 2 s)
 _READY = re.compile(r"stampede \S+(?: \S+)? ready on (\S+)\s*")
 
@@ -93,10 +95,16 @@ class ServiceProcess:
             command = self._place.command(*command)
         self._run = _Run(command, self._hear_line, self._hear_exit)
 
-    def wait_ready(self, timeout: float) -> str:
-        """Wait for the ready line, `timeout` seconds at most, and return the address in it. Raises ServiceFailed."""
+    def wait_ready(self, timeout: float, *, unless: Callable[[], bool] = lambda: False) -> str:
+        """Wait for the ready line, `timeout` seconds at most, and return the address in it.
+
+        Raises ServiceFailed, and soon once `unless` holds, which is looked at now and then.
+        """
         run = self._started()
-        run.ready_or_ended.wait(timeout)
+        deadline = time.monotonic() + timeout
+        while not run.ready_or_ended.wait(min(LOOK_SECONDS, max(0.0, deadline - time.monotonic()))):
+            if unless() or time.monotonic() >= deadline:
+                break
         if run.address is not None:
             return run.address
         if run.popen.poll() is None:
