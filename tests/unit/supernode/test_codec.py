@@ -101,6 +101,7 @@ DEEDS: list[Deed] = [
     deregister(1),
     expire(1, registered_index=9, tenure=3),
     begin_tenure(4),
+    replace(begin_tenure(5), founded_anew=True),
     open_group("pair", (id_of(1), id_of(2)), reference_channel_id=id_of(2), bound="end", max_lead_nanos=0),
     open_group("pair", (id_of(1),), idle_after_nanos=5),
     open_group("pair", None, create=False),

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from stampede_rt_supernode.core import host_transitions
@@ -104,6 +106,14 @@ def test_only_the_same_process_can_deregister_a_host(log: Log) -> None:
     result = log.apply(deregister(1, boot=1))
     assert isinstance(result, Refused)
     assert result.reason == "LEASE_EXPIRED"
+
+
+def test_the_first_leader_names_the_cluster_for_good_and_one_that_restored_it_names_it_anew(log: Log) -> None:
+    first = log.directory.cluster_id
+    log.apply(begin_tenure(8))
+    assert log.directory.cluster_id == first
+    log.apply(replace(begin_tenure(9), founded_anew=True))
+    assert log.directory.cluster_id == "c9"
 
 
 def test_an_expiry_counts_only_for_its_boot_registration_and_tenure(log: Log) -> None:

@@ -130,16 +130,18 @@ class ExpireHostCommand(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
 
 class BeginTenureCommand(_message.Message):
-    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos")
+    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos", "founded_anew")
     TENURE_FIELD_NUMBER: _ClassVar[int]
     SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
+    FOUNDED_ANEW_FIELD_NUMBER: _ClassVar[int]
     tenure: int
     supernode_id: str
     new_cluster_id: str
     new_lease_ttl_nanos: int
-    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ...) -> None: ...
+    founded_anew: bool
+    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ...) -> None: ...
 
 class OpenGroupCommand(_message.Message):
     __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation", "as_of_index")

@@ -172,6 +172,7 @@ def _tenure_message(deed: BeginTenure) -> pb.BeginTenureCommand:
         supernode_id=deed.supernode_id,
         new_cluster_id=deed.new_cluster_id,
         new_lease_ttl_nanos=deed.new_lease_ttl_nanos,
+        founded_anew=deed.founded_anew,
     )
 
 
@@ -256,6 +257,7 @@ def _read_tenure(message: pb.BeginTenureCommand) -> BeginTenure:
         supernode_id=message.supernode_id,
         new_cluster_id=message.new_cluster_id,
         new_lease_ttl_nanos=message.new_lease_ttl_nanos,
+        founded_anew=message.founded_anew,
     )
 
 

@@ -112,12 +112,16 @@ class ExpireHost:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginTenure:
-    """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL."""
+    """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
+
+    `founded_anew`: by restoring, so that the id is to replace that of the former cluster.
+    """
 
     tenure: int
     supernode_id: str
     new_cluster_id: str
     new_lease_ttl_nanos: int
+    founded_anew: bool = False
 
 
 ChannelDeed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel

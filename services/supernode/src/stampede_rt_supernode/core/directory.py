@@ -216,6 +216,7 @@ class Directory:
     def _begin_tenure(self, deed: BeginTenure) -> TenureBegun:
         """A leader's first entry; one of a leader that was already replaced is without effect."""
         self.tenure = max(self.tenure, deed.tenure)
-        self.cluster_id = self.cluster_id or deed.new_cluster_id
+        if deed.founded_anew or not self.cluster_id:
+            self.cluster_id = deed.new_cluster_id
         self.lease_ttl_nanos = self.lease_ttl_nanos or deed.new_lease_ttl_nanos
         return TenureBegun(tenure=self.tenure, cluster_id=self.cluster_id)

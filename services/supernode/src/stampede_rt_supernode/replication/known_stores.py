@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import threading
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,12 +22,16 @@ ID_BYTES = 8
 
 
 class KnownStores:
-    """What one member remembers, in `data_dir`; nothing, and no id of its own, for one that keeps nothing."""
+    """What one member remembers, in `data_dir`; nothing, and no id of its own, for one that keeps nothing.
+
+    From any thread.
+    """
 
     def __init__(self, own: str = "", known: Mapping[str, str] | None = None, place: Path | None = None) -> None:
         self.own = own
         self._known = dict(known or {})
         self._place = place
+        self._mutex = threading.Lock()  # two members may come at once, and the file must hold both
 
     @classmethod
     def open(cls, data_dir: Path | None, *, had_store: bool) -> KnownStores:
@@ -47,12 +52,13 @@ class KnownStores:
 
     def note(self, member_id: str, store_id: str) -> None:
         """Remember an admitted member's store for good; blocks at the first time. Raises OSError."""
-        if self._place is None or not store_id or member_id in self._known:
-            return
-        self._known[member_id] = store_id
-        for oldest in list(self._known)[:-KNOWN_MAX]:
-            del self._known[oldest]
-        self._write()
+        with self._mutex:
+            if self._place is None or not store_id or member_id in self._known:
+                return
+            self._known[member_id] = store_id
+            for oldest in list(self._known)[:-KNOWN_MAX]:
+                del self._known[oldest]
+            self._write()
 
     def _write(self) -> None:
         """Write the file, whole or not at all."""
