@@ -123,7 +123,7 @@ class Channel(Reader):
         def status_at(binding: Binding) -> ChannelStats:
             port = self._session.ports.to(binding.target)
             request = channel_pb.GetChannelStatusRequest(channel_id=binding.channel_id, epoch=binding.epoch)
-            sent, sent_s = time_ns(), monotonic_s()
+            sent_s, sent = monotonic_s(), time_ns()
             response = port.call(port.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
             return channel_stats(response.status, clock_offset_nanos=response.status.host_time_unix_nano - asked_at)
