@@ -18,15 +18,14 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.sweep import sweep_forever
 from stampede_rt_channel_host.cluster.directory import Directory
+from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
-from stampede_rt_channel_host.cluster.queue_watch import watch_queues_forever
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.group_servicer import GroupServicer
-from stampede_rt_channel_host.groups.group_watch import watch_groups_forever
 from stampede_rt_channel_host.groups.reading import GroupReads
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.queues.dead_letters import DeadLetterMover
@@ -118,9 +117,11 @@ class ChannelHost:
         self._start(self._registration.keep(), "lease")
         self._start(sweep_forever(self.store), "sweep")
         self._start(self.groups.keep(), "groups")
-        self._start(watch_groups_forever(self._supernodes, self.groups), "group watch")
+        of_groups = directory_service_pb2.WatchRequest(include_groups=True)
+        self._start(watch_forever(self._supernodes, of_groups, self.groups), "group watch")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
-        self._start(watch_queues_forever(self._supernodes, self.queues), "queue watch")
+        of_queues = directory_service_pb2.WatchRequest(include_queues=True)
+        self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
     async def leave(self) -> None:
         """Deregister, then tell whoever waits and all streams that the host goes. Ends an `enter` under way."""

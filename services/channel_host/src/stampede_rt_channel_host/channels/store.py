@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
@@ -14,6 +13,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.core.channel import Limits
@@ -48,7 +48,7 @@ class ChannelStore:
         self._clock = clock
         self._time = HostTime(clock.boottime_nanos(), clock.time_unix_nano())
         self._channels: dict[bytes, HostedChannel] = {}
-        self._asking: dict[bytes, asyncio.Lock] = {}
+        self._asking = Asking()
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
         self._registrations = 0
@@ -79,14 +79,9 @@ class ChannelStore:
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), ChannelNotFound, Overloaded, Unavailable.
         """
         if not self._knows(channel_id, epoch, spec_version):
-            lock = self._asking.setdefault(channel_id, asyncio.Lock())
-            try:
-                async with lock:  # of many callers at once one asks
-                    if not self._knows(channel_id, epoch, spec_version):
-                        await self._ask(channel_id)
-            finally:
-                if not lock.locked():
-                    self._asking.pop(channel_id, None)
+            async with self._asking.about(channel_id):
+                if not self._knows(channel_id, epoch, spec_version):
+                    await self._ask(channel_id)
         return self.find(channel_id, epoch)
 
     async def drop(self, channel_id: bytes, epoch: int, request_id: bytes) -> None:

@@ -12,6 +12,7 @@ from stampede_rt.v1 import directory_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.groups.exchange import Exchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
@@ -31,7 +32,7 @@ IN_USE_SECONDS = 60.0
 
 
 class GroupStore:
-    """Every request that names a group comes through `find`. A `WatchedGroups`."""
+    """Every request that names a group comes through `find`. Is `Watched`."""
 
     def __init__(
         self,
@@ -48,7 +49,7 @@ class GroupStore:
         self.exchange = Exchange(
             identity, channels, self._table, dial, cluster_id, on_stale=self._stale, on_asked=self._learn_of
         )
-        self._asking: dict[bytes, asyncio.Lock] = {}
+        self._asking = Asking()
         self._questions = Questions()
         self._to_learn: set[bytes] = set()  # channels that others ask for, and that no group known here has
         self.in_use = asyncio.Event()
@@ -115,13 +116,13 @@ class GroupStore:
 
     # What the directory, and other hosts, tell by themselves.
 
-    def missed(self) -> None:
-        """See `WatchedGroups`: they are looked up in the next round."""
+    async def missed(self) -> None:
+        """See `Watched`: they are looked up in the next round."""
         for group in self._table.groups.values():
             group.is_stale = True
 
     def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
-        """See `WatchedGroups`."""
+        """See `Watched`."""
         if change.HasField("group") and change.group.group_id in self._table.groups:
             self._stale(change.group.group_id)
         elif change.HasField("channel"):
@@ -178,14 +179,9 @@ class GroupStore:
             logger.debug("cannot look up a group", extra={"group": group_id.hex(), "why": str(error)})
 
     async def _look_up(self, group_id: bytes, *, only_new: bool) -> None:
-        lock = self._asking.setdefault(group_id, asyncio.Lock())
-        try:
-            async with lock:  # of many callers at once one asks
-                if not only_new or group_id not in self._table.groups:
-                    await self._ask(group_id)
-        finally:
-            if not lock.locked():
-                self._asking.pop(group_id, None)
+        async with self._asking.about(group_id):
+            if not only_new or group_id not in self._table.groups:
+                await self._ask(group_id)
 
     async def _ask(self, group_id: bytes) -> None:
         known = self._table.groups.get(group_id)

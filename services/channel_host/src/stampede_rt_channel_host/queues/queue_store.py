@@ -8,8 +8,9 @@ import logging
 from collections.abc import Callable, Iterable
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
-from stampede_rt.v1 import queue_pb2
+from stampede_rt.v1 import directory_pb2, queue_pb2
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.queues import refusals
@@ -23,7 +24,8 @@ QUESTIONS_MAX = 3  # each next one is asked because the host registered while th
 
 
 class QueueStore:
-    """A stream begins with `use`, which may ask the directory; every later request on it goes through `find`.
+    """A stream begins with `use`, which may ask the directory; every later request on it goes through `find`. Is
+    `Watched`.
 
     `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `on_departures` hears of
     queues with items for their dead-letter queue.
@@ -46,7 +48,7 @@ class QueueStore:
         self._lease_held = lease_held
         self._on_departures = on_departures
         self._queues: dict[bytes, HostedQueue] = {}
-        self._asking: dict[bytes, asyncio.Lock] = {}
+        self._asking = Asking()
         self._closing: StampedeError | None = None
         self._registrations = 0
         self.in_use = asyncio.Event()  # set once a queue is used here
@@ -68,14 +70,9 @@ class QueueStore:
         """
         self._check_lease()
         if not self._knows(queue_id, epoch):
-            lock = self._asking.setdefault(queue_id, asyncio.Lock())
-            try:
-                async with lock:  # of many callers at once one asks
-                    if not self._knows(queue_id, epoch):
-                        await self._ask(queue_id)
-            finally:
-                if not lock.locked():
-                    self._asking.pop(queue_id, None)
+            async with self._asking.about(queue_id):
+                if not self._knows(queue_id, epoch):
+                    await self._ask(queue_id)
         held = self._queues.get(queue_id)
         return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
 
@@ -108,12 +105,18 @@ class QueueStore:
         elif record.epoch > hosted.record.epoch:
             self._forget(record.queue_id, refusals.moved(record))
 
-    async def check(self, queue_id: bytes) -> None:
-        """Ask the directory about a queue that is held here, whose changes may have been missed. Raises Unavailable."""
-        try:
-            await self._ask(queue_id)
-        except (QueueNotFound, StaleBinding) as error:
-            logger.info("queue is not here any more", extra={"queue": queue_id.hex(), "why": str(error)})
+    async def missed(self) -> None:
+        """See `Watched`: ask about every queue that is held here."""
+        for queue_id in list(self._queues):
+            try:
+                await self._ask(queue_id)
+            except (QueueNotFound, StaleBinding) as error:
+                logger.info("queue is not here any more", extra={"queue": queue_id.hex(), "why": str(error)})
+
+    def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
+        """See `Watched`."""
+        if change.HasField("queue"):
+            self.changed(change.queue, removed=change.kind == directory_pb2.CHANGE_KIND_REMOVED)
 
     def fence(self) -> None:
         """The lease ran out: takers and producers must look for their queues elsewhere."""
@@ -131,10 +134,6 @@ class QueueStore:
     def all(self) -> list[HostedQueue]:
         """All queues that were used here."""
         return list(self._queues.values())
-
-    def ids(self) -> list[bytes]:
-        """The ids of all queues that were used here."""
-        return list(self._queues)
 
     def holds(self, hosted: HostedQueue) -> bool:
         """The queue is this host's, and the host may serve."""

@@ -1,4 +1,4 @@
-"""Hears from the directory what becomes of the groups that are read here: their members, their ends, new owners."""
+"""Hears from the directory what becomes of the groups or queues that are used here: set-ups, ends, new owners."""
 
 from __future__ import annotations
 
@@ -19,40 +19,43 @@ SILENCE_SECONDS_MAX = 15.0  # signs of life come every 5 s
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.2, 5.0
 
 
-class WatchedGroups(Protocol):
-    """The groups of a host, as the watch knows them."""
+class Watched(Protocol):
+    """The groups, or the queues, of a host."""
 
     in_use: asyncio.Event
+    """Set once one is used here."""
 
-    def missed(self) -> None:
-        """Changes may have been missed: look all groups up."""
+    async def missed(self) -> None:
+        """Changes may have been missed: the directory is to be asked. Raises Unavailable."""
 
     def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
         """The directory tells of a change, be it of no concern here."""
 
 
-async def watch_groups_forever(supernodes: Supernodes, groups: WatchedGroups) -> NoReturn:
-    """Begins when a group is used here for the first time; begins anew whenever the watch breaks."""
-    await groups.in_use.wait()
+async def watch_forever(
+    supernodes: Supernodes, request: directory_service_pb2.WatchRequest, watched: Watched
+) -> NoReturn:
+    """Begins when something is used here for the first time; begins anew whenever the watch breaks."""
+    await watched.in_use.wait()
     pause_s = _PAUSE_SECONDS_MIN
     while True:  # paced
         try:
-            await _watch(supernodes, groups)
+            async with contextlib.aclosing(supernodes.stream("Watch", request)) as responses:
+                await _next(responses)
+                pause_s = _PAUSE_SECONDS_MIN
+                await _pass_on(responses, watched)
         except StampedeError as error:
-            logger.info("the watch of groups broke", extra={"why": str(error)})
+            logger.info("a watch of the directory broke", extra={"why": str(error)})
         await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
         pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
 
-async def _watch(supernodes: Supernodes, groups: WatchedGroups) -> None:
-    """Until the stream ends."""
-    request = directory_service_pb2.WatchRequest(include_groups=True)
-    async with contextlib.aclosing(supernodes.stream("Watch", request)) as responses:
-        await _next(responses)
-        groups.missed()
-        while True:  # ends with the stream
-            for change in (await _next(responses)).changes:
-                groups.changed_in_directory(change)
+async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: Watched) -> NoReturn:
+    """Until the stream ends. What changed before it began is asked for."""
+    await watched.missed()
+    while True:  # ends with the stream
+        for change in (await _next(responses)).changes:
+            watched.changed_in_directory(change)
 
 
 async def _next(

@@ -1,0 +1,28 @@
+"""Of many callers that want to know the same of the directory at once, one asks."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+
+class Asking:
+    """Keeps nothing but what somebody asks about, or waits for, at this moment."""
+
+    def __init__(self) -> None:
+        self._locks: dict[bytes, asyncio.Lock] = {}
+        self._callers: dict[bytes, int] = {}
+
+    @asynccontextmanager
+    async def about(self, thing: bytes) -> AsyncIterator[None]:
+        """Inside, nobody else asks about the thing: look first whether it is known by now."""
+        lock = self._locks.setdefault(thing, asyncio.Lock())
+        self._callers[thing] = self._callers.get(thing, 0) + 1
+        try:
+            async with lock:
+                yield
+        finally:
+            self._callers[thing] -= 1
+            if not self._callers[thing]:
+                del self._locks[thing], self._callers[thing]
