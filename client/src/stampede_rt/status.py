@@ -6,6 +6,7 @@ distribution of their own, which the base client does not need.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any, NoReturn
 
@@ -17,6 +18,9 @@ DOMAIN = "stampede-rt"
 DETAILS_KEY = "grpc-status-details-bin"
 _ERROR_INFO_URL = "type.googleapis.com/google.rpc.ErrorInfo"
 _PREFIX = "ERROR_REASON_"
+_GRPC_PREAMBLE = re.compile(
+    r"^failed to connect to all addresses; last error: [A-Z]+: [^ ]+: (Failed to connect to remote host: )?"
+)
 
 _CODES: dict[str, grpc.StatusCode] = {
     "INVALID_ARGUMENT": grpc.StatusCode.INVALID_ARGUMENT,
@@ -118,9 +122,14 @@ def _from_status(encoded: bytes) -> StampedeError | None:
     return None
 
 
+def _brief(details: str) -> str:
+    """What gRPC says, without how it came to say it, so that what matters is seen."""
+    return _GRPC_PREAMBLE.sub("", details)
+
+
 def _from_code(error: grpc.RpcError, peer: str) -> StampedeError:
     code = error.code() if hasattr(error, "code") else grpc.StatusCode.UNKNOWN
-    details = (error.details() if hasattr(error, "details") else None) or "no details"
+    details = _brief((error.details() if hasattr(error, "details") else None) or "no details")
     if code is grpc.StatusCode.UNAVAILABLE:
         return Unavailable(f"{peer} cannot be reached ({details}); is it running, and is the address right?")
     if code is grpc.StatusCode.DEADLINE_EXCEEDED:

@@ -67,7 +67,9 @@ def test_the_commands_make_files_that_work_together(tmp_path: Path, capsys: pyte
         assert stat.S_IMODE(secret.stat().st_mode) == 0o600
     tls = load_tls(TlsFiles(ca=ca, certificate=certificate, key=key), Role.SUPERNODE)
     assert tls.identity == Identity("lab", Role.SUPERNODE, "s1")
-    capsys.readouterr()
+    told = capsys.readouterr().out
+    assert f"stampede certs issue --dir {folder} --name NAME" in told
+    assert f"stampede supernode --id s1 --tls-ca {ca} --tls-certificate {certificate} --tls-key {key}" in told
     assert stampede(["certs", "show", str(certificate), str(ca)]) == 0
     told = capsys.readouterr().out
     assert "supernode s1 of cluster lab, called at s1, 10.0.0.1; valid until" in told
@@ -89,7 +91,9 @@ def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: py
         (["issue", "--name", "N", "--role", "client"], 2, "the name is 'N'"),
         (["init", "x", "--cluster", "A B"], 2, "the cluster's name is 'A B'"),
         (["init", "x", "--days", "0"], 2, "allowed: 1 to 36500"),
-        (["issue", "--dir", "nowhere", "--name", "n", "--role", "client"], 1, "nowhere/ca.pem cannot be used"),
+        (["issue", "--dir", "nowhere", "--name", "n", "--role", "client"], 1, "no authority in nowhere; make one with"),
+        (["issue", "--dir", "certs", "--name", "n", "--role", "host", "--address", "h.lab:7"], 1, "without a port"),
+        (["issue", "--dir", "certs", "--name", "n", "--role", "host", "--address", "a b"], 1, "is no name or IP"),
         (["show", "ca.key"], 1, "holds no certificate"),
     ],
 )

@@ -116,7 +116,7 @@ class Roster:
 
     def failures(self) -> Sequence[str]:
         """For people: who failed last time, and why."""
-        return [f"{target}: {why}" for target, why in self._failures.items()]
+        return [why if target in why else f"{target}: {why}" for target, why in self._failures.items()]
 
     def _same_cluster(self, answer: Answer) -> bool:
         if not answer.cluster_id or answer.cluster_id == self.cluster_id:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import re
 import secrets
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -20,6 +21,7 @@ from stampede_rt_runtime.identity import SERVICES, Identity, identity_among
 
 BACKDATED = timedelta(minutes=5)  # clocks of two machines seldom agree to the second
 _COMMON_NAME_CHARS_MAX = 64
+_HOST_NAME = re.compile(r"(?=.{1,253}$)[a-z0-9_-]{1,63}(\.[a-z0-9_-]{1,63})*", re.IGNORECASE)
 
 
 class CertificateError(Exception):
@@ -101,7 +103,7 @@ def describe(pem: bytes) -> list[Described]:
     try:
         return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
     except ValueError as error:
-        raise CertificateError(f"it holds no certificate in PEM form ({error})") from error
+        raise CertificateError("it holds no certificate in PEM form; name a .pem file") from error
 
 
 def cluster_of(authority: bytes) -> str:
@@ -109,7 +111,7 @@ def cluster_of(authority: bytes) -> str:
     try:
         certificate = x509.load_pem_x509_certificate(authority)
     except ValueError as error:
-        raise CertificateError(f"it holds no certificate in PEM form ({error})") from error
+        raise CertificateError("the authority's ca.pem holds no certificate in PEM form") from error
     found = certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
     if not found:
         raise CertificateError(f"{_readable(certificate.subject)!r} is no authority that `stampede certs init` made")
@@ -164,10 +166,11 @@ def _general_name(address: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(address.strip("[]")))
     except ValueError:
         pass  # then it is a name
-    try:
-        return x509.DNSName(address)
-    except ValueError as error:
-        raise CertificateError(f"{address!r} is no name or IP address of a machine ({error})") from error
+    if not _HOST_NAME.fullmatch(address):
+        raise CertificateError(
+            f"{address!r} is no name or IP address of a machine; allowed: such as s1.lab or 10.0.0.11, without a port"
+        )
+    return x509.DNSName(address)
 
 
 def _name(common: str, cluster: str) -> x509.Name:

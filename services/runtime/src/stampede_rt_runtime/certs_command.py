@@ -96,11 +96,18 @@ def _init(arguments: argparse.Namespace) -> list[str]:
     return [
         f"{folder / 'ca.pem'}: the authority of cluster {arguments.cluster}; every part of the cluster needs this file",
         f"{folder / 'ca.key'}: its private key; whoever has it can enter the cluster; keep it elsewhere",
+        "",
+        f"Next, a certificate for each part: stampede certs issue{_from(folder)} --name NAME --role ROLE",
+        f"(ROLE: {', '.join(Role)}; an operator adds and removes supernodes)",
     ]
 
 
 def _issue(arguments: argparse.Namespace) -> list[str]:
     folder: Path = arguments.dir
+    if not (folder / "ca.pem").exists() and not (folder / "ca.key").exists():
+        raise CertificateError(
+            f"there is no authority in {folder}; make one with `stampede certs init`, or name its folder with --dir"
+        )
     authority = Issued((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
     identity = Identity(cluster_of(authority.certificate), Role(arguments.role), arguments.name)
     addresses = tuple(arguments.address) or (_own_addresses() if identity.role in SERVICES else ())
@@ -111,7 +118,28 @@ def _issue(arguments: argparse.Namespace) -> list[str]:
     certificate, key = write_pair(made, out, f"{identity.role}-{identity.name.replace('/', '-')}")
     reached = f", called at {', '.join(addresses)}" if addresses else ""
     end = describe(made.certificate)[0].not_after
-    return [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d}", f"{key}: its private key"]
+    told = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d}", f"{key}: its private key"]
+    return [*told, "", *_how_to_use(identity, folder / "ca.pem", certificate, key)]
+
+
+def _from(folder: Path) -> str:
+    return "" if folder == DEFAULT_FOLDER else f" --dir {folder}"
+
+
+def _how_to_use(identity: Identity, ca: Path, certificate: Path, key: Path) -> list[str]:
+    if identity.role not in SERVICES:
+        names = f"STAMPEDE_TLS_CA={ca} STAMPEDE_TLS_CERTIFICATE={certificate} STAMPEDE_TLS_KEY={key}"
+        return [f"To use it: export {names}"]
+    flag = {Role.SUPERNODE: "--id", Role.HOST: "--name"}.get(identity.role)
+    named = f" {flag} {identity.name}" if flag else ""
+    files = f"--tls-ca {ca} --tls-certificate {certificate} --tls-key {key}"
+    use = [f"To use it: stampede {identity.role}{named} {files} ..."]
+    if identity.role is Role.SUPERNODE:
+        use.append(
+            "The first one founds the cluster (stampede supernode init), and an operator lets in the others "
+            "(stampede supernode add)."
+        )
+    return use
 
 
 def _own_addresses() -> tuple[str, ...]:
