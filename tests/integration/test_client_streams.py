@@ -64,6 +64,18 @@ async def test_closing_the_connection_ends_a_task_that_reads_with_an_error_and_n
         await asyncio.wait_for(reader, LIMIT_S)
 
 
+async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: LocalCluster) -> None:
+    """Those beyond 1024 were refused, tried again and again, and some failed in the end."""
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/crowd", max_age="60s")
+        await channel.newest()
+        gets = [asyncio.ensure_future(channel.newest(timeout=60)) for _ in range(2100)]
+        while (await channel.stats()).waiting_gets < len(gets):
+            assert not any(get.done() for get in gets)
+        item = await channel.put(b"for all")
+        assert {got.seq for got in await asyncio.gather(*gets) if got} == {item.seq}
+
+
 def test_after_close_nothing_of_a_connection_works_any_more(cluster: LocalCluster) -> None:
     rt = st.connect(cluster.address)
     channel = rt.channel("client/after-close")

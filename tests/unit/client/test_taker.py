@@ -142,6 +142,20 @@ async def test_as_much_is_asked_for_as_is_waited_for() -> None:
     assert host.attached == []
 
 
+async def test_those_for_whom_nothing_could_be_asked_yet_are_served_when_others_were() -> None:
+    """Nobody asked for the 1025th who waited, and it waited for ever beside messages that were there."""
+    host = Host()
+    taker = taker_at(host)
+    gets = [asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(1026)]
+    stream = await host.next_stream()
+    assert stream.credit == 1024
+    stream.deliver(*range(1, 1025))
+    await until_said(stream, lambda request: request.credit == 2)
+    stream.deliver(1025, 1026)
+    assert [await seq_of(get) for get in gets] == list(range(1, 1027))
+    await taker.end()
+
+
 async def test_what_comes_while_a_wait_that_is_over_is_drained_is_still_its_own() -> None:
     host = Host()
     taker = taker_at(host)

@@ -238,6 +238,8 @@ class Taker:
             stream.cancel()  # its credit is void; whoever still waits is served by the next one
         if unwanted:
             self._give_back(unwanted)
+        if not response.drained and len(self._waiting) > self._credit:
+            self._ask()  # more wait than may be asked for at once
 
     def _hand_over(self, message: Message) -> bool:
         with self._mutex:

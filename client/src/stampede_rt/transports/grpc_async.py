@@ -23,6 +23,7 @@ from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 
+CALLS_MAX = 1000  # of gets on one stream; hosts take 1024, and cancelled ones count until they have heard of it
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
 
@@ -48,7 +49,7 @@ class Port(Stubs):
         self._enqueue: Callable[..., Any] = self._channel.stream_stream(
             ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
         )
-        self._gets: GetExchange | None = None
+        self._gets: list[GetExchange] = []
 
     def stub(self, make: Callable[[grpc.aio.Channel], Stub]) -> Stub:
         """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
@@ -76,10 +77,14 @@ class Port(Stubs):
         return Conversation(method(metadata=self.metadata), self.target)
 
     def gets(self) -> GetExchange:
-        """The open stream for gets."""
-        if self._gets is None or self._gets.broken:
-            self._gets = GetExchange(self.channels.Get(metadata=self.metadata), self.target)
-        return self._gets
+        """An open stream for gets that takes one more: the first one has room for all but very many."""
+        for exchange in self._gets:
+            if exchange.takes_more:
+                return exchange
+        self._gets = [exchange for exchange in self._gets if not exchange.broken]
+        exchange = GetExchange(self.channels.Get(metadata=self.metadata), self.target)
+        self._gets.append(exchange)
+        return exchange
 
     def puts(self) -> PutExchange:
         """A new stream for puts, which its caller closes."""
@@ -230,13 +235,18 @@ async def _within(future: asyncio.Future[Response], timeout_s: float | None, tar
 
 
 class GetExchange(_Exchange):
-    """Gets on one open stream: many may be under way, told apart by their call ids."""
+    """Gets on one open stream: CALLS_MAX may be under way, told apart by their call ids."""
 
     def __init__(self, call: Any, target: str) -> None:
         self._waiting: dict[int, tuple[asyncio.Future[list[channel_pb.GetResponse]], list[channel_pb.GetResponse]]] = {}
         self._next_id = 0
         self._farewell: asyncio.Task[None] | None = None  # held, so that it is not collected before it is done
         super().__init__(call, target)
+
+    @property
+    def takes_more(self) -> bool:
+        """It is open, and the host takes another call on it."""
+        return not self.broken and len(self._waiting) < CALLS_MAX
 
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
         """All responses to `request`, which gets a call id here. Cancelling the task cancels the call at the host."""
