@@ -98,10 +98,7 @@ class OracleBoard:
         self._enter(channel_id, owner.said, owner.silent_since, clock)
 
     def _enter(self, channel_id: bytes, told: Told, silent_since: int, known_until: int | None) -> None:
-        """Words of a former owner are void."""
         heard = self.heard.setdefault(channel_id, OracleHeard(told, silent_since, known_until))
-        if told.epoch < heard.said.epoch:
-            return
         heard.silent_since, heard.known_until = silent_since, known_until
         if told not in heard.told:
             heard.told.append(told)

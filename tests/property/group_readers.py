@@ -59,6 +59,7 @@ class Events:
     decider: EventDecider
     followers: dict[bytes, Follower]
     decided: int | None
+    max_wait: int
     pending: list[tuple[int, int]] = field(default_factory=list)  # cuts that are not decided yet, and since when
 
 
@@ -283,7 +284,7 @@ class Readers:
 
     def subscribe_cuts(self, group: int, host: int, max_wait: int) -> None:
         cut = self.world.hosts[host].cuts[group].cut
-        made = Events(group, host, EventDecider(cut, max_wait), {}, cut)
+        made = Events(group, host, EventDecider(cut, max_wait), {}, cut, max_wait)
         for channel_id in self.world.definitions[group].members:
             made.followers[channel_id] = self._follower(channel_id, cut)
         self.events.append(made)
@@ -303,20 +304,20 @@ class Readers:
                 one.pending.append((cut, self.world.clock))
             one.decider.note(cut, self.world.clock)
 
-    def take_events(self, max_wait: int, limit_bytes: int) -> None:
+    def take_events(self, limit_bytes: int) -> None:
         """An event is due when every member is as far, or the wait is over."""
         for one in self.events:
             host, clock = self.world.hosts[one.decider_host], self.world.clock
             boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)
             due = []
             for cut, since in one.pending:
-                is_due, behind = host.oracles[one.group].due(cut, since, max_wait, clock)
+                is_due, behind = host.oracles[one.group].due(cut, since, one.max_wait, clock)
                 if not is_due:
                     break
                 due.append((cut, behind))
             assert boundary == (Boundary(*due[-1]) if due else None)
             one.pending = one.pending[len(due) :]
-            assert one.decider.wake_at() == (one.pending[0][1] + max_wait if one.pending else None)
+            assert one.decider.wake_at() == (one.pending[0][1] + one.max_wait if one.pending else None)
             if boundary is not None:
                 one.decided = boundary.cut
                 self._take_parts(one, boundary.cut, limit_bytes)
@@ -416,7 +417,7 @@ class Readers:
         self.matches = [] if channel_ids else self.matches
         for events in self.events:
             if events.decider_host == host:
-                decider = EventDecider(events.decided, events.decider._max_wait_nanos)
+                decider = EventDecider(events.decided, events.max_wait)
                 events.decider_host, events.decider, events.pending = heir, decider, []
             for channel_id in set(channel_ids) & events.followers.keys():
                 cursor, pair = events.followers[channel_id].cursor, self.world.pair(channel_id)

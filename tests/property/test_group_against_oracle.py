@@ -36,7 +36,6 @@ from tests.property.test_channel_against_oracle import (
 )
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "400"))
-MAX_WAIT = 6
 
 POLICIES = (
     Policy(max_age_nanos=200, max_future_nanos=8),
@@ -148,11 +147,11 @@ def deliver(dice: Dice, story: Story) -> None:
 
 def subscribe_cuts(dice: Dice, story: Story) -> None:
     if len(story.readers.events) < 2:
-        story.readers.subscribe_cuts(story.a_group(dice), dice.pick(story.world.up), MAX_WAIT)
+        story.readers.subscribe_cuts(story.a_group(dice), dice.pick(story.world.up), dice.pick((6, 0, 15)))
 
 
 def take_events(dice: Dice, story: Story) -> None:
-    story.readers.take_events(MAX_WAIT, dice.pick((10**6, 1, 150)))
+    story.readers.take_events(dice.pick((10**6, 1, 150)))
 
 
 def match(dice: Dice, story: Story) -> None:
@@ -246,7 +245,7 @@ def _play_steps(story: Story, numbers: list[int]) -> None:
         readers.note()
         readers.poll_all()
     readers.deliver(10**6)
-    readers.take_events(MAX_WAIT, 10**6)
+    readers.take_events(10**6)
     readers.take_matches()
     world.agree()
     world.check()

@@ -62,6 +62,17 @@ def test_the_end_of_the_newest_item_may_be_the_cut_but_not_further_than_max_lead
     assert defined(definition, a=at(100))[0].cut == 100
 
 
+def test_an_advance_beyond_the_newest_item_is_the_cut_and_an_earlier_one_is_not() -> None:
+    for by_end in (False, True):
+        definition = GroupDefinition(members=frozenset((A,)), by_end=by_end)
+        assert defined(definition, a=ChannelTimes(1, 7, 100, advance=120))[0].cut == 120
+        assert defined(definition, a=ChannelTimes(1, 7, 100, advance=80))[0].cut == 100
+
+
+def test_by_start_a_duration_moves_no_cut() -> None:
+    assert defined(GroupDefinition(members=frozenset((A,))), a=at(100, end=103))[0].cut == 100
+
+
 def test_the_cut_never_moves_back() -> None:
     definition = GroupDefinition(members=frozenset((A,)), by_end=True)
     cut, board = defined(definition, a=at(100, end=150))
@@ -133,6 +144,7 @@ def test_what_another_host_has_shown_counts_and_nothing_is_shown_before_that_is_
     assert cut.cut is None
     assert cut.merge_floor(300)
     assert not cut.merge_floor(200)
+    assert cut.cut is None
     cut.settle()
     assert cut.cut == 300
 
@@ -178,13 +190,11 @@ def test_a_host_that_goes_on_as_owner_without_being_it_neither_counts_nor_stops_
 
 
 def test_a_channel_that_began_anew_holds_the_cut_until_it_is_past_it() -> None:
-    cut, board = group(a=at(100), b=at(70))
-    board.hear(B, at(90), 0, 0)
-    cut.refresh(0)
+    cut, board = group(a=at(90), b=at(100))
     board.hear(B, at(20, epoch=2, incarnation=8), 0, 0)  # its host was lost
-    board.hear(A, at(150), 0, 0)
+    board.hear(A, at(95), 0, 0)
     assert not cut.refresh(0)
     assert (cut.cut, cut.waiting_on(0)) == (90, [B])
-    board.hear(B, at(95, epoch=2, incarnation=8), 0, 0)
+    board.hear(B, at(97, epoch=2, incarnation=8), 0, 0)
     cut.refresh(0)
     assert cut.cut == 95

@@ -172,3 +172,14 @@ def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is
     loss = follower.take(NOW, 10**6).loss
     assert loss is not None
     assert (loss.before, loss.is_exact, loss.last_seq) == (31, False, 5)
+
+
+def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for_max_wait() -> None:
+    """Were the duration believed and wrong, what came in order would count as late."""
+    until_133 = Member(b"a", Heard(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
+    decider = EventDecider(100, WAIT)
+    decider.note(133, now=0)
+    assert decider.due([until_133], 0) is None
+    assert decider.due([until_133], WAIT) == Boundary(133, (b"a",))
+    decider.note(166, now=WAIT)
+    assert decider.due([member(b"a", 166)], WAIT) == Boundary(166)

@@ -3,6 +3,9 @@
 One host decides for a subscription. Every value that the cut takes asks for an event; it is due when all members have
 come as far, or when they were waited for long enough. What is due at once becomes one event, so that a slow reader gets
 merged ones.
+
+A member has come as far when its newest item or an advance has: what a duration says is no promise. So with a bound of
+"end", where the cut lies ahead of items, an event waits for the next ones; a small max_wait has it at once.
 """
 
 from __future__ import annotations

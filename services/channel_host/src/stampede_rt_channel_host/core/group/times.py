@@ -39,9 +39,7 @@ class ChannelTimes(NamedTuple):
         return by_item or (self.advance is not None and self.advance > instant)
 
     def merged(self, told: ChannelTimes) -> ChannelTimes:
-        """These times and `told`, as the later owner and the further ones have it. Words of an older epoch are void."""
-        if told.epoch < self.epoch:
-            return self
+        """These times and `told`, by the same owner or a later one: the further of both, or another life's alone."""
         if told.incarnation != self.incarnation:
             return told
         newest, newest_end = max((self.newest, self.newest_end), (told.newest, told.newest_end), key=_order)

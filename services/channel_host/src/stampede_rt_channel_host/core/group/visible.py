@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from stampede_rt.model import Reason
-from stampede_rt.timeline import Bound, Interval, MetaTime, ResolvedInterval, format_instant
+from stampede_rt.timeline import Interval, MetaTime, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Query, Slice, WakeAt
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
@@ -181,10 +181,6 @@ class GroupView:
             slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False,
             reason=Reason("HIDDEN", detail), incarnation=self._channel.incarnation,
         )  # fmt: skip
-
-    def resolve_bound(self, bound: Bound, horizon: Horizon, now: int) -> int | None:
-        """One bound; None if it hangs on what is not visible."""
-        return VisibleReading(self._channel, horizon, now).resolve_bound(bound, now)
 
     def hidden_items(self, cut: int | None, now: int) -> int:
         """How many held items the cut hides. Walks them."""
