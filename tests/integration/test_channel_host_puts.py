@@ -254,6 +254,36 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
     waiting.cancel()
 
 
+async def test_a_run_that_was_accepted_in_part_is_not_doubled_when_its_stream_broke_while_the_rest_waited(
+    rig: Rig,
+) -> None:
+    """What had been accepted was put a second time."""
+    channel = await rig.open(spec=blocking(600 * S))
+    waiting = rig.channels.Put()
+    head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
+    await waiting.write(pb.PutRequest(**head, puts=[run_of(b"x", b"y")]))
+    await channel.until(lambda status: status.waiting_puts == 1)
+    waiting.cancel()
+    await channel.until(lambda status: status.waiting_puts == 0)
+    (again,) = await channel.put(run_of(b"x", b"y"), producer_id=77)
+    assert (again.first_seq, [one.index for one in again.rejections]) == (1, [1])
+    assert again.rejections[0].error.reason == error_pb2.ERROR_REASON_CHANNEL_FULL
+    assert (await channel.status()).counters.accepted == 1
+
+
+async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:
+    """The ack said that none of its items was accepted."""
+    channel = await rig.open(spec=blocking(600 * S))
+    waiting = rig.channels.Put()
+    await waiting.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x", b"y")]))
+    await channel.until(lambda status: status.waiting_puts == 1)
+    await rig.host.store.drop(channel.channel_id, channel.epoch, b"0123456789abcdef")
+    (ack,) = (await waiting.read()).acks
+    assert (ack.HasField("error"), ack.first_seq) == (False, 1)
+    assert [one.error.reason for one in ack.rejections] == [error_pb2.ERROR_REASON_CHANNEL_NOT_FOUND]
+    waiting.cancel()
+
+
 async def test_puts_beyond_the_hosts_memory_are_refused() -> None:
     async with running_host(memory_bytes_max=10_000) as rig:
         channel, other = await rig.open("a"), await rig.open("b")

@@ -62,6 +62,16 @@ class IncomingRun:
             self.offer = self.offer.rest(outcome.waiting, now)
         return outcome.waiting is None
 
+    @property
+    def is_partly_accepted(self) -> bool:
+        """Some of its items are in, and must not come in again."""
+        return self._first_seq is not None
+
+    def refuse_rest(self, error: StampedeError) -> None:
+        """What has not been settled never will be."""
+        refusal = to_error_message(error)
+        self._rejections += (pb.PutRejection(index=at, error=refusal) for at in range(self._offered, self.items))
+
     def answer(self, now: int, incarnation: int) -> pb.PutAck:
         """The ack of the settled run."""
         return pb.PutAck(
@@ -159,11 +169,17 @@ class ChannelPuts:
             self.changed(now)
 
     def withdraw(self, run: IncomingRun) -> None:
-        """Nobody waits for the run any more: what is not accepted yet never will be."""
+        """Nobody waits for the run any more: what is not accepted yet never will be.
+
+        One that was accepted in part is remembered as answered so: it may be sent again.
+        """
         run.forget_time()
         if run in self._line:
+            now = self._now()
             self._line.remove(run)
-            self.changed(self._now())
+            if run.is_partly_accepted:
+                self._refuse_rest(run, now)
+            self.changed(now)
 
     def end_all(self, error: StampedeError) -> None:
         """The channel is not served any more."""
@@ -171,14 +187,22 @@ class ChannelPuts:
             self._timer.cancel()
         line, self._line = self._line, deque()
         for run in line:
-            run.finish(refused(run.first_number, run.items, error, self._now(), self._channel.incarnation))
+            self._fail(run, error, self._now())
 
     def _offer_waiting(self, run: IncomingRun, now: int) -> bool:
         try:
             return self._recognise(run, now) or self._offer(run, now)
         except StampedeError as error:
-            run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
+            self._fail(run, error, now)
             return True
+
+    def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
+        """A run that waits is not taken. If some of its items are in, only the others are refused."""
+        if run.is_partly_accepted:
+            run.refuse_rest(error)
+            self._finish(run, now)
+        else:
+            run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
 
     def _recognise(self, run: IncomingRun, now: int) -> bool:
         """True if the run came before: it is through, with the ack of then, whoever waits in line."""
