@@ -85,6 +85,18 @@ class WaitingPut:
             self._settled += outcome.waiting
         return outcome.waiting is None
 
+    def fail(self, error: st.StampedeError, now: int) -> None:
+        """The rest is not taken; if nothing was, the run is refused as a whole."""
+        if not self.is_partly_accepted:
+            self.call.finish(error)
+        else:
+            self._refused |= dict.fromkeys(range(self._settled, len(self.run.payloads)), error.reason)
+            self.call.finish(self.ack(now))
+
+    @property
+    def is_partly_accepted(self) -> bool:
+        return self._first_seq is not None
+
     def ack(self, now: int) -> Ack:
         return Ack(self._first_seq, self._stamped, self._refused, now)
 
@@ -144,8 +156,19 @@ class CoreOwner:
 
     def _give_up_put(self, put: WaitingPut) -> None:
         self.line.remove(put)
+        self._refuse_rest(put)
+        self._advance_line()
+
+    def _refuse_rest(self, put: WaitingPut) -> None:
         put.settle(self.channel.give_up_put(put.offer), self._now())
         self._finish(put)
+
+    def withdraw(self, run: Run) -> None:
+        """Nobody waits for the run any more; what is in of it is remembered, since it may be sent again."""
+        (put,) = [one for one in self.line if one.run is run][:1]
+        self.line.remove(put)
+        if put.is_partly_accepted:
+            self._refuse_rest(put)
         self._advance_line()
 
     def _advance_line(self) -> None:
@@ -254,8 +277,10 @@ class CoreOwner:
 
     def end(self, error: st.StampedeError) -> None:
         """The channel is not served any more."""
-        for call in [*self.gets, *(put.call for put in self.line)]:
+        for call in self.gets:
             call.finish(error)
+        for put in self.line:
+            put.fail(error, self._now())
 
     def _changed(self) -> None:
         self._announce()

@@ -173,6 +173,7 @@ class CoreSurface:
     """`do` gives a call no time to wait."""
 
     def __init__(self, host: CoreHost) -> None:
+        self._owners: dict[int, CoreOwner] = {}
         self.connections = [CoreConnection(host, consumer_id) for consumer_id in (101, 102)]
 
     def do(self, call: Callable[[], Any]) -> Any:
@@ -187,7 +188,11 @@ class CoreSurface:
         return call()
 
     def put_run(self, handle: CoreHandle, run: Run) -> Call:
+        self._owners[id(run)] = handle.owner
         return handle.owner.put(run)
+
+    def hang_up(self, run: Run) -> None:
+        self._owners[id(run)].withdraw(run)
 
     def consume(self, handle: CoreHandle, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
         return handle.owner.consume(consumer_id, seqs, lease_nanos)

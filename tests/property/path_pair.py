@@ -89,8 +89,15 @@ class PathPair(PathPuts):
         for follower in self.followers:
             follower.followed.subscription.close()
         self.surface.do(self.channel.delete)
-        waiting = [one.started for one in self.line if one.started] + [started for *_, started in self.gets]
-        outcomes = [started.outcome() for started in waiting]
+        for entry in self.line:
+            assert entry.started is not None
+            outcome = entry.started.outcome()
+            if entry.is_partly_accepted:
+                entry.refuse_rest(st.ChannelNotFound.reason)
+                assert outcome == entry.ack(self.clock)
+            else:
+                assert isinstance(outcome, st.ChannelNotFound), outcome
+        outcomes = [started.outcome() for *_, started in self.gets]
         assert all(isinstance(one, st.ChannelNotFound) for one in outcomes), outcomes
 
 

@@ -15,7 +15,7 @@ from tests.property.path_reads import PathReads
 from tests.property.path_values import Run, RunInBook
 from tests.property.surfaces import Surface
 
-FULL = Refused("CHANNEL_FULL")
+FULL = "CHANNEL_FULL"
 
 
 class PathPuts(PathReads):
@@ -54,6 +54,16 @@ class PathPuts(PathReads):
         offer = Offer(times=None, durations=None, lengths=lengths)
         self._send(Run(offer, payloads, former.producer_id, former.first_number))
 
+    def hang_up(self, entry: RunInBook) -> None:
+        """The stream of a run in line breaks: what is in stays in, and is known when the run comes again."""
+        self.surface.hang_up(entry.run)
+        self.line.remove(entry)
+        if entry.is_partly_accepted:
+            self._refuse_rest(entry)
+        self.until(lambda stats: bool(stats.waiting_puts <= len(self.line)))
+        self.advance_line()
+        self.settle()
+
     def _send(self, run: Run) -> None:
         if run.producer_id and run not in self.sent:
             self.sent.append(run)
@@ -85,8 +95,10 @@ class PathPuts(PathReads):
             return self._answer(entry)
         if entry.run.waits:
             return None
-        self.oracle.rejected[FULL.reason] += len(entry.payloads_left)
-        entry.verdicts += [FULL] * len(entry.payloads_left)
+        return self._refuse_rest(entry)
+
+    def _refuse_rest(self, entry: RunInBook) -> Ack:
+        self.oracle.rejected[FULL] += entry.refuse_rest(FULL)
         return self._answer(entry)
 
     def _known(self, run: Run) -> Ack | Refused | None:

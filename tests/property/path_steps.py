@@ -67,7 +67,7 @@ def put(dice: Dice, pair: PathPair) -> None:
 
 
 def put_run(dice: Dice, pair: PathPair) -> None:
-    producer_id, waits = dice.pick((1, 0, 2)), bool(dice.below(2))
+    producer_id, waits = dice.pick((1, 0, 2)), dice.below(3) > 0
     pair.put_run(an_offer(dice, pair), producer_id, waits=waits and may_wait(pair))
 
 
@@ -82,6 +82,18 @@ def put_again(dice: Dice, pair: PathPair) -> None:
             pair.put_overlapping(former)
     elif may_wait(pair) or not former.waits:
         pair.put_again(former)
+
+
+def hang_up(dice: Dice, pair: PathPair) -> None:
+    """A producer loses its stream while its run waits, and mostly comes again."""
+    entries = [entry for entry in pair.line if entry.run.first_number]
+    if not entries:
+        return
+    entry = dice.pick(entries)
+    if sum(one.run is entry.run for one in pair.line) == 1:
+        pair.hang_up(entry)
+        if dice.below(3) and may_wait(pair):
+            pair.put_again(entry.run)
 
 
 def get(dice: Dice, pair: PathPair) -> None:
@@ -127,7 +139,7 @@ def tick(dice: Dice, pair: PathPair) -> None:
 
 def forget(dice: Dice, pair: PathPair) -> None:
     """So long that runs are forgotten. Nobody waits meanwhile: timers are those of real time."""
-    if not (pair.line or pair.gets or pair.keeps_a_place):
+    if dice.below(2) and not (pair.line or pair.gets or pair.keeps_a_place):
         pair.tick(KEPT_NANOS + dice.pick((0, -1, 1)))
 
 
@@ -170,6 +182,7 @@ Step = Callable[[Dice, PathPair], None]
 STEPS: tuple[Step, ...] = (
     rest, put, get, put_run, tick, get, begin, put, subscribe, put, advance, configure, pages, named_reads, put_run,
     begin, put, tick, step_clock, refused_interval, put_again, consume, around_now, put_run, forget,
+    hang_up,
 )  # fmt: skip
 
 

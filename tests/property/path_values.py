@@ -54,6 +54,16 @@ class RunInBook:
     started: Started | None = None
 
     @property
+    def is_partly_accepted(self) -> bool:
+        return any(isinstance(one, Item) for one in self.verdicts)
+
+    def refuse_rest(self, reason: str) -> int:
+        """What has no verdict gets this one; how many items that are."""
+        left = len(self.payloads_left)
+        self.verdicts += [Refused(reason)] * left
+        return left
+
+    @property
     def payloads_left(self) -> Sequence[bytes]:
         return self.run.payloads[len(self.verdicts) :]
 

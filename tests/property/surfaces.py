@@ -40,6 +40,9 @@ class Surface(Protocol):
     def put_run(self, handle: Any, run: Run) -> Any:
         """A call of the surface, which puts a run as any producer would send it and gives its Ack."""
 
+    def hang_up(self, run: Run) -> None:
+        """Break the stream of a run that waits."""
+
     def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Any:
         """A call of the surface, which consumes as any consumer would and says how many items and for how long."""
 
@@ -55,6 +58,7 @@ class BlockingSurface:
         self._pool = pool
         self._wire = grpc.insecure_channel(target)
         self._channels = ChannelServiceStub(self._wire)
+        self._puts: dict[int, Any] = {}  # under way, by the identity of their runs
 
     def do(self, call: Callable[[], Any]) -> Any:
         return call()
@@ -63,9 +67,15 @@ class BlockingSurface:
         return _InThread(self._pool.submit(call))
 
     def put_run(self, handle: Any, run: Run) -> Ack:
-        request = put_request(handle, run)
-        (ack,) = [ack for response in self._channels.Put(iter((request,))) for ack in response.acks]
+        call = self._puts[id(run)] = self._channels.Put(iter((put_request(handle, run),)))
+        try:
+            (ack,) = [ack for response in call for ack in response.acks]
+        finally:
+            _forget(self._puts, run, call)
         return ack_of(ack)
+
+    def hang_up(self, run: Run) -> None:
+        self._puts[id(run)].cancel()
 
     def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
         try:
@@ -115,6 +125,7 @@ class AwaitedSurface:
         self._loop = loop
         self._wire = self.do(lambda: _aio_channel(target))
         self._channels = ChannelServiceStub(self._wire)
+        self._puts: dict[int, Any] = {}  # under way, by the identity of their runs
 
     def do(self, call: Callable[[], Any]) -> Any:
         async def performed() -> Any:
@@ -126,9 +137,15 @@ class AwaitedSurface:
         return _AsTask(self._loop.create_task(call()), self._loop)
 
     async def put_run(self, handle: Any, run: Run) -> Ack:
-        call = self._channels.Put(iter((put_request(handle, run),)))
-        (ack,) = [ack async for response in call for ack in response.acks]
+        call = self._puts[id(run)] = self._channels.Put(iter((put_request(handle, run),)))
+        try:
+            (ack,) = [ack async for response in call for ack in response.acks]
+        finally:
+            _forget(self._puts, run, call)
         return ack_of(ack)
+
+    def hang_up(self, run: Run) -> None:
+        self._puts[id(run)].cancel()
 
     async def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
         try:
@@ -174,6 +191,12 @@ class _AsTask:
             return self._loop.run_until_complete(asyncio.wait_for(asyncio.shield(self._task), WAIT_SECONDS_MAX))
         except st.StampedeError as error:
             return error
+
+
+def _forget(puts: dict[int, Any], run: Run, call: Any) -> None:
+    """The call is over, unless the run has been sent again meanwhile."""
+    if puts.get(id(run)) is call:
+        del puts[id(run)]
 
 
 def put_request(handle: Any, run: Run) -> pb.PutRequest:
