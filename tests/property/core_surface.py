@@ -25,10 +25,9 @@ from stampede_rt_channel_host.core.host_clock import HostTime
 from tests.oracle import Ack
 from tests.property.channel_pair import INCARNATION
 from tests.property.core_owner import Call, CoreOwner
+from tests.property.path_book import REASONS
 from tests.property.path_values import Followed, Run, merge
 from tests.support.clock import ManualClock
-
-COUNTED = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
 
 
 class CoreHost:
@@ -149,7 +148,7 @@ class CoreHandle:
             accepted=counters.accepted,
             held=counters.held,
             collected=counters.collected,
-            rejected={name: counters.rejected[reason] for reason, name in COUNTED.items()},
+            rejected={name: counters.rejected[reason] for reason, name in REASONS.items()},
             accepted_bytes=counters.accepted_bytes,
             held_bytes=counters.held_bytes,
             delivered_bytes=0,

@@ -23,7 +23,7 @@ from tests.support.clock import ManualClock
 from tests.unit.channel_host.fake_directory import FakeDirectory
 
 HOST_ID = b"the-loopback-hst"
-LEASE_TTL_NANOS = 10**16  # no story lasts so long
+LEASE_TTL_NANOS = 10**18  # all stories together do not last so long
 STOP_SECONDS_MAX = 20.0
 
 

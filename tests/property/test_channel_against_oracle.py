@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core.channel import Offer, Query, holdings
+from stampede_rt_channel_host.core.channel import Offer, Position, Query, holdings
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice
 from tests.property.draws import (
@@ -24,12 +24,12 @@ from tests.property.draws import (
     TICKS,
     a_bound,
     a_position,
-    a_query,
     a_time,
     an_item_position,
     an_offer,
     some_seqs,
 )
+from tests.property.draws import a_query as a_client_query
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
 FIRST_CLOCK = 100
@@ -42,21 +42,26 @@ def put(dice: Dice, pair: ChannelPair) -> None:
     pair.put(an_offer(dice, pair))
 
 
-def a_core_query(dice: Dice, pair: ChannelPair) -> Query:
-    """As clients ask, or as named reads do, with positions that may name the channel's incarnation."""
-    query = a_query(dice, pair)
-    after = query.after
-    if after is not None and after.seq is not None:
-        after = after._replace(incarnation=dice.pick((0, INCARNATION)))
-    return replace(query, after=after, newer_than=a_position(dice, pair))
+def of_incarnation(dice: Dice, position: Position | None) -> Position | None:
+    """The same, of this channel's incarnation by name, or of whichever it is."""
+    if position is None or position.seq is None:
+        return position
+    return position._replace(incarnation=dice.pick((0, INCARNATION)))
+
+
+def a_query(dice: Dice, pair: ChannelPair) -> Query:
+    """As clients ask, and as their named reads do."""
+    query = a_client_query(dice, pair)
+    after, newer_than = (of_incarnation(dice, one) for one in (query.after, a_position(dice, pair)))
+    return replace(query, after=after, newer_than=newer_than)
 
 
 def read(dice: Dice, pair: ChannelPair) -> None:
-    pair.read(a_core_query(dice, pair))
+    pair.read(a_query(dice, pair))
 
 
 def begin(dice: Dice, pair: ChannelPair) -> None:
-    pair.begin(a_core_query(dice, pair))
+    pair.begin(a_query(dice, pair))
 
 
 def tick(dice: Dice, pair: ChannelPair) -> None:
@@ -83,7 +88,7 @@ def carry(dice: Dice, pair: ChannelPair) -> None:
 
 def subscribe(dice: Dice, pair: ChannelPair) -> None:
     kind = dice.below(3)
-    after = an_item_position(dice, pair) if kind == 2 else None
+    after = of_incarnation(dice, an_item_position(dice, pair)) if kind == 2 else None
     start = a_bound(dice, pair) if kind == 1 else None
     if len(pair.all_subscriptions) < 3:
         pair.subscribe(start, bool(dice.below(2)), after)
