@@ -128,8 +128,7 @@ class Heard:
 class TimesBoard:
     """What a host knows of all channels that its groups have: one for each host, shared by the groups.
 
-    `setbacks`: how often a channel fell behind what was known of it, since its host was lost or it was forgotten.
-    Otherwise what is known only grows.
+    `setbacks`: how often a channel fell behind what was known of it, since its host was lost. Otherwise it only grows.
     """
 
     def __init__(self) -> None:
@@ -177,7 +176,6 @@ class TimesBoard:
         """Forget all other channels: no group has them any more."""
         for channel_id in [one for one in self._heard if one not in channel_ids]:
             del self._heard[channel_id]
-            self.setbacks += 1
 
     def _merged(self, held: Heard, told: ChannelTimes) -> ChannelTimes:
         self.setbacks += told.incarnation != held.times.incarnation
