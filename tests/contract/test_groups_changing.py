@@ -139,3 +139,39 @@ async def test_partners_that_retention_took_before_they_were_fetched_stay_counte
         alone, matched = await take(matches, 2)
         assert (len(alone), len(matched)) == (1, 2)
         assert matches.unmatched + matches.dropped == 1
+
+
+async def test_a_group_made_of_descriptors_has_their_channels(surface: Surface) -> None:
+    left, right = await channel_at_each_host(surface)
+    base = st.now() - 20 * SECOND
+    first = await surface.group(group_name(), [left, right])  # shows nothing: the right one is empty
+    second = await surface.group(group_name(), [first[left]])
+    await left.put(b"0", time=base)
+    await left.put(b"1", time=base + SECOND)
+    assert (await second[left].newest(timeout=10)).payload == b"0"
+    newest = await second.newest()
+    assert newest[left.name].payload == b"0"
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda group, left: group.add("a name"), "'a name' is no channel"),
+        (lambda group, left: group.remove(None), "None is no channel"),
+        (lambda group, left: anext(aiter(group.match(None, "1ms"))), "None is no member of the group"),
+        (lambda group, left: anext(aiter(group.match(left, "-1ms"))), "tolerance is '-1ms'"),
+        (lambda group, left: anext(aiter(group.subscribe("-1s"))), "max_wait is '-1s'"),
+    ],
+)
+async def test_what_a_group_cannot_take_is_refused_and_named(other: aio.Connection, call: Any, said: str) -> None:
+    left = await other.channel(f"changing/{next(_names)}-{st.now()}")
+    group = await other.group(group_name(), [left])
+    with pytest.raises(st.InvalidArgument, match=said):
+        await call(group, left)
+
+
+async def test_a_cross_section_takes_channels_only_and_says_so(surface: Surface) -> None:
+    left, right = await channel_at_each_host(surface)
+    for others, said in ((right, "give a list"), (["a name"], "'a name' is no channel")):
+        with pytest.raises(st.InvalidArgument, match=said):
+            await surface.cross_section(left, others)

@@ -54,9 +54,9 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
 
     def __getitem__(self, channel: Named | str) -> Value:
         for one in self._channels:
-            if _names(channel, one):
+            if is_named_by(channel, one):
                 return self._values[one.info.channel_id]
-        raise KeyError(_shown(channel))
+        raise KeyError(shown_name(channel))
 
     def __iter__(self) -> Iterator[Key]:
         return iter(self._channels)
@@ -194,21 +194,21 @@ def parse_reference(reference: Named | str, members: Sequence[Named]) -> bytes |
     if reference == OLDEST_REFERENCE:
         return None
     for member in members:
-        if _names(reference, member):
+        if is_named_by(reference, member):
             return member.info.channel_id
     raise InvalidArgument(
-        f'the reference {_shown(reference)!r} is no member of the group; name one of its channels, or "oldest"'
+        f'the reference {shown_name(reference)!r} is no member of the group; name one of its channels, or "oldest"'
     )
 
 
-def _names(named: Named | str, channel: Named) -> bool:
+def is_named_by(named: Named | str, channel: Named) -> bool:
     """It is the channel's name, or a handle or descriptor of it."""
     if isinstance(named, str):
         return named == channel.info.name
     return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id
 
 
-def _shown(named: Named | str) -> object:
+def shown_name(named: Named | str) -> object:
     """What to call it in an error."""
     return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 
@@ -218,4 +218,12 @@ def parse_tolerance(tolerance: DurationLike) -> int:
     nanos = parse_duration(tolerance, "tolerance")
     if nanos < 0:
         raise InvalidArgument(f"tolerance is {tolerance!r}; it is a distance of times: give 0 or more")
+    return nanos
+
+
+def parse_max_wait(max_wait: DurationLike) -> int:
+    """Nanoseconds, 0 or more. Raises InvalidArgument."""
+    nanos = parse_duration(max_wait, "max_wait")
+    if nanos < 0:
+        raise InvalidArgument(f'max_wait is {max_wait!r}; it is a time to wait: give "0s" or more')
     return nanos

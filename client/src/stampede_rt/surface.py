@@ -7,7 +7,8 @@ import time
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.connection import Connection
 from stampede_rt._sync.cuts import CutSubscription
-from stampede_rt._sync.group import Group, GroupChannel
+from stampede_rt._sync.group import Group
+from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.message import Message

@@ -9,7 +9,8 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.discovery import Discovery
-from stampede_rt._async.group import Group, GroupChannel, member_handles
+from stampede_rt._async.group import Group, member_handles
+from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.peer_place import PeerPlace
 from stampede_rt._async.presence import Mailbox, Presence
 from stampede_rt._async.queue import Queue, dead_letter_id, stats_at

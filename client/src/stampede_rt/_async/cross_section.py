@@ -30,6 +30,11 @@ async def cross_section(
     """See `Connection.cross_section`."""
     if over not in ("start", "span"):
         raise InvalidArgument(f'over is {over!r}; write "start" or "span" (of the reference\'s item)')
+    if isinstance(others, str | Reader):
+        raise InvalidArgument(f"others is {others!r}; give a list of channels, even for one")
+    for channel in (reference, *others):
+        if not isinstance(channel, Reader):
+            raise InvalidArgument(f"{channel!r} is no channel; give what channel(...) gave, not its name")
     wait, began_s = Wait.parse(timeout), monotonic_s()
     held = await reference.at(at, payloads=payloads, timeout=timeout)
     found = {reference.info.channel_id: held}

@@ -10,7 +10,8 @@ from typing import Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cross_section import cross_section
 from stampede_rt._sync.discovery import Discovery
-from stampede_rt._sync.group import Group, GroupChannel, member_handles
+from stampede_rt._sync.group import Group, member_handles
+from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.presence import Mailbox, Presence
 from stampede_rt._sync.queue import Queue, dead_letter_id, stats_at

@@ -90,7 +90,7 @@ class CutSubscription:
                     break
                 if not error.retryable:
                     self._closed = True
-                    raise
+                    raise self._group.explained(error) from None
                 self._group.forget_places()
             except BaseException:  # an interrupt: the event that was under way comes again from its beginning
                 self._hang_up()

@@ -10,20 +10,33 @@ from typing import TypeVar
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cuts import CutSubscription
+from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read
-from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt.binding import Binding
 from stampede_rt.errors import (
     ChannelNotFound,
     DeadlineExceeded,
+    GroupNotFound,
     InvalidArgument,
     StaleBinding,
     StampedeError,
     Unavailable,
 )
-from stampede_rt.grouping import ByChannel, GroupInfo, GroupStatus, GroupView, Named, parse_tolerance
+from stampede_rt.grouping import (
+    ByChannel,
+    GroupInfo,
+    GroupStatus,
+    GroupView,
+    Named,
+    is_named_by,
+    parse_max_wait,
+    parse_members,
+    parse_tolerance,
+    shown_name,
+)
 from stampede_rt.model import Item, Items
 from stampede_rt.reading import Read, parse_limit
 from stampede_rt.timeline import (
@@ -32,7 +45,6 @@ from stampede_rt.timeline import (
     BoundLike,
     DurationLike,
     Match,
-    parse_duration,
     parse_interval,
     parse_match,
 )
@@ -45,28 +57,6 @@ Result = TypeVar("Result")
 
 HOST_TIMEOUT_S = 2.0  # where any of several hosts may answer
 CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already seen may wait to catch up
-
-
-class GroupChannel(Reader):
-    """A channel as a group shows it: only items before the group's cut, and a clock that stands at the cut.
-
-    Read like the channel itself, which is not touched and still sees everything. Nothing can be put through it.
-    """
-
-    def __init__(self, session: Session, state: ChannelState, group: Group) -> None:
-        super().__init__(session, state, group._view)
-        self._group = group
-
-    def _read(self, query: Read) -> Items:
-        floor = self._group._view.cut_floor
-        items = super()._read(query)
-        if floor is None or (items.cut is not None and items.cut >= floor):
-            return items
-        self._group.refresh()  # the host is behind what was seen, or the group has begun anew
-        return super()._read(query) if self._group._view.cut_floor is None else items
-
-    def __repr__(self) -> str:
-        return f"<GroupChannel {self.name!r} at host {self.host!r}>"
 
 
 class Group:
@@ -157,7 +147,14 @@ class Group:
             self.refresh()
             if self.info.spec_version == version:
                 raise
+        except GroupNotFound as error:
+            raise self.explained(error) from None
         return operation()
+
+    def explained(self, error: StampedeError) -> StampedeError:
+        """The error, which names the group: hosts know groups by their ids."""
+        error.concerning("group", self.name)
+        return error
 
     def _read_all(self, query: Read) -> ByChannel[Channel, Items]:
         query = replace(query, cut=self._cut())
@@ -192,7 +189,7 @@ class Group:
         An event comes when the cut has advanced and every member has caught up with it, or `max_wait` later. A slow
         reader gets merged events.
         """
-        return CutSubscription(self, parse_duration(max_wait, "max_wait"), payloads=payloads)
+        return CutSubscription(self, parse_max_wait(max_wait), payloads=payloads)
 
     def match(
         self, per: Named | str, tolerance: DurationLike, *, partial: bool = False, payloads: bool = True
@@ -243,11 +240,13 @@ class Group:
 
     def add(self, channel: Channel) -> None:
         """Make a channel a member. The cut stays; what the channel holds below it is readable at once."""
-        self._update(group_directory_pb.UpdateGroupRequest(add_channel_ids=[channel.info.channel_id]), [channel])
+        (member,) = parse_members([channel])
+        self._update(group_directory_pb.UpdateGroupRequest(add_channel_ids=[member.info.channel_id]), [member])
 
     def remove(self, channel: Channel) -> None:
         """Make a channel leave the group. Raises InvalidArgument for the reference and the last member."""
-        self._update(group_directory_pb.UpdateGroupRequest(remove_channel_ids=[channel.info.channel_id]), [])
+        (member,) = parse_members([channel])
+        self._update(group_directory_pb.UpdateGroupRequest(remove_channel_ids=[member.info.channel_id]), [])
 
     def _update(self, request: group_directory_pb.UpdateGroupRequest, known: Sequence[Channel]) -> None:
         request.request_id, request.group_id = request_id(), self.info.group_id
@@ -257,7 +256,10 @@ class Group:
     def refresh(self, known: Sequence[Channel] = ()) -> None:
         """Learn the members anew, which other processes may have changed. Raises GroupNotFound."""
         request = group_directory_pb.ResolveGroupRequest(group_id=self.info.group_id)
-        response = self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
+        try:
+            response = self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
+        except GroupNotFound as error:
+            raise self.explained(error) from None
         info = group_info(response.group)
         if info.incarnation != self.incarnation:
             self._view.cut_floor = None
@@ -281,23 +283,23 @@ class Group:
 
     def _member(self, channel: Named | str) -> Channel:
         for member in self.channels:
-            if channel == member.name or (
-                not isinstance(channel, str) and channel.info.channel_id == member.info.channel_id
-            ):
+            if is_named_by(channel, member):
                 return member
-        name = channel if isinstance(channel, str) else channel.info.name
         members = ", ".join(member.name for member in self.channels)
-        raise InvalidArgument(f"{name!r} is no member of the group {self.name!r}, whose members are {members}")
+        raise InvalidArgument(
+            f"{shown_name(channel)!r} is no member of the group {self.name!r}, whose members are {members}"
+        )
 
 
 def member_handles(
     session: Session,
     response: group_directory_pb.OpenGroupResponse | group_directory_pb.ResolveGroupResponse,
-    known: Sequence[Channel],
+    known: Sequence[Reader],
 ) -> tuple[Channel, ...]:
-    """Handles of a group's members: those that are `known`, with their codecs, and new ones."""
+    """Handles of a group's members: new ones and, with their codecs, those `known`, which may be descriptors."""
     hosts = {host.host_id: host for host in response.hosts}
-    handles = {channel.info.channel_id: channel for channel in known}
+    kept = (one if isinstance(one, Channel) else Channel(session, one._state) for one in known)
+    handles = {channel.info.channel_id: channel for channel in kept}
     return tuple(
         handles.get(record.channel_id) or Channel(session, session.found(record, hosts.get(record.host_id)))
         for record in response.channels

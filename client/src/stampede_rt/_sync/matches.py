@@ -115,7 +115,7 @@ class MatchSubscription:
             self._resume()
             if not error.retryable or self._group._session.closed:
                 self._closed = True
-                raise
+                raise self._group.explained(error) from None
             self._group.forget_places()
         except BaseException:  # an interrupt: what was being fetched comes again
             self._resume()

@@ -9,7 +9,8 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.connection import Connection
 from stampede_rt._async.cuts import CutSubscription
-from stampede_rt._async.group import Group, GroupChannel
+from stampede_rt._async.group import Group
+from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.listener import Listener
 from stampede_rt._async.matches import MatchSubscription
 from stampede_rt._async.message import Message

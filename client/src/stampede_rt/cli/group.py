@@ -7,7 +7,15 @@ import json
 from typing import Any
 
 from stampede_rt import Channel, Connection, Group
-from stampede_rt.cli.arguments import VerbParser, add_verb, connected, existing, parse_bound_text, parse_count
+from stampede_rt.cli.arguments import (
+    VerbParser,
+    add_verb,
+    checked,
+    connected,
+    existing,
+    parse_bound_text,
+    parse_count,
+)
 from stampede_rt.cli.output import item_line, item_row, print_rows
 from stampede_rt.grouping import Cut, GroupInfo, GroupStatus, Matched
 from stampede_rt.model import Item
@@ -43,8 +51,10 @@ def add_verbs(subparsers: Any) -> None:
             verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N cuts")
     get = add_verb(verbs, "get", "what each channel shows in an interval", run_get)
     get.add_argument("group")
-    get.add_argument("start", type=parse_bound_text, help='a time, or now, newest, oldest with an offset: "newest-1s"')
-    get.add_argument("end", type=parse_bound_text)
+    get.add_argument(
+        "start", type=checked(parse_bound_text), help='a time, or now, newest, oldest with an offset: "newest-1s"'
+    )
+    get.add_argument("end", type=checked(parse_bound_text))
     match = add_verb(verbs, "match", "print the items that belong together", run_match)
     match.add_argument("group")
     match.add_argument("--per", required=True, metavar="CHANNEL", help="whose items each get a match")

@@ -75,8 +75,8 @@ def open_group_unchanged(tables: Tables, deed: OpenGroup) -> GroupOpened | None:
         return None
     if deed.spec is not None and not same_spec(group.spec, deed.spec):
         raise GroupExists(
-            f"group {deed.name} is there with another set-up; leave the set-up out to take it as it is, change its "
-            "members with UpdateGroup, or choose another name",
+            f"group {deed.name} is there with another set-up; leave the set-up out to take it as it is, add and "
+            "remove members, or choose another name",
             metadata={"group": deed.name, "group_id": group.group_id.hex()},
         )
     return GroupOpened(group=group, created=False)

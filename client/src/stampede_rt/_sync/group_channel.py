@@ -1,0 +1,40 @@
+# Generated from ../_async by tools/generate.py; do not edit.
+"""A channel as a group shows it (paper, section 3.3)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from stampede_rt._sync.reader import Reader
+from stampede_rt._sync.session import ChannelState, Session
+from stampede_rt.errors import GroupNotFound
+from stampede_rt.model import Items
+from stampede_rt.reading import Read
+
+if TYPE_CHECKING:
+    from stampede_rt._sync.group import Group
+
+
+class GroupChannel(Reader):
+    """A channel as a group shows it: only items before the group's cut, and a clock that stands at the cut.
+
+    Read like the channel itself, which is not touched and still sees everything. Nothing can be put through it.
+    """
+
+    def __init__(self, session: Session, state: ChannelState, group: Group) -> None:
+        super().__init__(session, state, group._view)
+        self._group = group
+
+    def _read(self, query: Read) -> Items:
+        floor = self._group._view.cut_floor
+        try:
+            items = super()._read(query)
+        except GroupNotFound as error:
+            raise self._group.explained(error) from None
+        if floor is None or (items.cut is not None and items.cut >= floor):
+            return items
+        self._group.refresh()  # the host is behind what was seen, or the group has begun anew
+        return super()._read(query) if self._group._view.cut_floor is None else items
+
+    def __repr__(self) -> str:
+        return f"<GroupChannel {self.name!r} at host {self.host!r}>"

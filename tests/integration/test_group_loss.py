@@ -1,0 +1,65 @@
+"""A group whose hosts are stopped and lost, as its readers see it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+SECOND = 1_000_000_000
+FAR_BELOW = 30 * SECOND
+
+cluster = cluster_fixture(hosts=2, supernodes=1)
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as connection:
+        yield connection
+
+
+def group_of_two(rt: st.Connection, name: str) -> st.Group:
+    members = [rt.channel(f"{name}/{host.name}", host=host.name, max_age="300s") for host in rt.hosts()]
+    return rt.group(name, members)
+
+
+def put_all(group: st.Group, payload: bytes, time: int) -> None:
+    for channel in group.channels:
+        channel.put(payload, time=time)
+
+
+def test_the_status_is_told_by_another_host_while_the_first_one_is_stopped(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    group = group_of_two(rt, "stopped")
+    put_all(group, b"0", st.now() - SECOND)
+    first, second = group.channels
+    assert group[second].newest(timeout=0) is None
+    stopped = next(host for host in cluster.hosts if host.name == f"host {first.host}")
+    stopped.pause()
+    try:
+        second.put(b"1")
+        assert [channel.name for channel in group.status().waiting_on] == [first.name]
+    finally:
+        stopped.resume()
+
+
+def test_a_descriptor_of_before_shows_a_group_that_began_anew(cluster: LocalCluster, rt: st.Connection) -> None:
+    group, now = group_of_two(rt, "anew"), st.now()
+    first = group.channels[0]
+    for at in (0, 1):
+        put_all(group, b"lost", now + (at - 2) * SECOND)
+    assert [item.payload for item in group[first].get(st.OLDEST, st.NEWEST, timeout=10)] == [b"lost"]
+    incarnation = group.incarnation
+    for host in cluster.hosts:
+        host.kill()
+    for host in cluster.hosts:
+        host.restart()
+    for at in (0, 1):
+        put_all(group, b"new", now - FAR_BELOW + at * SECOND)  # below the cut that was shown before
+    assert [item.payload for item in group[first].get(st.OLDEST, st.NEWEST, timeout=3)] == [b"new"]
+    assert group.incarnation != incarnation
