@@ -19,7 +19,8 @@ class Observation:
     `clock_offset_nanos` is of its clock against the caller's, give or take half of the round trip. `alive`: what the
     directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end. A peer cannot
     be asked: it told the leader, and its round trip is the caller's and its own to the supernode between them.
-    `is_member`: whether the other supernodes list this one.
+    `is_member`: whether the other supernodes list this one. `refuses_caller`: it runs, but this caller's secret or
+    certificate, or its own, keeps them from talking.
     """
 
     kind: str
@@ -31,6 +32,7 @@ class Observation:
     lease_held: bool = True
     knows_supernodes: bool = True
     is_member: bool = True
+    refuses_caller: bool = False
     round_trip_nanos: int | None = None
     clock_offset_nanos: int | None = None
     version: str = ""
@@ -77,7 +79,7 @@ def _state(one: Observation) -> tuple[str, str]:
     if not one.is_member:
         return "no member", "the supernodes do not list it: it was removed, or never joined; leave it out"
     if one.failure:
-        return "unreachable", one.failure
+        return "refused" if one.refuses_caller else "unreachable", one.failure
     if not one.ready:
         return "no leader", "it runs, but knows no leader; see the quorum"
     if not one.lease_held:
@@ -106,6 +108,8 @@ def _frontends(seen: Sequence[Observation]) -> Iterator[Finding]:
             advice = (
                 "they run, but reach no supernode: nobody can connect anew; start the supernodes, with their folders"
             )
+        elif any(one.refuses_caller for one in frontends):
+            state, advice = "unknown", "they run, but nothing more is known while secret and certificates do not fit"
     yield Finding("front-ends", "-", state, advice)
 
 
@@ -113,7 +117,8 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
     members = [one for one in _of(SUPERNODE, seen) if one.is_member]
     if not members:
         return
-    down = _joined([one.name or one.address for one in members if one.failure])
+    refused = sum(one.refuses_caller for one in members)
+    down = _joined([one.name or one.address for one in members if one.failure and not one.refuses_caller])
     running, ready = [one for one in members if not one.failure], sum(one.ready and not one.failure for one in members)
     needed = len(members) // 2 + 1
     if ready >= needed:
@@ -126,6 +131,9 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
             f"{len(running)} of {len(members)} run, {ready} serve",
             "a majority runs but follows no leader; look again in 5 s, and then at the network between them",
         )
+    elif len(running) + refused >= needed:
+        advice = "a majority runs, but nothing more is known while secret and certificates do not fit"
+        yield Finding("quorum", "-", "unknown", advice)
     else:
         yield Finding(
             "quorum",

@@ -127,8 +127,12 @@ class Examination:
             response, sent, round_trip = self._timed(part)
         except StampedeError as error:
             refused = explain_refusal(part.address, tls) if isinstance(error, Unavailable) else None
+            failure = refused or error
             knows = part.kind != FRONTEND or not _said_by_itself(error)
-            return _Answer(None, replace(seen, failure=(refused or error).message, knows_supernodes=knows))
+            is_refused = isinstance(failure, PermissionDenied)
+            return _Answer(
+                None, replace(seen, failure=failure.message, knows_supernodes=knows, refuses_caller=is_refused)
+            )
         end_s = certificate_end_unix_s(part.address, tls) if tls else None
         return _Answer(
             response,
