@@ -33,6 +33,8 @@ from tests.property.group_world import CHANNELS, LivingPair, World
 
 BEFORE_ALL = (-(2**64), 0)
 
+Meddle = Callable[[bytes], None]
+
 
 @dataclass
 class Follower:
@@ -304,8 +306,8 @@ class Readers:
                 one.pending.append((cut, self.world.clock))
             one.decider.note(cut, self.world.clock)
 
-    def take_events(self, limit_bytes: int) -> None:
-        """An event is due when every member is as far, or the wait is over."""
+    def take_events(self, limit_bytes: int, meddle: Meddle) -> None:
+        """An event is due when every member is as far, or the wait is over. `meddle` comes between an event's parts."""
         for one in self.events:
             host, clock = self.world.hosts[one.decider_host], self.world.clock
             boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)
@@ -320,9 +322,9 @@ class Readers:
             assert one.decider.wake_at() == (one.pending[0][1] + one.max_wait if one.pending else None)
             if boundary is not None:
                 one.decided = boundary.cut
-                self._take_parts(one, boundary.cut, limit_bytes)
+                self._take_parts(one, boundary.cut, limit_bytes, meddle)
 
-    def _take_parts(self, events: Events, cut: int, limit_bytes: int) -> None:
+    def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
         """Each channel's part, once its owner's cut is there, which the reader's word does not raise."""
         for channel_id, one in events.followers.items():
             if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):
@@ -331,9 +333,10 @@ class Readers:
                 self.world.exchange()
                 self.world.look()
             assert _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut)
-            self._take_part(one, cut, limit_bytes)
+            self._take_part(one, cut, limit_bytes, meddle)
 
-    def _take_part(self, one: Follower, cut: int, limit_bytes: int) -> None:
+    def _take_part(self, one: Follower, cut: int, limit_bytes: int, meddle: Meddle) -> None:
+        """What is put between two of its steps comes with the next event."""
         _, _, pair = self.view(0, one.channel_id)
         one.oracle.owe()
         one.core.begin(cut)
@@ -345,6 +348,9 @@ class Readers:
             late += items_of([each.slice for each in step.late])
             assert step.is_last != one.core.under_way
             _check_ends(pair, step.slices + step.late, cut)
+            if one.core.under_way:
+                meddle(one.channel_id)
+                OracleReader(pair.oracle, self.world.clock)
         lost = one.oracle.end_step(cut, new, late)
         _check_loss(one, step.loss, lost, pair)
         one.cursor = cut, one.core.next_seq, pair.incarnation

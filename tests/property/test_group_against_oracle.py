@@ -77,7 +77,10 @@ def a_definition(dice: Dice) -> GroupDefinition:
 
 
 def put(dice: Dice, story: Story) -> None:
-    channel_id = dice.pick(CHANNELS)
+    put_into(dice, story, dice.pick(CHANNELS))
+
+
+def put_into(dice: Dice, story: Story, channel_id: bytes) -> None:
     pair = story.world.pair(channel_id)
     pair.put(an_offer(dice, pair))
     story.world.spoken(channel_id)
@@ -151,7 +154,13 @@ def subscribe_cuts(dice: Dice, story: Story) -> None:
 
 
 def take_events(dice: Dice, story: Story) -> None:
-    story.readers.take_events(dice.pick((10**6, 1, 150)))
+    limit_bytes, meddles = dice.pick((10**6, 1, 150)), bool(dice.below(2))
+
+    def meddle(channel_id: bytes) -> None:
+        if meddles:
+            put_into(dice, story, channel_id)
+
+    story.readers.take_events(limit_bytes, meddle)
 
 
 def match(dice: Dice, story: Story) -> None:
@@ -245,7 +254,7 @@ def _play_steps(story: Story, numbers: list[int]) -> None:
         readers.note()
         readers.poll_all()
     readers.deliver(10**6)
-    readers.take_events(10**6)
+    readers.take_events(10**6, lambda _: None)
     readers.take_matches()
     world.agree()
     world.check()

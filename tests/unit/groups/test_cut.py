@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 from stampede_rt.model import Policy
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, OwnTimes, TimesBoard
 from tests.unit.groups.channels import INCARNATION, NOW, channel, put
@@ -198,3 +200,26 @@ def test_a_channel_that_began_anew_holds_the_cut_until_it_is_past_it() -> None:
     board.hear(B, at(97, epoch=2, incarnation=8), 0, 0)
     cut.refresh(0)
     assert cut.cut == 95
+
+
+def test_the_lowest_of_many_is_found_however_they_move_and_whoever_begins_anew() -> None:
+    draw, ids = random.Random(3), [bytes([number]) for number in range(9)]
+    board, known = TimesBoard(), dict.fromkeys(ids, at(0))
+    cut = GroupCut(GroupDefinition(members=frozenset(ids[:6])), board)
+    cut.settle()
+    highest = 0
+    for step in range(3_000):
+        moving = draw.choice(ids)
+        before = known[moving]
+        known[moving] = before._replace(newest=(before.newest or 0) + draw.randrange(30))
+        if step % 97 == 0:
+            known[moving] = at(draw.randrange(highest + 1), epoch=step, incarnation=before.incarnation + 1)
+        if step % 211 == 0:
+            cut.define(GroupDefinition(members=frozenset(draw.sample(ids, 6)), spec_version=step))
+        board.hear(moving, known[moving], 0, step)
+        cut.refresh(step)
+        members = cut.definition.members
+        heard = [board.find(one) for one in members]
+        lowest = min(known[one].newest or 0 for one in members)
+        highest = highest if None in heard else max(highest, lowest)
+        assert (cut.cut or 0) == highest
