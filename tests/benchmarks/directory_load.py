@@ -32,7 +32,9 @@ READERS = 64
 CLIENT_PROCESSES = 4
 SAMPLE_SECONDS = 5.0
 CALL_SECONDS = 20.0
+MISSED_ENTRIES = 12_000  # more than two snapshots apart
 START_SECONDS_MAX = 180.0
+FAN_OUT_SECONDS_MAX = 120.0
 # Connections of their own, as many processes would have them: gRPC would share one otherwise.
 OWN_CONNECTION = (("grpc.use_local_subchannel_pool", 1),)
 
@@ -101,7 +103,7 @@ async def lookups(stub: Stub) -> list[Row]:
     return rows
 
 
-async def fill(stubs: list[Stub], count: int) -> list[Row]:
+async def fill(stubs: list[Stub], prefix: str, count: int) -> list[Row]:
     numbers = iter(range(count))
     longest = 0.0
 
@@ -109,7 +111,7 @@ async def fill(stubs: list[Stub], count: int) -> list[Row]:
         nonlocal longest
         for number in numbers:
             began = time.monotonic()
-            await open_channel(stub, f"many/{number}")
+            await open_channel(stub, f"{prefix}/{number}")
             longest = max(longest, time.monotonic() - began)
 
     began = time.monotonic()
@@ -140,10 +142,11 @@ async def fan_out(cluster: Cluster, stub: Stub, clients: int) -> list[Row]:
                 return
 
     tasks = [asyncio.create_task(watch(number)) for number in range(clients)]
-    await asyncio.gather(*(one.wait() for one in ready))
-    began = time.monotonic()
-    await open_channel(stub, "watched/one")
-    await asyncio.gather(*tasks)
+    async with asyncio.timeout(FAN_OUT_SECONDS_MAX):
+        await asyncio.gather(*(one.wait() for one in ready))
+        began = time.monotonic()
+        await open_channel(stub, "watched/one")
+        await asyncio.gather(*tasks)
     for channel in channels:
         await channel.close()
     spread = [one - began for one in arrived]
@@ -226,6 +229,24 @@ async def restart(cluster: Cluster) -> list[Row]:
     ]
 
 
+async def catch_up(cluster: Cluster) -> list[Row]:
+    """A follower was away for so long that the log no longer holds what it lacks, and is sent a snapshot."""
+    leader = await cluster.leader()
+    follower, other = cluster.others(leader)
+    await follower.end(signal.SIGKILL)
+    await fill([leader.stub, other.stub], "missed", MISSED_ENTRIES)
+    goal = (await leader.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=CALL_SECONDS)).applied_index
+    await follower.start()
+    began, reached, slowest = time.monotonic(), 0, 0.0
+    while reached < goal:
+        asked = time.monotonic()
+        answer = await follower.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=CALL_SECONDS)
+        slowest, reached = max(slowest, time.monotonic() - asked), answer.applied_index
+        await asyncio.sleep(0.002)
+    text = f"{time.monotonic() - began:.1f} s from its ready line, slowest answer meanwhile {slowest * 1e3:.0f} ms"
+    return [(f"a follower {MISSED_ENTRIES:,} entries behind gets a snapshot", text)]
+
+
 def show(rows: list[Row]) -> None:
     for name, text in rows:
         print(f"{name:<50}  {text}", flush=True)
@@ -241,10 +262,11 @@ async def measure(channels: int, clients: int) -> None:
             await register_host(leader.stub)
             show(await writes(stubs, "one", workers=1))
             show(await writes(stubs, "some", workers=WRITERS))
-            show(await fill(stubs, channels))
+            show(await fill(stubs, "many", channels))
             show(await lookups(leader.stub))
             show(await fan_out(cluster, leader.stub, clients))
             show(await reconnect(cluster, clients))
+            show(await catch_up(cluster))
             show(await restart(cluster))
         finally:
             await cluster.close()
