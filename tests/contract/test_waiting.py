@@ -78,7 +78,7 @@ async def test_an_incomplete_answer_says_so(surface: Surface) -> None:
 
 async def test_a_cancelled_get_leaves_nothing_behind(surface: Surface) -> None:
     channel = await surface.channel()
-    get = asyncio.ensure_future(channel.newest(timeout=0.3))
+    get = asyncio.ensure_future(channel.newest(timeout=2.0))
     await waiting(channel)
     get.cancel()
     async with asyncio.timeout(10):

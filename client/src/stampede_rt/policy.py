@@ -51,7 +51,7 @@ def parse_policy(
 
 def content_type_of(value: str | None) -> str | None:
     """A MIME type; None as it is. Raises InvalidArgument."""
-    if value is not None and not (value.isascii() and 0 < len(value) <= 255):
+    if value is not None and not (isinstance(value, str) and value.isascii() and 0 < len(value) <= 255):
         raise InvalidArgument(f"content_type is {value!r}; write a MIME type of 255 characters at most")
     return value
 
@@ -70,10 +70,21 @@ def count_of(what: str, value: int | None) -> int | None:
     """A whole number, 1 or more; None as it is. Raises InvalidArgument, naming `what`."""
     if value is None:
         return None
-    try:
-        count = operator.index(value)
-    except TypeError:
-        raise InvalidArgument(f"{what} is {value!r}; it must be a whole number") from None
-    if isinstance(value, bool) or not 1 <= count < 2**63:
-        raise InvalidArgument(f"{what} is {value!r}; it must be 1 or more")
+    count = whole_number_of(what, value)
+    if not 1 <= count < 2**63:
+        raise InvalidArgument(f"{what} is {value!r}; it must be 1 or more, and below 2**63")
     return count
+
+
+def whole_number_of(what: str, value: int) -> int:
+    """`value` as an int. Raises InvalidArgument, naming `what`; True is no number."""
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise InvalidArgument(f"{what} is {value!r}; it must be a whole number")
+    return operator.index(value)
+
+
+def flag_of(what: str, value: bool) -> bool:
+    """Raises InvalidArgument, naming `what`: "no" would count as yes."""
+    if not isinstance(value, bool):
+        raise InvalidArgument(f"{what} is {value!r}; write True or False")
+    return value

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import operator
 from dataclasses import dataclass
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Item
+from stampede_rt.policy import flag_of, whole_number_of
 from stampede_rt.timeline import InstantLike, Interval, Match, parse_instant
 
 TIMEOUT_S_MAX = 10**9
@@ -60,6 +60,12 @@ class Read:
     complete: bool = False
     cut: int | None = None
 
+    def __post_init__(self) -> None:
+        for what, value in (
+            ("newest_first", self.newest_first), ("payloads", self.payloads), ("complete", self.complete),
+        ):  # fmt: skip
+            flag_of(what, value)
+
 
 def after_position(after: Item | InstantLike) -> Item | int:
     """An item as it is, or an instant."""
@@ -70,10 +76,7 @@ def parse_limit(limit: int | None) -> int | None:
     """How many items at most; None: all."""
     if limit is None:
         return None
-    try:
-        count = operator.index(limit)
-    except TypeError:
-        raise InvalidArgument(f"limit is {limit!r}; it must be a whole number") from None
+    count = whole_number_of("limit", limit)
     if not 1 <= count < 2**32:
         raise InvalidArgument(f"limit is {limit!r}; it must be 1 or more, or None for all")
     return count

@@ -148,6 +148,8 @@ def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
 
 def last(duration: DurationLike) -> tuple[Bound, Bound]:
     """The two bounds of "the last `duration`", up to now: `channel.get(*last("30s"))`."""
+    if parse_duration(duration, "the duration") < 0:
+        raise InvalidArgument(f"the duration is {duration!r}; the last ones lie before now: leave the minus out")
     return NOW - duration, NOW
 
 

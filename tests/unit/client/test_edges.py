@@ -16,8 +16,9 @@ from stampede_rt.credentials import read_secret
 from stampede_rt.errors import InvalidArgument, InvalidName, PermissionDenied
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.reading import Wait, parse_limit
+from stampede_rt.reading import Read, Wait, parse_limit
 from stampede_rt.retry import DELAY_S_MAX, Backoff
+from stampede_rt.timeline import last, parse_interval
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.runs import RUN_ITEMS_MAX, parse_run
 
@@ -59,6 +60,7 @@ def test_a_name_outside_the_grammar_is_refused(name: object) -> None:
     [
         ("max_age", 10), ("max_age", "0s"), ("max_age", "-1s"), ("max_items", 0), ("max_items", 1.5), ("max_bytes", -1),
         ("max_items", True), ("on_full", "wait"), ("max_future", "-1s"), ("content_type", ""), ("consumers", "two"),
+        ("content_type", 3),
     ],
 )  # fmt: skip
 def test_a_wrong_policy_names_the_argument(argument: str, value: object) -> None:
@@ -72,10 +74,22 @@ def test_a_wrong_timeout_is_refused(timeout: object) -> None:
         Wait.parse(timeout)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("limit", [0, -1, 1.5, 2**32])
+@pytest.mark.parametrize("limit", [0, -1, 1.5, 2**32, True])
 def test_a_wrong_limit_is_refused(limit: object) -> None:
     with pytest.raises(InvalidArgument, match="limit"):
         parse_limit(limit)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("flag", ["newest_first", "payloads", "complete"])
+def test_what_is_no_flag_is_refused(flag: str) -> None:
+    """The text "no" counted as yes, or failed inside protobuf."""
+    with pytest.raises(InvalidArgument, match=f"{flag} is 'no'; write True or False"):
+        Read(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
+
+
+def test_the_last_duration_lies_before_now() -> None:
+    with pytest.raises(InvalidArgument, match="leave the minus out"):
+        last("-5s")
 
 
 def test_anything_with_a_buffer_is_a_payload_but_text_is_not() -> None:

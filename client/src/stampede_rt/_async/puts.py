@@ -15,6 +15,7 @@ from stampede_rt.codecs import Coding
 from stampede_rt.errors import ChannelFull
 from stampede_rt.model import Item
 from stampede_rt.payloads import check_attributes, check_payload
+from stampede_rt.policy import content_type_of
 from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
@@ -119,7 +120,7 @@ class Single:
             None if time is None else parse_instant(time),
             parse_item_duration(duration),
             dict(attributes or {}),
-            content_type or (coding.content_type if coding else ""),
+            content_type_of(content_type) or (coding.content_type if coding else ""),
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:

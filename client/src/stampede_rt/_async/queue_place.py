@@ -8,6 +8,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_
 from stampede_rt.binding import Binding, Owner
 from stampede_rt.codecs import Coding
 from stampede_rt.errors import QueueNotFound, StampedeError, Unavailable
+from stampede_rt.policy import flag_of, parse_name
 from stampede_rt.queueing import QueueInfo, QueuePolicy
 from stampede_rt.v1 import directory_pb2, queue_directory_service_pb2, queue_pb2
 from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
@@ -35,7 +36,11 @@ async def open_queue(
 ) -> QueueInfo:
     """Get or create a queue by name; an owner whose lease has ended is replaced."""
     request = queue_directory_service_pb2.OpenQueueRequest(
-        request_id=request_id(), name=name, spec=queue_policy_to_spec(policy), create=create, host_name=host or ""
+        request_id=request_id(),
+        name=name,
+        spec=queue_policy_to_spec(policy),
+        create=flag_of("create", create),
+        host_name=parse_name(host, "host") if host else "",
     )
     response = await session.supernodes.call("OpenQueue", request, timeout_s)
     return learn_queue(session, response.queue, response.host)

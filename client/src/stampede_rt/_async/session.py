@@ -21,6 +21,7 @@ from stampede_rt.codecs import Coding
 from stampede_rt.credentials import Credentials
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.model import ChannelInfo, Policy
+from stampede_rt.policy import flag_of, parse_name
 from stampede_rt.transports.concurrency_async import thread_id
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, policy_to_spec
@@ -101,7 +102,11 @@ class Session:
     ) -> ChannelInfo:
         """Get or create a channel by name; an owner whose lease has ended is replaced."""
         request = directory_service_pb2.OpenChannelRequest(
-            request_id=request_id(), name=name, spec=policy_to_spec(policy), create=create, host_name=host or ""
+            request_id=request_id(),
+            name=name,
+            spec=policy_to_spec(policy),
+            create=flag_of("create", create),
+            host_name=parse_name(host, "host") if host else "",
         )
         response = await self.supernodes.call("OpenChannel", request, timeout_s)
         return self._learn(response.channel, response.host)

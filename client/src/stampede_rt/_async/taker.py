@@ -69,7 +69,9 @@ class Taker:
         """The next message, or None when the wait is over or this is closed. Raises what keeps it from coming."""
         waiter = Waiter()
         with self._mutex:
-            if self.closed or self._session.closed:
+            if self._session.closed:
+                raise Unavailable("this connection is closed; connect() again")
+            if self.closed:
                 raise InvalidArgument(f"this handle of {self._state.name!r} is closed; open another")
             waiter.message = self._next_ready()
             if waiter.message is None:

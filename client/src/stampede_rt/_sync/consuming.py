@@ -40,6 +40,8 @@ def consume(session: Session, state: ChannelState, items: Item | Iterable[Item])
 
 def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]]]:
     """In requests of a size that hosts take; one without seqs if there are no items: it takes a place, or keeps it."""
+    if not isinstance(items, Iterable):
+        raise InvalidArgument(f"{items!r} is to be consumed; give the items that a read or subscription gave you")
     found: dict[int, list[int]] = {}
     for item in items:
         if not isinstance(item, Item):

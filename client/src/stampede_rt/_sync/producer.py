@@ -17,6 +17,7 @@ from stampede_rt.batching import NumberedRun, RunBuilder
 from stampede_rt.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.payloads import check_attributes, check_payload
+from stampede_rt.policy import content_type_of
 from stampede_rt.retry import Backoff
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
@@ -91,7 +92,7 @@ class Producer:
         check_attributes(attributes)
         instant = time if time is None or type(time) is int else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
-        kind = content_type or (coding.content_type if coding else "")
+        kind = content_type_of(content_type) or (coding.content_type if coding else "")
         if not self._builder.fits(payload, instant, attributes, kind):
             self._send()
         with self._mutex:

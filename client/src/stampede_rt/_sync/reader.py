@@ -101,12 +101,12 @@ class Reader:
 
     def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
         """The items whose own span holds `time`."""
-        interval = parse_interval(time, time)
-        return self._read(Read(interval, payloads=payloads, wait=Wait.parse(timeout)))
+        bound = parse_bound(time, "time")
+        return self._read(Read(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
 
     def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
         """The newest item older than `time`; where several share its time, the last accepted."""
-        return self._read_one(MIN_INSTANT, time, "[)", True, None, payloads, timeout)
+        return self._read_one(MIN_INSTANT, parse_bound(time, "time"), "[)", True, None, payloads, timeout)
 
     def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
         """The oldest held item; where several share its time, the first accepted."""

@@ -118,7 +118,9 @@ def _check_labels(run: item_pb2.ItemRun) -> None:
     if len(run.content_type.encode()) > CONTENT_TYPE_BYTES_MAX:
         raise MalformedRun(f"the run's content type is longer than {CONTENT_TYPE_BYTES_MAX} bytes")
     if run.attributes and attributes_length_bytes(run.attributes) > ATTRIBUTES_BYTES_MAX:
-        raise MalformedRun(f"the run's attributes are longer than {ATTRIBUTES_BYTES_MAX} bytes in all")
+        raise MalformedRun(
+            f"the run's attributes are longer than {ATTRIBUTES_BYTES_MAX} bytes in all; the payload takes more"
+        )
 
 
 def attributes_length_bytes(attributes: Mapping[str, str]) -> int:
