@@ -175,3 +175,27 @@ async def test_a_cross_section_takes_channels_only_and_says_so(surface: Surface)
     for others, said in ((right, "give a list"), (["a name"], "'a name' is no channel")):
         with pytest.raises(st.InvalidArgument, match=said):
             await surface.cross_section(left, others)
+
+
+async def test_what_is_under_way_goes_on_over_broken_streams_without_a_gap_or_a_double(other: aio.Connection) -> None:
+    left, right = [
+        await other.channel(f"changing/{next(_names)}-{st.now()}", host=host.name, max_age="120s")
+        for host in await other.hosts()
+    ]
+    group, base = await other.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    for step in (0, 1):
+        await put_all([left, right], base + step * SECOND)
+    assert await group[left].newest(timeout=10) is not None
+    async with group[left].subscribe() as items, group.subscribe() as cuts, group.match(left, "1ms") as matches:
+        times: dict[str, list[int]] = {"items": [], "cuts": [], "matches": []}
+        for step in (2, 3, 4, 5):
+            for stream in (items._stream, matches._stream, *(talk.conversation for talk in cuts._talks)):
+                assert stream is not None
+                stream._call.cancel()
+            await put_all([left, right], base + step * SECOND)
+            times["items"] += [item.time for item in await take(items, 1)]
+            times["cuts"] += [item.time for cut in await take(cuts, 1) for item in cut[left]]
+            if step > 2:  # the one of before, which the other channel has passed now
+                times["matches"] += [matched.time for matched in await take(matches, 1)]
+    assert times["items"] == times["cuts"] == [base + step * SECOND for step in (1, 2, 3, 4)]
+    assert times["matches"] == [base + step * SECOND for step in (2, 3, 4)]

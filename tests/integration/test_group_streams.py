@@ -99,6 +99,23 @@ async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the
     assert await resumed.take(1) == [t]
 
 
+async def test_matches_go_on_where_they_began_though_none_had_come_yet(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t)
+    begun = matching(left, group)
+    place = (await begun.read()).resume_after
+    begun.cancel()
+    await left.put(t + 5)
+    resumed = matching(left, group, after=place)
+    await right.put(t + 9)
+    found: list[pb.ItemMatch] = []
+    async with asyncio.timeout(WAIT_SECONDS):
+        while not found:
+            found += (await resumed.read()).matches
+    assert [list(one.item.run.time_unix_nano) for one in found] == [[t + 5]]
+
+
 async def test_what_reads_a_member_through_the_group_ends_when_it_is_let_out(host: Host) -> None:
     left, right = await host.open("left"), await host.open("right")
     group = host.directory.add_group("pair", [left, right])

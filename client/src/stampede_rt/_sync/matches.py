@@ -136,11 +136,7 @@ class MatchSubscription:
             self._unmatched_before += bool(matched.missing) and not (gone or message.unmatched_channel_ids)
             if self._partial or not matched.missing:
                 self._ready.append(matched)
-        if response.matches:
-            run = response.matches[-1].item.run
-            self._after = item_pb2.ItemPosition(
-                time_unix_nano=run.time_unix_nano[0], seq=run.first_seq, incarnation=self._per.incarnation
-            )
+        self._after = response.resume_after
         self.unmatched = self._unmatched_before + response.unmatched
         self.dropped = self._dropped_before + response.dropped
 

@@ -180,14 +180,16 @@ class SubscribeMatchesRequest(_message.Message):
     def __init__(self, group_id: _Optional[bytes] = ..., per_channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., tolerance_nanos: _Optional[int] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ...) -> None: ...
 
 class SubscribeMatchesResponse(_message.Message):
-    __slots__ = ("matches", "unmatched", "dropped")
+    __slots__ = ("matches", "unmatched", "dropped", "resume_after")
     MATCHES_FIELD_NUMBER: _ClassVar[int]
     UNMATCHED_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
+    RESUME_AFTER_FIELD_NUMBER: _ClassVar[int]
     matches: _containers.RepeatedCompositeFieldContainer[ItemMatch]
     unmatched: int
     dropped: int
-    def __init__(self, matches: _Optional[_Iterable[_Union[ItemMatch, _Mapping]]] = ..., unmatched: _Optional[int] = ..., dropped: _Optional[int] = ...) -> None: ...
+    resume_after: _item_pb2.ItemPosition
+    def __init__(self, matches: _Optional[_Iterable[_Union[ItemMatch, _Mapping]]] = ..., unmatched: _Optional[int] = ..., dropped: _Optional[int] = ..., resume_after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ...) -> None: ...
 
 class ItemMatch(_message.Message):
     __slots__ = ("item", "matched", "unmatched_channel_ids")

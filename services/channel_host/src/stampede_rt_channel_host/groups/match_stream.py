@@ -9,7 +9,7 @@ from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.requests import position_of
+from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.group import Matched, Matcher, OwnTrack, Track
 from stampede_rt_channel_host.groups.far_member import FarMember
@@ -73,7 +73,9 @@ class MatchStream:
                 await self._waiter.wait(self._writer.silence_left_s)
                 continue
             counted = matcher.unmatched, matcher.dropped
-            about = pb.SubscribeMatchesResponse(unmatched=matcher.unmatched, dropped=matcher.dropped)
+            about = pb.SubscribeMatchesResponse(
+                unmatched=matcher.unmatched, dropped=matcher.dropped, resume_after=position_to(matcher.place)
+            )
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 
     def _arrange(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:

@@ -126,6 +126,12 @@ class Matcher:
         self.dropped = 0
 
     @property
+    def place(self) -> Position:
+        """Everything up to it is settled: begun `after` this, another goes on."""
+        time, end_seq = self._place
+        return Position(clamp(time), end_seq - 1 if end_seq else None, self._channel.incarnation)
+
+    @property
     def earliest(self) -> int:
         """No earlier time of another member is asked for any more."""
         return clamp(self._place[0] - self._tolerance)
