@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from hypothesis import note
-
 from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound, Interval, MetaTime
 from tests.oracle.runs import KEPT_NANOS
@@ -186,15 +184,15 @@ STEPS: tuple[Step, ...] = (
 )  # fmt: skip
 
 
-def play(surface: Surface, host: SteeredHost, numbers: Sequence[int]) -> None:
-    """One story."""
+def play(surface: Surface, host: SteeredHost, numbers: Sequence[int], tell: Callable[[str], None]) -> None:
+    """One story; `tell` hears the names of its steps."""
     pair = PathPair(surface, host, Dice(numbers[0]).pick(POLICIES))
     try:
         for number in numbers[1:]:
             dice = Dice(number)
             counts = pair.oracle.consumers is not None
             step = consume if counts and dice.one_in(4) else dice.pick(STEPS)
-            note(step.__name__)
+            tell(step.__name__)
             step(dice, pair)
     finally:
         pair.end()
