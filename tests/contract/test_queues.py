@@ -151,7 +151,8 @@ async def test_a_lease_that_ends_gives_the_item_to_the_next(rig: Rig) -> None:
     late = await queue.get(timeout=10)
     await lease_from_now_on(queue, "60s")
     again = await queue.get(timeout=10)
-    assert (again.deliveries, late.lease_left) == (2, 0.0)
+    assert again.deliveries == 2
+    assert late.lease_left < 0.1  # counted from when it came here
     with pytest.raises(st.LeaseExpired, match=queue.name):
         await late.ack()
     await again.ack()

@@ -198,6 +198,23 @@ async def test_a_put_does_not_wait_behind_one_that_may_wait_longer(cluster: Loca
             assert [(await put).seq for put in patient] == [2, 3]
 
 
+async def test_each_of_many_puts_that_wait_side_by_side_waits_for_its_own_time_only(cluster: LocalCluster) -> None:
+    """Each waited for those before it and then anew, and failed as if the host were overloaded."""
+    async with await aio.connect(cluster.address) as rt:
+        full = await rt.channel("dropped/side-by-side", max_items=1, max_age="60s", on_full="block")
+        queue = await rt.queue("dropped/side-by-side", max_items=1)
+        await full.put(b"first")
+        await queue.put(b"first")
+        puts = [full.put(b"x", timeout=0.5) for _ in range(40)] + [queue.put(b"x", timeout=0.5) for _ in range(40)]
+        failures = await asyncio.gather(*puts, return_exceptions=True)
+        assert {type(failure) for failure in failures} == {st.ChannelFull}
+        await full.configure(max_items=3)
+        await queue.configure(max_items=3)
+        seqs = await asyncio.gather(*(queue.put(b"%d" % number, timeout=60) for number in range(2)))
+        assert seqs == [2, 3]
+        assert [(await full.put(b"x")).seq for _ in range(2)] == [2, 3]
+
+
 async def test_a_stream_with_a_put_that_waits_is_not_closed_for_others(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt_channel_host.channels.puts import IncomingRun, check_number, refused
+from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -21,7 +22,7 @@ _FRAMING_BYTES_MAX = 4096
 
 
 class PutStream:
-    """Serves one stream. While a run waits for room nothing more is read: the caller is held back by flow control."""
+    """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
 
     def __init__(self, store: ChannelStore, context: Any, stream: OpenStream) -> None:
         self._store = store
@@ -34,27 +35,29 @@ class PutStream:
         self._closed = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
+        self._requests = ReadAhead(context.read)
 
     async def run(self) -> None:
         """Until the caller has closed its side and every run is acked. Raises InvalidArgument for what is no put."""
         writer = self._stream.spawn(self._write_acks())
         try:
-            while (raw := await self._context.read()) is not EOF:
-                await self._take(raw)
+            while (came := await self._requests.next())[0] is not EOF:
+                await self._take(*came)
             self._closed = True
             self._news.set()
             await writer
         finally:
             writer.cancel()
+            self._requests.close()
 
-    async def _take(self, raw: bytes) -> None:
+    async def _take(self, raw: bytes, came_s: float) -> None:
         request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
         if request.channel_id:
             self._channel_id, self._epoch = request.channel_id, request.epoch
             self._producer_id = request.producer_id
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
         for put in request.puts:
-            ack = _refuse_size(put, self._store.now()) if too_much else await self._put(put)
+            ack = _refuse_size(put, self._store.now()) if too_much else await self._put(put, came_s)
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()
@@ -63,7 +66,7 @@ class PutStream:
         self._news.set()
         await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
 
-    async def _put(self, put: raw_run_pb2.RawPutRun) -> pb.PutAck:
+    async def _put(self, put: raw_run_pb2.RawPutRun, came_s: float) -> pb.PutAck:
         """The ack of one run. Blocks while the run waits for room."""
         now = self._store.now()
         run: IncomingRun | None = None
@@ -75,7 +78,7 @@ class PutStream:
                 )
             hosted = self._store.find(self._channel_id, self._epoch)
             try:
-                run = self._read(put)
+                run = self._read(put, came_s)
             except StampedeError as error:
                 raise hosted.puts.refuse_unread(put.run, error, now) from error
             ack = hosted.puts.put(run, now)
@@ -84,13 +87,14 @@ class PutStream:
         if ack is not None:
             return ack
         self._news.set()  # the acks before it do not wait
+        self._requests.go_on()
         try:
             return await run.wait(hosted.puts.give_up)
         finally:
             hosted.puts.withdraw(run)
 
-    def _read(self, put: raw_run_pb2.RawPutRun) -> IncomingRun:
-        wait_nanos = put.wait_nanos if put.HasField("wait_nanos") else None
+    def _read(self, put: raw_run_pb2.RawPutRun, came_s: float) -> IncomingRun:
+        wait_nanos = left_nanos(put.wait_nanos, came_s) if put.HasField("wait_nanos") else None
         return IncomingRun(put.run, producer_id=self._producer_id, first_number=put.first_number, wait_nanos=wait_nanos)
 
     async def _write_acks(self) -> None:

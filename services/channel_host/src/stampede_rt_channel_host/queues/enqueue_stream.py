@@ -10,6 +10,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -24,7 +25,7 @@ _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # what ends the stream, beside what i
 
 
 class EnqueueStream:
-    """Serves one stream. While a run waits for room nothing more is read: the caller is held back by flow control."""
+    """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
 
     def __init__(self, store: QueueStore, context: Any, stream: OpenStream) -> None:
         self._store = store
@@ -37,6 +38,7 @@ class EnqueueStream:
         self._closed = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
+        self._requests = ReadAhead(context.read)
 
     async def run(self) -> None:
         """Until the caller has closed its side and every run is acked.
@@ -47,8 +49,8 @@ class EnqueueStream:
         failure: StampedeError | None = None
         try:
             try:
-                while (raw := await self._context.read()) is not EOF:
-                    await self._take(raw)
+                while (came := await self._requests.next())[0] is not EOF:
+                    await self._take(*came)
             except StampedeError as error:
                 failure = error
             self._closed = True
@@ -56,10 +58,11 @@ class EnqueueStream:
             await writer
         finally:
             writer.cancel()
+            self._requests.close()
         if failure is not None:
             raise failure
 
-    async def _take(self, raw: bytes) -> None:
+    async def _take(self, raw: bytes, came_s: float) -> None:
         # The same bytes as an EnqueueRequest, field by field, with the runs left encoded.
         request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "EnqueueRequest")
         if request.channel_id:
@@ -74,7 +77,7 @@ class EnqueueStream:
             )
         failure = await self._failure_to_find()
         for message in request.puts:
-            await self._add(await self._enqueue(message, failure))
+            await self._add(await self._enqueue(message, came_s, failure))
         self._news.set()
         await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
 
@@ -87,7 +90,7 @@ class EnqueueStream:
         return None
 
     async def _enqueue(
-        self, message: raw_run_pb2.RawPutRun, failure: StampedeError | None
+        self, message: raw_run_pb2.RawPutRun, came_s: float, failure: StampedeError | None
     ) -> channel_service_pb2.PutAck:
         """The ack of one run. Blocks while the run waits for room."""
         check_number(self._producer_id, message.first_number)
@@ -96,16 +99,20 @@ class EnqueueStream:
             if failure is not None:
                 raise failure
             hosted = self._store.find(self._queue_id, self._epoch)
-            run = enqueue_of(message, self._producer_id)
+            run = enqueue_of(message, self._producer_id, came_s)
         except StampedeError as error:
             if hosted is not None:
                 hosted.refuse_unread(error)
             elif error.reason in _ENDING:
                 raise
             return refused(message.first_number, 0, error, self._store.now())
-        self._news.set()  # if it has to wait, the acks before it do not
-        await hosted.enqueue(run)
+        await hosted.enqueue(run, self._waits)
         return ack_of(run, self._store.now(), hosted.queue.incarnation)
+
+    def _waits(self) -> None:
+        """A run has to wait for room. The acks before it do not."""
+        self._news.set()
+        self._requests.go_on()
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
         while len(self._acks) >= ACKS_QUEUED_MAX:

@@ -74,8 +74,9 @@ class HostedQueue:
         self.record, self.epoch = record, record.epoch
         self._follow_up()
 
-    async def enqueue(self, run: Enqueue) -> None:
-        """Put a run; returns when it is through, and blocks while it waits for room. Cut short, it is withdrawn.
+    async def enqueue(self, run: Enqueue, on_wait: Callable[[], None]) -> None:
+        """Put a run; returns when it is through, and blocks while it waits for room: `on_wait` is called before. Cut
+        short, it is withdrawn.
 
         Raises InvalidArgument, Overloaded.
         """
@@ -89,6 +90,7 @@ class HostedQueue:
             self._follow_up()  # what was due is looked after, even if the run is refused
         if done is None:
             return
+        on_wait()
         try:
             await done
         finally:

@@ -9,11 +9,12 @@ from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt_channel_host.channels.read_ahead import left_nanos
 from stampede_rt_channel_host.core.queue import Enqueue
 
 
-def enqueue_of(message: raw_run_pb2.RawPutRun, producer_id: int) -> Enqueue:
-    """The run, not judged yet. Raises MalformedRun, or ItemTooLarge for what no queue can hold."""
+def enqueue_of(message: raw_run_pb2.RawPutRun, producer_id: int, came_s: float) -> Enqueue:
+    """The run that came then, not judged yet. Raises MalformedRun, or ItemTooLarge for what no queue can hold."""
     encoded = message.run
     columns = parse_run(encoded)
     items = len(columns.lengths)
@@ -28,7 +29,7 @@ def enqueue_of(message: raw_run_pb2.RawPutRun, producer_id: int) -> Enqueue:
         is_stamped=columns.times is None,
         producer_id=producer_id,
         first_number=message.first_number,
-        wait_nanos=message.wait_nanos if message.HasField("wait_nanos") else None,
+        wait_nanos=left_nanos(message.wait_nanos, came_s) if message.HasField("wait_nanos") else None,
     )
 
 

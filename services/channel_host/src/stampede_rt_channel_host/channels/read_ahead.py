@@ -1,0 +1,71 @@
+"""Requests of a stream of puts, read on while one of them waits, so that each waits from when it came."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from grpc.aio import EOF
+
+AHEAD_REQUESTS_MAX = 1024
+AHEAD_BYTES_MAX = 4 * 2**20  # one request more, whatever its size
+
+
+class ReadAhead:
+    """Gives requests in their order. Beyond the bounds nothing more is read: flow control holds the caller back."""
+
+    def __init__(self, read: Callable[[], Awaitable[Any]]) -> None:
+        self._read = read
+        self._came: deque[tuple[Any, float]] = deque()
+        self._bytes = 0
+        self._task: asyncio.Task[None] | None = None
+        self._failure: Exception | None = None
+        self._wanted = False
+        self._news = asyncio.Event()
+
+    async def next(self) -> tuple[Any, float]:
+        """The next request, or EOF, and when it came, on the monotonic clock. Raises what reading raised."""
+        self._wanted = True  # a read that has begun is waited for, since it cannot be taken back; no other is begun
+        while not self._came and self._task is not None:
+            self._news.clear()
+            await self._news.wait()
+        if not self._came:
+            if self._failure is not None:
+                raise self._failure
+            return await self._read(), time.monotonic()
+        raw, came_s = self._came.popleft()
+        self._bytes -= 0 if raw is EOF else len(raw)
+        return raw, came_s
+
+    def go_on(self) -> None:
+        """The request given last has to wait: read on until the next one is asked for."""
+        self._wanted = False
+        if self._task is None and self._failure is None and not (self._came and self._came[-1][0] is EOF):
+            self._task = asyncio.create_task(self._read_on())
+
+    async def _read_on(self) -> None:
+        try:
+            while not self._wanted and len(self._came) < AHEAD_REQUESTS_MAX and self._bytes < AHEAD_BYTES_MAX:
+                raw = await self._read()
+                self._came.append((raw, time.monotonic()))
+                if raw is EOF:
+                    break
+                self._bytes += len(raw)
+        except Exception as error:  # noqa: BLE001  # it is for whoever asks next
+            self._failure = error
+        finally:
+            self._task = None
+            self._news.set()
+
+    def close(self) -> None:
+        """Nobody asks any more."""
+        if self._task is not None:
+            self._task.cancel()
+
+
+def left_nanos(wait_nanos: int, came_s: float) -> int:
+    """What is left of the time that a put may wait, if it has waited on its stream since it came."""
+    return max(0, wait_nanos - round((time.monotonic() - came_s) * 1e9))
