@@ -43,6 +43,12 @@ class PathPuts(PathReads):
         self._numbers[producer_id] += len(offer.lengths)
         self._send(Run(offer, [self._payload(length) for length in offer.lengths], producer_id, first_number, waits))
 
+    def contends(self, producer_id: int, numbers: range) -> bool:
+        """A run in line has some of these numbers, but not the same ones: which of the two is in the wrong is not
+        known before the first one is answered."""
+        in_line = (one.run for one in self.line if one.run.producer_id == producer_id)
+        return any(run.numbers != numbers and set(run.numbers) & set(numbers) for run in in_line)
+
     def put_again(self, run: Run) -> None:
         """A producer sends a run a second time, since it does not know what became of it."""
         self._send(run)

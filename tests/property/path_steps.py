@@ -74,10 +74,13 @@ def put_again(dice: Dice, pair: PathPair) -> None:
     if not pair.sent:
         return
     former = pair.sent[dice.pick((-1, dice.below(len(pair.sent))))]
-    is_in_line = any(one.run is former for one in pair.line)
-    if dice.one_in(5):
-        if not is_in_line:
-            pair.put_overlapping(former)
+    loses_count, numbers = dice.one_in(5), former.numbers
+    if loses_count:
+        numbers = range(numbers.start, numbers.stop + 1)
+    if pair.contends(former.producer_id, numbers):
+        return
+    if loses_count:
+        pair.put_overlapping(former)
     elif may_wait(pair) or not former.waits:
         pair.put_again(former)
 
@@ -90,8 +93,9 @@ def hang_up(dice: Dice, pair: PathPair) -> None:
     entry = dice.pick(entries)
     if sum(one.run is entry.run for one in pair.line) == 1:
         pair.hang_up(entry)
-        if dice.below(3) and may_wait(pair):
-            pair.put_again(entry.run)
+        run = entry.run
+        if dice.below(3) and may_wait(pair) and not pair.contends(run.producer_id, run.numbers):
+            pair.put_again(run)
 
 
 def get(dice: Dice, pair: PathPair) -> None:

@@ -43,6 +43,10 @@ class Run:
     first_number: int = 0
     waits: bool = False
 
+    @property
+    def numbers(self) -> range:
+        return range(self.first_number, self.first_number + len(self.payloads))
+
 
 @dataclass
 class RunInBook:
