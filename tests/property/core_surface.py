@@ -24,7 +24,8 @@ from stampede_rt_channel_host.core.channel import LEASE_NANOS, Offer, Position, 
 from stampede_rt_channel_host.core.host_clock import HostTime
 from tests.oracle import Ack
 from tests.property.channel_pair import INCARNATION
-from tests.property.core_owner import Call, CoreOwner
+from tests.property.core_calls import Call
+from tests.property.core_owner import CoreOwner
 from tests.property.path_book import REASONS
 from tests.property.path_values import Followed, Run, merge
 from tests.support.clock import ManualClock
