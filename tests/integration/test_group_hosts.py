@@ -213,6 +213,7 @@ async def test_a_host_shows_nothing_before_it_knows_how_far_the_others_have_show
     assert (times, summary.reason) == ([], error_pb2.ABSENCE_REASON_HIDDEN)
     assert not summary.HasField("cut_unix_nano")
     assert "h1" in summary.detail
+    assert list((await pair.left.host.status(pair.group)).waiting_on_channel_ids) == [pair.right.channel_id]
     pair.cluster.directory.hosts[HIGHER].alive = False
     pair.cluster.directory.groups[pair.group.group_id].spec.reference = group_pb2.GROUP_REFERENCE_CHANNEL
     pair.cluster.directory.groups[pair.group.group_id].spec.reference_channel_id = pair.left.channel_id

@@ -128,3 +128,16 @@ async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
             await host.until(group, only_the_other_is_left_out)
     await synced([left, right], group, t + 2)
     assert (await left.get(group))[0] == [t]
+
+
+async def test_a_channel_of_a_lost_host_falls_idle_like_any_other(cluster: Cluster, clock: ManualClock) -> None:
+    left, right = await two_channels(cluster)
+    group, t = cluster.directory.add_group("pair", [left, right], idle_after_nanos=2 * S), left.host.now()
+    await left.put(t)
+    await right.put(t + 1)
+    await synced([left, right], group, t)
+    await right.host.stop()
+    cluster.directory.hosts[HIGHER].alive = False
+    clock.advance(3 * S)
+    await left.put(t + 9)
+    await synced([left], group, t + 9)

@@ -18,6 +18,7 @@ from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
 
 SERVICE = "stampede_rt.v1.GroupService"
+SETTLE_SECONDS = 1.0  # a status is asked for in trouble, too: then it tells which hosts are silent
 
 
 class GroupServicer:
@@ -80,13 +81,14 @@ class GroupServicer:
             reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
         except StampedeError as error:
             await abort(context, error)
-        waiting_on = group.cut.waiting_on(self._groups.channels.now())
+        waiting_on = group.waiting_on()
         return pb.GetCutResponse(floor=group.floor(), stalled=not reached, waiting_on_channel_ids=waiting_on)
 
     async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Any) -> pb.GetGroupStatusResponse:
         """GroupService.GetGroupStatus: the cut, what holds it back, and each member's place."""
         try:
             group = await self._groups.find(request.group_id)
+            await group.reach(None, SETTLE_SECONDS)
         except StampedeError as error:
             await abort(context, error)
         return pb.GetGroupStatusResponse(status=group_status(group, self._groups))

@@ -15,7 +15,7 @@ def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatu
     return group_pb2.GroupStatus(
         record=group.record,
         cut_unix_nano=group.cut.cut,
-        waiting_on_channel_ids=group.cut.waiting_on(now),
+        waiting_on_channel_ids=group.waiting_on(),
         members=[_member(member, group, groups, now) for member in group.cut.members(now)],
         host_time_unix_nano=now,
     )

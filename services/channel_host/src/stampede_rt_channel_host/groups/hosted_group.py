@@ -76,6 +76,15 @@ class HostedGroup:
         names = [self.name_of(one) for one in self.cut.waiting_on(self._now())]
         return f"held back by {', '.join(names)}" if names else "where its members have not come again yet"
 
+    def waiting_on(self) -> list[bytes]:
+        """The members that hold the cut back; while hosts have yet to tell how far it was, those that are there."""
+        untold = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
+        return untold if untold and not self.cut.is_settled else self.cut.waiting_on(self._now())
+
+    def ownerless(self) -> list[bytes]:
+        """Members whose host has lost its lease: until they have another one, nothing can be put there."""
+        return [channel_id for channel_id, host_id in self.owners.items() if host_id not in self.targets]
+
     def name_of(self, channel_id: bytes) -> str:
         """A member's name, for people."""
         return self.channels[channel_id].name if channel_id in self.channels else channel_id.hex()

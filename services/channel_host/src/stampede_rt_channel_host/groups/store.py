@@ -197,6 +197,7 @@ class GroupStore:
         places = (known.owners, known.targets) if known is not None else None
         group = self._adopt(group_id, told)
         group.looked_up_s = _now_s()
+        self._table.board.confirm(group.ownerless(), self.channels.now())
         await self._bind_own(group)
         if places != (group.owners, group.targets):
             self.exchange.share()
