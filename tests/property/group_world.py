@@ -1,7 +1,7 @@
 """Hosts with channels between them and groups over those, beside oracles that know what each host was told.
 
 Every channel is a ChannelPair, so that whatever groups do, the original channels go on as their oracle says. What reads
-through the groups is in `group_readers`.
+through the groups is in `group_readers`, and who listens to whole groups in `group_listeners`.
 """
 
 from __future__ import annotations

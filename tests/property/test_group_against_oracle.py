@@ -23,6 +23,7 @@ from stampede_rt_channel_host.core.channel import holdings
 from stampede_rt_channel_host.core.group import GroupDefinition
 from tests.property.channel_pair import INCARNATION
 from tests.property.dice import Dice
+from tests.property.group_listeners import Listeners
 from tests.property.group_readers import Readers
 from tests.property.group_world import CHANNELS, World
 from tests.property.test_channel_against_oracle import (
@@ -50,10 +51,11 @@ POLICIES = (
 
 @dataclass
 class Story:
-    """A world, its readers, and what has happened so far."""
+    """A world, who reads and listens in it, and what has happened so far."""
 
     world: World
     readers: Readers
+    listeners: Listeners
     told: list[str] = field(default_factory=list)
 
     def a_group(self, dice: Dice) -> int:
@@ -144,13 +146,17 @@ def resume(dice: Dice, story: Story) -> None:
     story.readers.resume(dice.below(12))
 
 
+def go_on(dice: Dice, story: Story) -> None:
+    story.readers.go_on(dice.below(4))
+
+
 def deliver(dice: Dice, story: Story) -> None:
     story.readers.deliver(dice.pick((10**6, 1, 150)))
 
 
 def subscribe_cuts(dice: Dice, story: Story) -> None:
-    if len(story.readers.events) < 2:
-        story.readers.subscribe_cuts(story.a_group(dice), dice.pick(story.world.up), dice.pick((6, 0, 15)))
+    if len(story.listeners.events) < 2:
+        story.listeners.subscribe_cuts(story.a_group(dice), dice.pick(story.world.up), dice.pick((6, 0, 15)))
 
 
 def take_events(dice: Dice, story: Story) -> None:
@@ -160,16 +166,16 @@ def take_events(dice: Dice, story: Story) -> None:
         if meddles:
             put_into(dice, story, channel_id)
 
-    story.readers.take_events(limit_bytes, meddle)
+    story.listeners.take_events(limit_bytes, meddle)
 
 
 def match(dice: Dice, story: Story) -> None:
-    if len(story.readers.matches) < 2:
-        story.readers.match(dice.pick((2, 0, 5)))
+    if len(story.listeners.matches) < 2:
+        story.listeners.match(dice.pick((2, 0, 5)))
 
 
 def take_matches(dice: Dice, story: Story) -> None:
-    story.readers.take_matches()
+    story.listeners.take_matches()
 
 
 def exchange(dice: Dice, story: Story) -> None:
@@ -184,13 +190,16 @@ def exchange(dice: Dice, story: Story) -> None:
 def change_member(dice: Dice, story: Story) -> None:
     group, channel_id, joins = story.a_group(dice), dice.pick(CHANNELS), bool(dice.below(2))
     if story.world.change_member(group, channel_id, joins=joins):
-        story.readers.member_changed(group, channel_id, joins=joins)
+        story.listeners.member_changed(group, channel_id, joins=joins)
+        if not joins:
+            story.readers.member_left(group, channel_id)
 
 
 def migrate(dice: Dice, story: Story) -> None:
     channel_id = dice.pick(CHANNELS)
     if story.world.migrate(channel_id, dice.below(len(story.world.hosts)), heard=bool(dice.below(2))):
-        story.readers.channel_moved(channel_id)
+        story.listeners.channel_moved(channel_id)
+        story.readers.channels_gone([channel_id])
 
 
 def lose(dice: Dice, story: Story) -> None:
@@ -203,8 +212,10 @@ def lose(dice: Dice, story: Story) -> None:
     incarnations = [one.incarnation for one in world.definitions]
     lost = world.lose(host, heir)
     anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
-    story.readers.channels_lost(host, lost, heir)
-    story.readers.groups_began_anew(anew)
+    story.listeners.channels_lost(host, lost, heir)
+    story.readers.channels_gone(lost)
+    for one in (story.listeners, story.readers):
+        one.groups_began_anew(anew)
 
 
 def bring_back(dice: Dice, story: Story) -> None:
@@ -224,7 +235,7 @@ Happening = Callable[[Dice, Story], None]
 STEPS: tuple[Happening, ...] = (
     rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
     take_matches, advance, tick, change_member, stale_words, put, use_up, original, migrate, resume, exchange, lose,
-    bring_back, put, read, give_up, take_events, deliver,
+    bring_back, put, read, give_up, take_events, deliver, go_on,
 )  # fmt: skip
 
 
@@ -235,7 +246,7 @@ def play(numbers: list[int]) -> None:
     policies = [first.pick(POLICIES) for _ in CHANNELS]
     with mock.patch.object(holdings, "ITEMS_PER_BLOCK", first.pick((2, 1, 3, 1024))):
         world = World(policies, definitions, first.pick((1, 2, 2, 3)), FIRST_CLOCK)
-        story = Story(world, Readers(world))
+        story = Story(world, Readers(world), Listeners(world))
         try:
             _play_steps(story, numbers[1:])
         except BaseException as error:
@@ -244,18 +255,18 @@ def play(numbers: list[int]) -> None:
 
 
 def _play_steps(story: Story, numbers: list[int]) -> None:
-    world, readers = story.world, story.readers
+    world, readers, listeners = story.world, story.readers, story.listeners
     for number in numbers:
         dice = Dice(number)
         step = dice.pick(STEPS)
         story.told.append(step.__name__)
         step(dice, story)
         world.look()
-        readers.note()
+        listeners.note()
         readers.poll_all()
     readers.deliver(10**6)
-    readers.take_events(10**6, lambda _: None)
-    readers.take_matches()
+    listeners.take_events(10**6, lambda _: None)
+    listeners.take_matches()
     world.agree()
     world.check()
 
