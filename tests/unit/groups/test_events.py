@@ -183,3 +183,17 @@ def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for
     assert decider.due([until_133], WAIT) == Boundary(133, (b"a",))
     decider.note(166, now=WAIT)
     assert decider.due([member(b"a", 166)], WAIT) == Boundary(166)
+
+
+def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enough() -> None:
+    """Too many once became one, whose wait began anew with each: what they showed came after twice the wait."""
+    wait, every = 1_000_000, 100
+    decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
+    told: list[int] = []
+    for now in range(every, 3 * wait, every):
+        decider.note(now, now)
+        while (due := decider.due(lagging, now)) is not None:
+            told.append(due.cut)
+        assert len(decider._pending) <= PENDING_MAX
+        assert (told[-1] if told else 0) >= now - wait - 2 * wait // PENDING_MAX - every
+    assert len(told) > PENDING_MAX / 2

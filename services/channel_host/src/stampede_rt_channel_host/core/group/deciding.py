@@ -37,13 +37,19 @@ class EventDecider:
         self._pending: deque[tuple[int, int]] = deque()  # cuts without an event, ascending, and when each was reached
 
     def note(self, cut: int | None, now: int) -> None:
-        """The cut has come so far. Among too many that wait, the last ones become one."""
+        """The cut has come so far. Of too many that wait, those become one that were reached at about the same time."""
         last = self._pending[-1][0] if self._pending else self._decided
         if cut is None or (last is not None and cut <= last):
             return
         if len(self._pending) >= PENDING_MAX:
-            self._pending.pop()
+            self._merge(now)
         self._pending.append((cut, now))
+
+    def _merge(self, now: int) -> None:
+        """Of the cuts of each stretch of the wait the last stays, so that none waits for longer than a stretch more."""
+        waited = max(self._max_wait_nanos, now - self._pending[0][1])
+        stretch = waited // (PENDING_MAX // 2) + 1
+        self._pending = deque({reached // stretch: (cut, reached) for cut, reached in self._pending}.values())
 
     def due(self, members: Iterable[Member], now: int) -> Boundary | None:
         """The event that is due, if one is. A member that is idle is not waited for."""
