@@ -222,7 +222,8 @@ async def test_a_client_hears_what_is_wrong_with_the_certificate_of_the_service(
         (away, both, "is for other addresses"),
         (caller_cannot_serve, client, "is not one of a service"),
     ):
-        tls = ServiceTls(TlsReader(files), load_tls(made.issue(Role.HOST, "h1"), Role.HOST).identity)
+        good = load_tls(made.issue(Role.HOST, "h1"), Role.HOST)
+        tls = ServiceTls(TlsReader(files), good.identity, good.addresses)
         async with serving(lambda _: None, tls=tls) as server:
             assert expected in await refusal(server.address, asks)
 

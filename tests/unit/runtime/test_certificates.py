@@ -76,6 +76,16 @@ def test_the_commands_make_files_that_work_together(tmp_path: Path, capsys: pyte
     assert "(an authority)" in told
 
 
+def test_a_certificate_for_other_addresses_is_noticed_by_the_service_itself(made: ClusterCertificates) -> None:
+    tls = load_tls(made.issue(Role.HOST, "h1"), Role.HOST)
+    for target in ("localhost:1", "LocalHost:1", "127.0.0.1:1", "[::1]:1", "unix:/run/h1", "0.0.0.0:1"):
+        tls.require_address(target)
+    with pytest.raises(
+        PermissionDenied, match=r"others call this service at h1\.lab, .*issue it with --address h1\.lab"
+    ):
+        tls.require_address("h1.lab:7600")
+
+
 def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert stampede(["certs", "init", str(tmp_path)]) == 0
     before = (tmp_path / "ca.pem").read_bytes()

@@ -36,9 +36,12 @@ class _Service:
         host = self._make_host()
         host.add_to(self._server.grpc)
         address = self._server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        advertise = settings.advertise or _reachable(address)
+        if self._credentials.tls is not None:
+            self._credentials.tls.require_address(advertise)
         await self._server.start()
         running = asyncio.create_task(self._server.run(host.leave))  # from here on a stop signal is heeded
-        entering = asyncio.create_task(host.enter(settings.advertise or _reachable(address)))
+        entering = asyncio.create_task(host.enter(advertise))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
         failure: BaseException | None = None
         if not self._server.stopping.is_set():

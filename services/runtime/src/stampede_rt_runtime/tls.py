@@ -16,6 +16,7 @@ from stampede_rt_runtime.identity import Identity, Role
 logger = logging.getLogger(__name__)
 
 SOON = timedelta(days=14)
+_ANYWHERE = ("0.0.0.0", "::")  # where it listens is then not where it is called
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +25,7 @@ class ServiceTls:
 
     reader: TlsReader
     identity: Identity
+    addresses: tuple[str, ...]
 
     def server_credentials(self) -> grpc.ServerCredentials:
         """Every caller must bring a certificate. New connections get what the files hold then."""
@@ -51,6 +53,16 @@ class ServiceTls:
                 f"{self.identity}; give it {flag} {self.identity.name}, or issue it a certificate of its own"
             )
 
+    def require_address(self, target: str) -> None:
+        """Raises PermissionDenied if who calls the service at `target`, as others are told to, would refuse it."""
+        host = target.rpartition(":")[0].strip("[]")
+        if target.startswith("unix:") or host.lower() in (*_ANYWHERE, *map(str.lower, self.addresses)):
+            return
+        raise PermissionDenied(
+            f"others call this service at {host}, but the certificate {self.reader.files.certificate} is for "
+            f"{', '.join(self.addresses)}; issue it with --address {host}, or --advertise another address"
+        )
+
 
 def _configuration(material: TlsMaterial) -> grpc.ServerCertificateConfiguration:
     return grpc.ssl_server_certificate_configuration([(material.key, material.certificate)], material.ca)
@@ -74,4 +86,4 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
         )
     if (left := own.not_after - datetime.now(UTC)) < SOON:
         logger.warning("the certificate %s ends in %s; renew it", files.certificate, str(left).partition(".")[0])
-    return ServiceTls(reader, own.identity)
+    return ServiceTls(reader, own.identity, own.addresses)

@@ -152,6 +152,7 @@ async def _open_log(
     """The log and the directory that it drives. Raises StampedeError if the store cannot be used."""
     if credentials.tls is not None:
         credentials.tls.require_name(founding.supernode_id, "--id")
+        credentials.tls.require_address(founding.address)
     replica = DirectoryReplica()
     replication = founding.replication_settings(settings.data_dir)
     try:
