@@ -13,7 +13,7 @@ import pytest
 from stampede_rt.v1 import channel_service_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels import subscription
-from stampede_rt_channel_host.groups import writing
+from stampede_rt_channel_host.groups import reading, writing
 from tests.unit.channel_host.manual_clock import ManualClock
 from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between
 from tests.unit.groups.rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
@@ -84,6 +84,24 @@ async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice
     await left.put(t + 1, t + 6)
     await right.put(t + 5)
     assert await resumed.take(2) == [t + 1, t + 4]
+
+
+async def test_what_becomes_visible_at_once_is_gone_on_behind_only_when_all_of_it_was_sent(
+    host: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reading, "MESSAGE_BYTES_MAX", 1)  # one run in each
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    for at in (10, 20, 30):
+        await left.put(t + at)
+    await right.put(t)
+    call = (await left.subscribe(group).opened()).call
+    await right.put(t + 5)  # the cut moves, and shows nothing of the left one
+    await right.put(t + 25)
+    async with asyncio.timeout(WAIT_SECONDS):
+        responses = [await call.read() for _ in range(3)]
+    assert [len(response.runs) for response in responses] == [1, 1, 0]
+    assert [response.HasField("resume_after") for response in responses] == [False, False, True]
 
 
 async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the_first_item(host: Host) -> None:

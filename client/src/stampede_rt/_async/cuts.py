@@ -126,6 +126,7 @@ class CutSubscription:
 
     async def _open_each(self) -> None:
         await self._group.refresh()  # others may have let members in or out
+        self._keep_members_only()
         try:
             for target in await self._group.targets():
                 port = self._group._session.ports.to(target)
@@ -152,6 +153,14 @@ class CutSubscription:
             without_payloads=not self._payloads,
             spec_version=self._group.info.spec_version,
         )
+
+    def _keep_members_only(self) -> None:
+        """Who comes back after a while begins at the cut then: what it got meanwhile is not late."""
+        if self._cursor is not None:
+            members = {channel.info.channel_id for channel in self._group.channels}
+            kept = [one for one in self._cursor.channels if one.channel_id in members]
+            del self._cursor.channels[:]
+            self._cursor.channels.extend(kept)
 
     def _learn(self, opened: group_pb.CutCursor) -> None:
         """Where a host begins with its channels; the decider's cut is where all begin."""

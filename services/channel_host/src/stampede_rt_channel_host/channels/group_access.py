@@ -38,7 +38,8 @@ class Cursor(Protocol):
 
     @property
     def place(self) -> Position | None:
-        """Behind which position it is to be resumed; None: behind its last item."""
+        """Behind which position it is to be resumed; None: the one named before or, if none was, behind its last
+        item."""
 
 
 class GroupAccess(Protocol):

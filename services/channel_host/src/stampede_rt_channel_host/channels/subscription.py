@@ -69,6 +69,7 @@ class Subscription:
         self._owes_progress = False  # a reader that began in the past is told when it has all that was held
         self._told_advance: int | None = None
         self._told_place: Position | None = None
+        self._owes_place = False  # items were sent in the midst of a step, which has ended since
         self._silent_at_s = 0.0  # on the loop's clock: when a sign of life is due, whatever news wake it before
 
     def wake(self) -> None:
@@ -117,6 +118,10 @@ class Subscription:
             )
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
+            self._owes_place = cursor.place != self._told_place
+        elif self._owes_place:
+            self._owes_place = False
+            await self._write(self._place(cursor))
         elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news():
             self._owes_progress = False
             progress = self._progress(cursor, self._store.now())

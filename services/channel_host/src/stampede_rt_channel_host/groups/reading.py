@@ -140,7 +140,7 @@ class _All:
         self._cursor = cursor
 
     @property
-    def place(self) -> Position:
+    def place(self) -> Position | None:
         return self._cursor.place
 
     def take(self, now: int) -> Delivery:
@@ -160,7 +160,7 @@ class _Newest:
         self._cursor = cursor
 
     @property
-    def place(self) -> Position:
+    def place(self) -> Position | None:
         return self._cursor.place
 
     def take(self, now: int) -> Delivery:

@@ -156,16 +156,11 @@ class GroupStore:
         since_s = _now_s() - group.looked_up_s
         if since_s < LOOK_UP_SECONDS_IN_TROUBLE:
             return False
-        if group.is_stale or self._neglects_own(group):
+        if group.is_stale:
             return True  # others may wait for this host, though nobody reads the group here
         if not (group.listeners or group.watchers) and _now_s() - group.named_s > IN_USE_SECONDS:
             return False
         return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)
-
-    def _neglects_own(self, group: HostedGroup) -> bool:
-        """A member that this host owns, as far as it knows, is not followed."""
-        own = self._identity.host_id
-        return any(host_id == own and self.own(channel_id) is None for channel_id, host_id in group.owners.items())
 
     def _misses_a_host(self, group: HostedGroup) -> bool:
         """A host is not heard of: it may be gone, and another one may own its channels."""
@@ -246,6 +241,7 @@ class GroupStore:
                 hosted = await self.channels.bind(channel_id, record.epoch)
             except StampedeError as error:
                 logger.debug("cannot serve a member", extra={"channel": record.name, "why": str(error)})
+                group.is_stale = True
                 continue
             self._follow(channel_id, hosted)
 

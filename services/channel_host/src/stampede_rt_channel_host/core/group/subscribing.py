@@ -45,8 +45,10 @@ class VisibleAll:
         self._follower = CutFollower(channel, cut, now, next_seq=next_seq)
 
     @property
-    def place(self) -> Position:
-        """Where it stands behind its last whole step: begun `after` this, another goes on without a gap or a double."""
+    def place(self) -> Position | None:
+        """Begun `after` this, another goes on without a gap or a double; None in the midst of a step."""
+        if self._follower.under_way:
+            return None
         cut = self._follower.cut
         return Position(MIN_INSTANT if cut is None else cut - 1, self._follower.next_seq - 1, self._channel.incarnation)
 
@@ -103,7 +105,7 @@ class VisibleNewest:
             self._last = (low, SEQ_END) if start_exclusive else (low, -1)
 
     @property
-    def place(self) -> Position:
+    def place(self) -> Position | None:
         """As in `VisibleAll`."""
         return self._all.place
 
