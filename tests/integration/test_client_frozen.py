@@ -33,7 +33,7 @@ def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: Loca
     with st.connect(cluster.address) as rt, ThreadPoolExecutor(8) as pool:
         channel = rt.channel("cam/a", max_age="60s")
         queue = rt.queue("work/a", host=channel.host)
-        channel.put(b"lost")
+        lost = channel.put(b"lost")
         queue.put(b"lost")
         frozen = owner(cluster, channel)
         frozen.pause()
@@ -46,6 +46,7 @@ def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: Loca
         put, item, _, seq = (call.result() for call in calls)
         assert put.incarnation == channel.incarnation
         assert (item.payload, seq) == (b"goes on elsewhere", 1)
+        assert channel.at(lost.time).reason == "LOST"
         frozen.resume()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
+from stampede_rt.model import Policy, Reason
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, NEWEST, NOW, OLDEST, Bound, Interval, Match, parse_interval
 from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Position, Query, WakeAt
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
@@ -208,3 +209,29 @@ def test_newest_after_an_instant_waits_for_a_later_one() -> None:
     answer = channel.poll(pending, CLOCK)
     assert isinstance(answer, Answer)
     assert times_of(answer.slices) == [11]
+
+
+def test_what_an_incarnation_before_this_one_held_is_lost_and_not_never_or_not_yet() -> None:
+    """It read as if nothing had been put there."""
+    channel = Channel(Policy(max_items=9), incarnation=0xABC, lost_before=CLOCK)
+    before = get(channel, CLOCK - 20, CLOCK - 10)
+    assert (before.reason, before.complete, before.truncated) == ("LOST", False, True)
+    assert "incarnation abc began then" in (before.reason.detail if before.reason else "")
+    assert get(channel, CLOCK - 20, CLOCK + 10).reason == "NOT_YET"
+    assert "was lost" in (get(channel, OLDEST, NEWEST).reason or Reason("NEVER", "")).detail
+    put(channel, CLOCK + 5, now=CLOCK + 5)
+    assert get(channel, CLOCK - 20, CLOCK - 10, now=CLOCK + 5).reason == "LOST"
+    partial = get(channel, CLOCK - 20, CLOCK + 5, now=CLOCK + 5)
+    assert (times_of(partial.slices), partial.reason, partial.truncated) == ([CLOCK + 5], "LOST", True)
+    assert get(channel, CLOCK + 1, CLOCK + 2, now=CLOCK + 5).reason == "NEVER"
+    assert get(channel, CLOCK, CLOCK + 5, now=CLOCK + 5).reason is None
+
+
+def test_an_item_that_is_put_again_after_it_was_lost_releases_who_waits_for_it() -> None:
+    channel = Channel(Policy(max_items=9), incarnation=2, lost_before=CLOCK)
+    pending = channel.begin(Query(interval=parse_interval(CLOCK - 20, CLOCK - 10)), CLOCK)
+    assert isinstance(channel.poll(pending, CLOCK), WakeAt)
+    put(channel, CLOCK - 15)
+    answer = channel.poll(pending, CLOCK)
+    assert isinstance(answer, Answer)
+    assert times_of(answer.slices) == [CLOCK - 15]

@@ -21,6 +21,8 @@ from stampede_rt.wire.reads import (
     summary_reason,
 )
 
+_MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)  # also what was lost: its producer may put it again
+
 
 async def read(session: Session, state: ChannelState, query: Read, view: GroupView | None = None) -> Items:
     """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait.
@@ -34,7 +36,7 @@ async def read(session: Session, state: ChannelState, query: Read, view: GroupVi
         return await _read_once(session, state, query, view)
     while True:
         items = await _read_once(session, state, replace(query, wait=Wait(RENEW_S)), view)
-        if items.complete or (items and not query.complete) or items.reason not in (Reason.NOT_YET, Reason.HIDDEN):
+        if items.complete or (items and not query.complete) or items.reason not in _MAY_COME:
             return items
         query = replace(query, interval=fixed(query.interval, items.interval))
 

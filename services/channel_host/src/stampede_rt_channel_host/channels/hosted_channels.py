@@ -36,7 +36,12 @@ class HostedChannel:
         """Raises InvalidArgument if the record's policy cannot hold."""
         self.record = record
         self.epoch: int = record.epoch
-        self.channel = Channel(policy_from_spec(record.spec), incarnation=record.incarnation, name=record.name)
+        self.channel = Channel(
+            policy_from_spec(record.spec),
+            incarnation=record.incarnation,
+            name=record.name,
+            lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
+        )
         self.gets = WaitingGets(self.channel, now)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce)
         self.listeners: dict[Listener, None] = {}

@@ -47,14 +47,19 @@ class Channel:
     puts again and looks after its subscriptions; after each consume it offers waiting puts again. Seqs start at 1.
     """
 
-    def __init__(self, policy: Policy, *, incarnation: int, name: str = "") -> None:
-        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `Limits.of`)."""
+    def __init__(self, policy: Policy, *, incarnation: int, name: str = "", lost_before: int | None = None) -> None:
+        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `Limits.of`).
+
+        `lost_before`: when this incarnation began, if one before it was lost with its host; readers of the time before
+        are told.
+        """
         self._policy = policy
         self._incarnation = incarnation
+        self.lost_before = lost_before
         self._held = Holdings()
         self._retention = Retention(Limits.of(policy), self._held)
         self._acceptance = Acceptance(self._held, self._retention, name)
-        self._reading = Reading(self._held, self._retention, incarnation)
+        self._reading = Reading(self._held, self._retention, incarnation, lost_before)
         self._clock: int | None = None
         self._puts_unsettled = 0
         self._entries_to_free = 0  # what puts may have brought in since they last freed

@@ -25,10 +25,11 @@ class Pending:
 class Reading:
     """Answers queries from holdings. `clock` is the host's clock, at which age has been settled."""
 
-    def __init__(self, held: Readable, retention: Retention, incarnation: int) -> None:
+    def __init__(self, held: Readable, retention: Retention, incarnation: int, lost_before: int | None = None) -> None:
         self._held = held
         self._retention = retention
         self._incarnation = incarnation
+        self._lost_before = lost_before  # what an incarnation before this one held, lies before it
         self.advance: int | None = None
         self.consumed_up_to: int | None = None  # the latest time of an item that consumption took: that one did come
 
@@ -109,7 +110,10 @@ class Reading:
         )  # fmt: skip
 
     def _no_anchor(self) -> Reason:
-        return Reason("NOT_YET", "the channel holds no item, so that there is no newest or oldest one to go by yet")
+        but = "" if self._lost_before is None else f": {self._loss}"
+        return Reason(
+            "NOT_YET", f"the channel holds no item, so that there is no newest or oldest one to go by yet{but}"
+        )
 
     def _is_over(self, region: ResolvedInterval) -> bool:
         """Nothing more can come: an item or an advance is past its end, or it is empty, or below the frontier."""
@@ -125,15 +129,14 @@ class Reading:
         return frontier is not None and region.end + (not region.end_exclusive) <= frontier
 
     def _is_truncated(self, region: ResolvedInterval) -> bool:
-        frontier = self._held.frontier
-        return frontier is not None and region.start < frontier
+        return any(mark is not None and region.start < mark for mark in (self._held.frontier, self._lost_before))
 
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
     ) -> Reason | None:
         """Why an answer with items is partial; what the limit cut off is no part of it."""
         if truncated and not (more and query.newest_first):
-            return self._collected()
+            return self._gone(region)
         if query.complete and not complete:
             return self._not_yet(query, region)
         return None
@@ -147,10 +150,23 @@ class Reading:
         if not self._is_over(region):
             return self._not_yet(query, region)
         if self._is_truncated(region):
-            return self._collected()
+            return self._gone(region)
         consumed = self.consumed_up_to is not None and self.consumed_up_to >= region.start
         but = ", or all consumers have consumed it" if consumed else ""
         return Reason("NEVER", f"the channel is past the interval and nothing was put that matches{but}")
+
+    def _gone(self, region: ResolvedInterval) -> Reason:
+        """What the region reaches back to was collected, or lost with an earlier incarnation."""
+        frontier = self._held.frontier
+        return self._collected() if frontier is not None and region.start < frontier else self._lost()
+
+    def _lost(self) -> Reason:
+        return Reason("LOST", f"{self._loss}; incarnation {self._incarnation:x} began then")
+
+    @property
+    def _loss(self) -> str:
+        before = format_instant(self._lost_before or 0)
+        return f"the channel's host was lost, and with it what the channel held before {before}"
 
     def _collected(self) -> Reason:
         held = self._held
@@ -159,6 +175,8 @@ class Reading:
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
+        if self._lost_before is not None and region.end + (not region.end_exclusive) <= self._lost_before:
+            return self._lost()
         newest = "holds nothing" if self._held.newest is None else f"is at {format_instant(self._held.newest)}"
         return Reason("NOT_YET", f"the channel {newest}; items up to {format_instant(region.end)} may still come")
 

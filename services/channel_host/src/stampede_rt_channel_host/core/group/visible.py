@@ -69,7 +69,8 @@ class VisibleReading(Reading):
     def __init__(self, channel: Channel, horizon: Horizon, now: int) -> None:
         """`now`: the host's clock, to which the channel is aged."""
         self._all, retention = channel.look(now)
-        super().__init__(VisibleHoldings(self._all, horizon.cut), retention, channel.incarnation)
+        held = VisibleHoldings(self._all, horizon.cut)
+        super().__init__(held, retention, channel.incarnation, channel.lost_before)
         self.advance, self.consumed_up_to = channel.advanced_to, self._all.newest_consumed
         self._horizon = horizon
         self._asked: tuple[Query, ResolvedInterval, int] | None = None
