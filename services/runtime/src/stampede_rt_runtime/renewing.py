@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -19,12 +20,16 @@ class RenewingChannel(grpc.aio.Channel):
         self._material = reader.current()
         self._channel = connect(self._material)
         self._former: grpc.aio.Channel | None = None
+        self._let_go: asyncio.Future[None] | None = None  # held, so that it is not collected before it is done
+        self._closed = False
 
     def current(self) -> grpc.aio.Channel:
         """The channel for a call that begins now."""
         material = self._reader.current()
-        if material is not self._material:
+        if material is not self._material and not self._closed:
             self._material = material
+            if self._former is not None:
+                self._let_go = asyncio.ensure_future(self._former.close())  # it would go on connecting for ever
             self._former, self._channel = self._channel, self._connect(material)
         return self._channel
 
@@ -35,7 +40,8 @@ class RenewingChannel(grpc.aio.Channel):
         await self.close()
 
     async def close(self, grace: float | None = None) -> None:
-        """Close the connections; calls under way have `grace` seconds."""
+        """Close the connections; calls under way have `grace` seconds. Later calls fail; nothing connects again."""
+        self._closed = True
         for channel in (self._former, self._channel):
             if channel is not None:
                 await channel.close(grace)

@@ -1,0 +1,77 @@
+"""A channel whose certificates are renewed while it is used."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+import grpc
+
+from stampede_rt.tls import TlsMaterial, TlsReader
+from stampede_rt_runtime.renewing import RenewingChannel
+
+
+class Connection:
+    """One gRPC channel, whose calls answer with it."""
+
+    def __init__(self) -> None:
+        self.closed = asyncio.Event()
+
+    def unary_unary(self, method: str) -> Any:
+        return lambda: self
+
+    async def close(self, grace: float | None = None) -> None:
+        self.closed.set()
+
+
+class Renewals:
+    """What a reader of certificate files gives, and the connections that were made with it."""
+
+    def __init__(self) -> None:
+        self.material = object()
+        self.made: list[Connection] = []
+
+    def current(self) -> TlsMaterial:
+        return cast(TlsMaterial, self.material)
+
+    def renew(self) -> None:
+        self.material = object()
+
+    def connect(self, material: TlsMaterial) -> grpc.aio.Channel:
+        self.made.append(Connection())
+        return cast(grpc.aio.Channel, self.made[-1])
+
+    def channel(self) -> RenewingChannel:
+        return RenewingChannel(self.connect, cast(TlsReader, self))
+
+
+async def test_calls_after_a_renewal_go_over_a_new_connection_and_those_before_it_stay_where_they_are() -> None:
+    renewals = Renewals()
+    call = renewals.channel().unary_unary("/test.Probe/Echo")
+    before = call()
+    renewals.renew()
+    assert (before, call(), call()) == (renewals.made[0], renewals.made[1], renewals.made[1])
+    assert not before.closed.is_set()
+
+
+async def test_a_connection_of_the_renewal_before_the_last_is_closed() -> None:
+    """Nobody closed it, and it went on connecting with certificates that nobody accepts any more."""
+    renewals = Renewals()
+    channel = renewals.channel()
+    for _ in range(2):
+        renewals.renew()
+        channel.current()
+    async with asyncio.timeout(5):
+        await renewals.made[0].closed.wait()
+    assert [one.closed.is_set() for one in renewals.made] == [True, False, False]
+
+
+async def test_nothing_connects_any_more_once_it_is_closed() -> None:
+    renewals = Renewals()
+    channel = renewals.channel()
+    call = channel.unary_unary("/test.Probe/Echo")
+    await channel.close()
+    renewals.renew()
+    assert call() is renewals.made[0]
+    assert len(renewals.made) == 1
+    assert renewals.made[0].closed.is_set()
