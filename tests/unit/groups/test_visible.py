@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from stampede_rt.errors import IncarnationLost
@@ -134,3 +136,34 @@ def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> 
     gap = reader.take(horizon(60), CLOCK, 10**6).gap
     assert gap is not None
     assert gap.items == 1
+
+
+def test_an_item_at_the_very_time_of_the_cut_is_hidden_from_whoever_asks_for_it() -> None:
+    view = GroupView(channel(10, 20, 30, 30))
+    assert times(view.read(Query(interval=parse_interval(5, 40)), horizon(30), CLOCK).slices) == [10, 20]
+    assert times(view.read(Query(interval=parse_interval(5, 40)), horizon(31), CLOCK).slices) == [10, 20, 30, 30]
+
+
+def test_what_the_cut_hides_behind_a_limit_is_no_reason() -> None:
+    view = GroupView(channel(10, 20, 30))
+    query = Query(interval=parse_interval(5, 40), limit=1)
+    answer = view.read(query, horizon(25), CLOCK)
+    assert (times(answer.slices), answer.more, answer.reason) == ([10], True, None)
+    answer = view.read(replace(query, newest_first=True), horizon(25), CLOCK)
+    assert (times(answer.slices), answer.more, answer.reason) == ([20], True, "HIDDEN")
+
+
+def test_an_interval_with_its_end_is_complete_when_the_cut_is_past_that() -> None:
+    view = GroupView(channel(10, 20, 30))
+    query = Query(interval=parse_interval(5, 25, "[]"), complete=True)
+    assert not view.read(query, horizon(25), CLOCK).complete
+    assert view.read(query, horizon(26), CLOCK).complete
+
+
+def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_it() -> None:
+    view = GroupView(channel(10))
+    query = Query(interval=parse_interval(CLOCK + 5, CLOCK + 9))
+    pending = view.begin(query, horizon(20), CLOCK)
+    assert view.poll(pending, horizon(20), CLOCK) == WakeAt(None)
+    assert view.poll(pending, horizon(CLOCK + 5), CLOCK) == WakeAt(CLOCK + 5)
+    assert not isinstance(view.poll(pending, horizon(CLOCK + 6), CLOCK + 5), WakeAt)
