@@ -94,6 +94,26 @@ def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cl
             assert message.payload == b"while it was alive"
 
 
+def test_of_two_live_processes_with_one_proof_the_later_has_the_name_and_the_other_is_told(
+    cluster: LocalCluster, caplog: pytest.LogCaptureFixture
+) -> None:
+    """They took it from each other again and again, each with the other's messages, and closing one freed the name."""
+    proof = "0123456789abcdef"
+    former = st.connect(cluster.address, name="twice", proof=proof)
+    with st.connect(cluster.address) as rt, st.connect(cluster.address, name="twice", proof=proof) as latter:
+        with pytest.raises(st.PeerExists, match="taken over by another process with the same proof"):
+            former.mailbox.get(timeout=30)
+        with pytest.raises(st.PeerExists):
+            former.mailbox.get(timeout=0)
+        former.close()
+        assert "could not say" not in caplog.text
+        rt.send("twice", b"for the one that lives")
+        message = latter.mailbox.get(timeout=10)
+        assert message is not None
+        assert message.payload == b"for the one that lives"
+        message.ack()
+
+
 @pytest.mark.parametrize("proof", ["short", 7])
 def test_a_proof_that_anybody_could_guess_is_refused(cluster: LocalCluster, proof: Any) -> None:
     with pytest.raises(st.InvalidArgument, match="token_hex"):

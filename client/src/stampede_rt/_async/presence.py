@@ -6,6 +6,7 @@ import logging
 import os
 import random
 import time
+from collections.abc import Callable
 
 from stampede_rt._async.listener import worth_a_line
 from stampede_rt._async.queue import Taking
@@ -52,6 +53,7 @@ class Presence:
         self.peer: PeerInfo | None = None
         self._mailbox: QueueState | None = None
         self.error: StampedeError | None = None
+        self.on_lost: Callable[[StampedeError], None] | None = None  # called once, when `error` is set
 
     @property
     def peer_id(self) -> bytes:
@@ -122,7 +124,10 @@ class Presence:
             if self._registered:
                 await self._renew(timeout_s)
                 self._failures = 0
-        except LeaseExpired:
+        except LeaseExpired as error:
+            if _taken_over(error):
+                self._lose(self._taken_over())
+                return
             _log.warning("the lease of peer %r has ended; it registers again", self._name)
             self._registered = False
         except StampedeError as error:
@@ -135,8 +140,20 @@ class Presence:
         except (Unavailable, DeadlineExceeded) as error:
             self._failed("could not be taken again", error)
         except StampedeError as error:
-            self.error = error
-            _log.error("the peer %r is registered no more: %s", self._name, error)
+            self._lose(error)
+
+    def _lose(self, error: StampedeError) -> None:
+        self.error = error
+        _log.error("the peer %r is registered no more: %s", self._name, error)
+        if self.on_lost is not None:
+            self.on_lost(error)
+
+    def _taken_over(self) -> PeerExists:
+        return PeerExists(
+            f"the name {self._name!r} was taken over by another process with the same proof, which counts as this one "
+            "restarted; give each process a proof of its own if both are to live",
+            metadata={"peer": self._name},
+        )
 
     def _failed(self, how: str, error: StampedeError) -> None:
         self._failures += 1
@@ -178,7 +195,14 @@ class Presence:
         try:
             await self._session.supernodes.call("DeregisterPeer", request, LEAVE_TIMEOUT_S)
         except StampedeError as error:
+            if _taken_over(error):
+                return  # the name is another process's by now
             _log.warning("the peer %r could not say that it leaves; its lease ends by itself: %s", self._name, error)
+
+
+def _taken_over(error: StampedeError) -> bool:
+    """Another process with the same proof is alive under the name."""
+    return isinstance(error, LeaseExpired) and "held_by" in error.metadata
 
 
 class MailboxPlace(QueuePlace):
@@ -210,6 +234,7 @@ class Mailbox(Taking):
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
         super().__init__(session, state, MailboxPlace(session, presence, state), 1)
+        presence.on_lost = self._taker.interrupt
 
     def __repr__(self) -> str:
         return f"<Mailbox of peer {self.name!r} at host {self.host!r}>"

@@ -189,6 +189,14 @@ class Taker:
             waiter.asked.set()
             waiter.come.set()
 
+    def interrupt(self, error: StampedeError) -> None:
+        """Nothing can be taken any more: whoever waits hears `error`, and who comes later why from the place."""
+        with self._mutex:
+            stream, self._stream = self._stream, None
+        self._fail(error)
+        if stream is not None:
+            stream.cancel()
+
     async def _take_at(self, binding: Binding) -> None:
         """Take over one stream until it ends. What ends it before anything was heard is raised."""
         port = self._session.ports.to(binding.target)

@@ -147,7 +147,7 @@ def check_peer_boot(peer: Peer, boot_incarnation: int) -> None:
         raise LeaseExpired(
             f"the lease of peer {shown} belongs to another process, started with another boot incarnation; register "
             "again, and see that two processes do not share one identity",
-            metadata={"peer": shown},
+            metadata={"peer": shown, **({"held_by": "another process"} if peer.alive else {})},
         )
 
 
