@@ -41,6 +41,16 @@ async def synced(channels: list[GroupedChannel], group: group_pb2.GroupRecord, c
         await channel.host.until_cut(group, cut)
 
 
+async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.GroupRecord, newest: int) -> None:
+    """The host of `at` has heard how far `channel` is."""
+
+    def is_heard(status: group_pb2.GroupStatus) -> bool:
+        told = {one.times.channel_id: one.times.newest_unix_nano for one in status.members}
+        return told.get(channel.channel_id) == newest
+
+    await at.host.until(group, is_heard)
+
+
 async def test_a_link_is_opened_again_though_a_write_came_behind_its_end(
     cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -82,43 +92,48 @@ async def test_a_member_is_followed_though_nobody_names_the_group_at_its_host(cl
     await left.put(t)
     await right.put(t)
     await synced([left, right], group, t)
-    right.host.host.groups.known(group.group_id).named_s = -1_000.0  # type: ignore[union-attr]
-    for members in (
-        [left, right, third],
-        [left, right, third, fourth],
-    ):  # the second change before the first is learned
-        cluster.directory.change_members(group.group_id, members)
-    for channel in (left, right, third, fourth):
-        await channel.put(t + 5)
-    await synced([left], group, t + 5)
+    await cluster.directory.called("Watch", times=2)
+    hosted = right.host.host.groups.known(group.group_id)
+    assert hosted is not None
+    cluster.directory.change_members(group.group_id, [left, right, third])
+    async with asyncio.timeout(WAIT_SECONDS):
+        while hosted.record.spec_version < 2:
+            await left.host.status(group)
+    hosted.named_s = -1_000.0  # long ago
+    cluster.directory.change_members(group.group_id, [left, right, third, fourth])  # just after it asked
+    await fourth.put(t + 5)
+    await heard(left, fourth, group, t + 5)
 
 
 async def test_a_host_that_missed_a_new_member_learns_of_it_from_who_waits_for_it(cluster: Cluster) -> None:
     left, right = await two_channels(cluster)
     third = await right.host.open("third")
     group, t = cluster.directory.add_group("group", [left, right]), left.host.now()
-    await left.put(t)
-    await right.put(t)
-    await synced([left, right], group, t)
+    for channel in (left, right):
+        await channel.host.status(group)
+    hosted = right.host.host.groups.known(group.group_id)
+    assert hosted is not None
+    hosted.named_s = -1_000.0  # long ago
     cluster.directory.change_members(group.group_id, [left, right, third], told=False)
     await left.host.host.groups._look_up_again(group.group_id)
-    for channel in (left, right, third):
-        await channel.put(t + 5)
-    await left.host.until(group, lambda status: len(status.members) == 3 and status.cut_unix_nano == t + 5)
+    await third.put(t + 5)
+    await heard(left, third, group, t + 5)
 
 
 async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
     cluster: Cluster, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link, "LIFE_SECONDS", link.BROKEN_AFTER_SECONDS)
+    for limit in ("LIFE_SECONDS", "BROKEN_AFTER_SECONDS"):
+        monkeypatch.setattr(link, limit, 10 * WAIT_SECONDS)
     left, right = await two_channels(cluster)
     group, t = cluster.directory.add_group("pair", [left, right], idle_after_nanos=S // 10), left.host.now()
     await left.put(t)
-    await right.put(t + 1)
+    await right.put(t + 9)
     await synced([left, right], group, t)
     clock.advance(S // 10 - 1)
     await left.put(t + 2)
-    clock.advance(1)
+    await synced([left, right], group, t + 2)  # all that the put brings about has been told
+    clock.advance(1)  # from now on the right one is left out; the cut stays, since the left one holds it
 
     def only_the_other_is_left_out(status: group_pb2.GroupStatus) -> bool:
         return [one.times.channel_id for one in status.members if one.idle] == [right.channel_id]
@@ -126,8 +141,7 @@ async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
     async with asyncio.timeout(WAIT_SECONDS):
         for host in cluster.hosts:
             await host.until(group, only_the_other_is_left_out)
-    await synced([left, right], group, t + 2)
-    assert (await left.get(group))[0] == [t]
+    assert (await left.host.status(group)).cut_unix_nano == t + 2
 
 
 async def test_a_channel_of_a_lost_host_falls_idle_like_any_other(cluster: Cluster, clock: ManualClock) -> None:
