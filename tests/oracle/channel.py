@@ -46,8 +46,10 @@ class OracleChannel:
     go that nobody holds back, one after the other, up to the first that somebody does; until nothing goes any more.
     """
 
-    def __init__(self, policy: Policy) -> None:
+    def __init__(self, policy: Policy, lost_before: int | None = None) -> None:
+        """`lost_before`: when this incarnation began, if one before it was lost."""
         self.policy = policy
+        self.lost_before = lost_before
         self.held: list[Item] = []
         self.log: dict[int, Item] = {}
         self.collected = {"age": 0, "count": 0, "bytes": 0, "consumption": 0}

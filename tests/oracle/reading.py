@@ -66,7 +66,8 @@ class OracleReader:
             chosen = found[-query.limit :] if query.newest_first else found[: query.limit]
         more = len(chosen) < len(found)
         region = _remaining(query, interval)
-        truncated = not Instants.of(region).is_empty and self._starts_below_frontier(region)
+        reaches_back = self._starts_below_frontier(region) or self._reaches_into_loss(region)
+        truncated = not Instants.of(region).is_empty and reaches_back
         return OracleAnswer(
             items=chosen,
             ends=[self.channel.end(item) for item in chosen],
@@ -105,17 +106,27 @@ class OracleReader:
     def _starts_below_frontier(self, region: ResolvedInterval) -> bool:
         return self.channel.frontier is not None and region.start < self.channel.frontier
 
+    def _reaches_into_loss(self, region: ResolvedInterval) -> bool:
+        """It begins before the present incarnation did."""
+        return self.channel.lost_before is not None and region.start < self.channel.lost_before
+
+    def _is_before_loss(self, region: ResolvedInterval) -> bool:
+        lost = self.channel.lost_before
+        return lost is not None and (region.end <= lost if region.end_exclusive else region.end < lost)
+
     def _reason(self, query: Query, region: ResolvedInterval, found: bool, more: bool, truncated: bool) -> str | None:
         finished = self._is_finished(region)
+        gone = "COLLECTED" if self._starts_below_frontier(region) else "LOST"
+        unfinished = "LOST" if self._is_before_loss(region) else "NOT_YET"
         if found and truncated and not (more and query.newest_first):
-            return "COLLECTED"
+            return gone
         if found:
-            return "NOT_YET" if query.complete and not finished and not Instants.of(region).is_empty else None
+            return unfinished if query.complete and not finished and not Instants.of(region).is_empty else None
         if Instants.of(region).is_empty:
             return "NEVER"
         if self._is_below_frontier(region) or (finished and truncated):
-            return "COLLECTED"
-        return "NEVER" if finished else "NOT_YET"
+            return gone
+        return "NEVER" if finished else unfinished
 
 
 class OracleGet:

@@ -84,6 +84,7 @@ class ChannelPair:
 
     policy: Policy
     clock: int
+    lost_before: int | None = None
     core: Channel = field(init=False)
     oracle: OracleChannel = field(init=False)
     gets: list[tuple[Pending, OracleGet]] = field(default_factory=list)
@@ -93,8 +94,8 @@ class ChannelPair:
     newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.core = Channel(self.policy, incarnation=INCARNATION, name="pair")
-        self.oracle = OracleChannel(self.policy)
+        self.core = Channel(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)
+        self.oracle = OracleChannel(self.policy, self.lost_before)
 
     def put(self, offer: Offer) -> None:
         """An offer; what has to wait is kept for later."""

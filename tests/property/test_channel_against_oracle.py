@@ -129,7 +129,8 @@ def play(numbers: list[int]) -> None:
     What is held is counted in blocks, as small as the few items of a story.
     """
     first = Dice(numbers[0])
-    pair = ChannelPair(first.pick(SET_UPS), FIRST_CLOCK)
+    policy, lost_before = first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None
+    pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
     with mock.patch.object(holdings, "ITEMS_PER_BLOCK", first.pick((2, 1, 3, 1024))):
         _play_steps(pair, numbers[1:], hasty=hasty, counts=counts)

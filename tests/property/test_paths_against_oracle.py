@@ -56,4 +56,4 @@ def test_a_client_over_grpc_sees_what_the_oracle_says_in_every_story(surface: Su
 @pytest.mark.parametrize("items_per_block", [2, 1024])
 def test_a_path_that_is_the_core_alone_says_what_the_oracle_says_in_every_story(items_per_block: int) -> None:
     with core_surface(items_per_block) as (surface, host):
-        play_stories(surface, host, 3 * EXAMPLES)
+        play_stories(surface, host, 2 * EXAMPLES)
