@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -97,7 +98,9 @@ async def test_a_backup_of_a_running_cluster_founds_another_one_that_knows_all_t
         assert (code, facts["supernode"], facts["size_bytes"]) == (0, "a", backup.stat().st_size)
         assert backup.stat().st_mode & 0o077 == 0
         code, printed = await command("snapshot", "a", "--member", founder.address)
-        assert (code, f"index       {facts['index']}" in printed) == (0, True), printed
+        index = re.search(r"^index +(\d+)$", printed, re.MULTILINE)
+        # On a slow machine the host's lease may have ended meanwhile, which is one more entry.
+        assert code == 0 and index is not None and int(index[1]) >= facts["index"], printed
         await founder.end(signal.SIGKILL)
         restored = await prepared("init", "r", ports[1], tmp_path, "--restore", str(backup))
         await restored.start()
@@ -150,6 +153,9 @@ async def test_what_a_command_cannot_do_it_says_in_one_line(tmp_path: Path) -> N
         ((*join, "--listen", "127.0.0.1:7590"), 1, f"{nobody} cannot be reached"),
         ((*join, "--listen", "127.0.0.1:7590", "--id", "A b"), 1, "the supernode name 'A b' is not allowed"),
         ((*join, "--listen", "nowhere:0"), 2, "--listen must be HOST:PORT"),
+        ((*join, "--listen", "0.0.0.0:7590"), 2, "say with --advertise HOST:PORT where others reach"),
+        ((*join, "--listen", "nowhere", "--advertise", "here:1"), 2, "--listen must be HOST:PORT"),
+        (("init", "--data-dir", folder, "--listen", "h:1", "--advertise", "here"), 2, "--advertise must be HOST:PORT"),
         (("remove", "a", "--member", nobody), 1, f"{nobody} cannot be reached"),
         (("stauts",), 2, "there is no verb 'stauts'; there are init, join, status, add, remove, snapshot"),
     ):

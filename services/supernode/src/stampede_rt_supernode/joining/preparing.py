@@ -5,19 +5,21 @@ from __future__ import annotations
 import argparse
 import secrets
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from stampede_rt.cli.supernode import add_place, reached
+from stampede_rt.cli.members import reached
+from stampede_rt.cli.supernode import add_place
 from stampede_rt.errors import StampedeError
 from stampede_rt.policy import parse_name
-from stampede_rt_runtime.values import parse_target
+from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
 from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
 from stampede_rt_supernode.replication import Member, StoreDamaged, StoreRefused, restore_from
 
 PREPARING = ("init", "join")
+ANYWHERE = ("0.0.0.0", "::")
 FAILED, MISUSED = 1, 2
 ID_BYTES = 4
 
@@ -108,10 +110,19 @@ def _name(arguments: argparse.Namespace) -> str:
 
 
 def _address(arguments: argparse.Namespace) -> str:
+    """Where others reach it. Raises ValueError."""
+    listen = _read("--listen", parse_address_text, arguments.listen)
+    option = "--advertise" if arguments.advertise else "--listen"
+    address = _read(option, parse_target, arguments.advertise or listen)
+    if parse_address(address).host in ANYWHERE:
+        raise ValueError(f"nobody can call {address}; say with --advertise HOST:PORT where others reach this supernode")
+    return address
+
+
+def _read(option: str, parse: Callable[[str], str], text: str) -> str:
     try:
-        return str(parse_target(arguments.advertise or arguments.listen))
+        return parse(text)
     except ValueError as error:
-        option = "--advertise" if arguments.advertise else "--listen"
         raise ValueError(f"{option} must be {error}") from error
 
 

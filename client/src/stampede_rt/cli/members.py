@@ -1,0 +1,167 @@
+"""The supernodes of a running cluster, as the verbs of `stampede supernode` reach them."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import grpc
+
+from stampede_rt._sync.ports import Ports
+from stampede_rt.connecting import parse_target
+from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.v1 import membership_service_pb2 as pb
+from stampede_rt.v1 import membership_service_pb2_grpc
+from stampede_rt.v1.directory_pb2 import SupernodeRecord
+from stampede_rt.version import PROTOCOL_VERSION, VERSION
+
+CALL_SECONDS = 3.0
+CHANGE_SECONDS = 30.0
+LEADERLESS_SECONDS = 8.0  # an election takes 4 s at most
+SNAPSHOT_SECONDS = 120.0
+BACKOFF_SECONDS = 0.5
+
+
+class Cluster:
+    """The supernodes of a running cluster, reached by any of the addresses given."""
+
+    def __init__(self, ports: Ports, addresses: list[str]) -> None:
+        self._ports = ports
+        self._addresses = addresses
+
+    @property
+    def is_secured(self) -> bool:
+        """Whether the caller has a certificate."""
+        return self._ports.credentials.tls is not None
+
+    def members(self) -> directory_pb.ListSupernodesResponse:
+        """The members, as the first supernode that answers knows them. Raises Unavailable."""
+        listed: directory_pb.ListSupernodesResponse = self._first(
+            lambda port: port.call(port.directory.ListSupernodes, _LIST, CALL_SECONDS)
+        )
+        return listed
+
+    def ping(self, address: str) -> Any:
+        """What a supernode says of itself; None if it says nothing."""
+        port = self._ports.to(address)
+        try:
+            return port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
+        except StampedeError:
+            return None
+
+    def make_token(self, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
+        """A token that lets one supernode in."""
+        request = pb.CreateJoinTokenRequest(request_id=secrets.token_bytes(16), valid_nanos=valid_nanos)
+        made: pb.CreateJoinTokenResponse = self._first(
+            lambda port: port.call(_membership(port).CreateJoinToken, request, CALL_SECONDS)
+        )
+        return made
+
+    def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
+        """Remove a member by whoever leads. Raises what the leader refuses it with, or Unavailable if none does."""
+        request, began = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic()
+        known, patience = self.members().supernodes, LEADERLESS_SECONDS
+        if supernode_id not in {one.supernode_id for one in known}:
+            raise no_member(supernode_id, known)
+        waiting = self._leader_first(known)
+        while waiting:
+            port = self._ports.to(waiting[0])
+            try:
+                removed: pb.RemoveSupernodeResponse = port.call(
+                    _membership(port).RemoveSupernode, request, CALL_SECONDS
+                )
+            except (NotLeader, Overloaded, Unavailable) as error:
+                leader = error.metadata.get("leader_endpoint")
+                patience = CHANGE_SECONDS if leader or isinstance(error, Overloaded) else patience
+                if time.monotonic() - began > patience:
+                    raise _leaderless(known) if patience == LEADERLESS_SECONDS else error from error
+                waiting = [*waiting[1:], waiting[0]]
+                if leader:
+                    waiting = [leader, *(one for one in waiting if one != leader)]
+                time.sleep(BACKOFF_SECONDS)
+            else:
+                return removed
+        raise _leaderless(known)
+
+    def _leader_first(self, known: Sequence[SupernodeRecord]) -> list[str]:
+        """Where the members are that answer there."""
+        there = [one for one in known if is_there(one, self.ping(one.endpoint.target))]
+        return [one.endpoint.target for one in sorted(there, key=lambda one: not one.is_leader)]
+
+    def snapshot(self, address: str, *, include_data: bool, stale_ok: bool) -> Iterator[pb.TakeSnapshotResponse]:
+        """What the supernode at `address` answers, part by part. Raises StampedeError."""
+        port = self._ports.to(address)
+        request = pb.TakeSnapshotRequest(include_data=include_data, stale_ok=stale_ok)
+        responses = port.call(_membership(port).TakeSnapshot, request, SNAPSHOT_SECONDS)
+        try:
+            yield from responses
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, f"the supernode at {address}") from error
+
+    def _first(self, ask: Callable[[Port], Any]) -> Any:
+        return _first(self._ports, self._addresses, ask)
+
+
+_LIST = directory_pb.ListSupernodesRequest()
+
+
+def _first(ports: Ports, addresses: Sequence[str], ask: Callable[[Port], Any]) -> Any:
+    """What the first of them that answers says. Raises why the last one does not, certificates among the reasons."""
+    failure: StampedeError = Unavailable("no supernode is known")
+    for address in addresses:
+        try:
+            return ask(ports.to(address))
+        except Unavailable as error:
+            failure = explain_refusal(address, ports.credentials.tls, seconds=CALL_SECONDS) or error
+        except StampedeError as error:
+            failure = error
+    raise failure
+
+
+def is_there(record: SupernodeRecord, pong: Any) -> bool:
+    """Whether that member has answered, and not another one at its address."""
+    return pong is not None and pong.supernode_id == record.supernode_id
+
+
+def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeError:
+    """What to raise for an id that no member has."""
+    names = ", ".join(one.supernode_id for one in known)
+    return StampedeError(f"no member is called {supernode_id}; there are {names}")
+
+
+def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
+    return Unavailable(
+        f"nobody leads, and only a leader lets a member go: start supernodes until {len(known) // 2 + 1} of "
+        f"{', '.join(one.supernode_id for one in known)} serve"
+    )
+
+
+@contextmanager
+def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
+    """The cluster behind front-ends or supernodes. Raises StampedeError."""
+    target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
+    ports = Ports(target.credentials)
+    try:
+        addresses = list(target.frontends) if member else _bound(ports, target.frontends)
+        yield Cluster(ports, addresses)
+    finally:
+        ports.close()
+
+
+def _bound(ports: Ports, frontends: Sequence[str]) -> list[str]:
+    request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
+    bound = _first(ports, frontends, lambda port: port.call(port.frontend.Bind, request, CALL_SECONDS))
+    return [one.endpoint.target for one in bound.supernodes]
+
+
+def _membership(port: Port) -> Any:
+    return port.stub(membership_service_pb2_grpc.MembershipServiceStub)
