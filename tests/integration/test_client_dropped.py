@@ -168,6 +168,20 @@ def test_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: L
         assert channel.stats().accepted == 151
 
 
+def test_a_connection_that_was_closed_leaves_no_thread_although_its_handles_are_kept(cluster: LocalCluster) -> None:
+    before = threading.active_count()
+    with st.connect(cluster.address) as rt:
+        channels = [rt.channel(f"dropped/closed/{number}", max_items=5) for number in range(3)]
+        for channel in channels:
+            channel.put(b"x")
+            worker = threading.Thread(target=channel.newest)
+            worker.start()
+            worker.join()
+        assert threading.active_count() > before
+    wait_until(lambda: threading.active_count() <= before)
+    assert len(channels) == 3
+
+
 def test_of_many_handles_that_are_kept_the_longest_unused_streams_are_closed(
     cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:

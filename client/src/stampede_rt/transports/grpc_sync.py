@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
+from weakref import WeakSet
 
 import grpc
 import grpc.experimental
@@ -51,6 +52,8 @@ class Port(Stubs):
         )
         self._watchdog = Watchdog()
         self._of_thread = threading.local()
+        self._exchanges: WeakSet[_Exchange] = WeakSet()
+        self._mutex = threading.Lock()  # guards the exchanges
 
     def stub(self, make: Callable[[grpc.Channel], Stub]) -> Stub:
         """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
@@ -105,6 +108,15 @@ class Port(Stubs):
         """End everything that is under way here."""
         self._watchdog.close()
         self._channel.close()
+        with self._mutex:
+            exchanges = tuple(self._exchanges)
+        for exchange in exchanges:  # gRPC's sending threads wait for requests, closed or not
+            exchange.cancel()
+
+    def opened(self, exchange: _Exchange) -> None:
+        """End `exchange` with this port, if it is still there then."""
+        with self._mutex:
+            self._exchanges.add(exchange)
 
 
 def closed(target: str) -> Unavailable:
@@ -179,6 +191,7 @@ class _Exchange:
         self._requests: SimpleQueue[Any] = SimpleQueue()
         self._call: Any = port.begin(method, iter(self._requests.get, None))
         self.broken = False
+        port.opened(self)
         when_dropped(self, partial(_give_up, self._requests, self._call))  # the thread that owned it is gone
 
     def _error(self, error: BaseException) -> StampedeError:
