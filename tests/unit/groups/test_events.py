@@ -197,3 +197,26 @@ def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enoug
         assert len(decider._pending) <= PENDING_MAX
         assert (told[-1] if told else 0) >= now - wait - 2 * wait // PENDING_MAX - every
     assert len(told) > PENDING_MAX / 2
+
+
+def test_the_span_of_what_an_event_brings_ends_at_the_next_visible_item_alone() -> None:
+    made = channel(10, 20, 30)
+    follower = CutFollower(made, 0, NOW)
+    follower.begin(30)
+    assert [one.next_time for one in follower.take(NOW, 10**6).slices] == [20, None]
+    put(made, 15)
+    follower.begin(31)
+    step = follower.take(NOW, 10**6)
+    assert ([one.next_time for one in step.late], [one.next_time for one in step.slices]) == ([20], [None])
+
+
+def test_what_was_used_up_is_counted_though_a_late_item_then_came_in_below() -> None:
+    made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
+    follower = CutFollower(made, 5, NOW)
+    made.consume(1, [1, 2], NOW)
+    put(made, 7)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert times([one.slice for one in step.slices]) == [7]
+    assert step.loss is not None
+    assert step.loss.items == 2

@@ -82,3 +82,13 @@ def test_matching_begins_with_what_comes_and_resumes_behind_an_item() -> None:
     assert pairs(Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW), right) == []
     resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10, 1, INCARNATION))
     assert pairs(resumed, right) == [(20, 20)]
+
+
+def test_behind_a_time_what_comes_at_that_very_time_is_dropped_and_counted() -> None:
+    left, right = channel(10, 20), channel(10, 20, 90)
+    matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10))
+    assert pairs(matcher, right) == [(20, 20)]
+    matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10))
+    put(left, 10)
+    assert pairs(matcher, right) == [(20, 20)]
+    assert matcher.dropped == 1

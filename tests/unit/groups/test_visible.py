@@ -75,6 +75,14 @@ def test_a_window_shorter_than_the_lead_is_noticed() -> None:
     view = GroupView(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
     assert view.window_too_short(20, 5_001)
     assert not view.window_too_short(1_500, 5_001)
+    assert not view.window_too_short(1_000, 5_001)  # 4000 ahead, and kept for 4000
+
+
+def test_an_item_that_went_at_the_cut_or_past_it_shows_that_the_window_is_too_short() -> None:
+    view = GroupView(channel(10, 20, 30, policy=Policy(max_items=1)))
+    assert view.window_too_short(None, CLOCK)
+    assert view.window_too_short(20, CLOCK)
+    assert not view.window_too_short(21, CLOCK)
 
 
 def test_positions_of_another_incarnation_are_refused() -> None:
@@ -167,3 +175,25 @@ def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_
     assert view.poll(pending, horizon(20), CLOCK) == WakeAt(None)
     assert view.poll(pending, horizon(CLOCK + 5), CLOCK) == WakeAt(CLOCK + 5)
     assert not isinstance(view.poll(pending, horizon(CLOCK + 6), CLOCK + 5), WakeAt)
+
+
+def test_a_place_that_no_item_has_is_counted_from_as_exactly() -> None:
+    made = channel(policy=Policy(max_items=3))
+    made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
+    reader = VisibleAll(made, horizon(15), CLOCK, after=Position(5, 2, INCARNATION))
+    put(made, 40)
+    put(made, 50)
+    assert times([one.slice for one in reader.take(horizon(60), CLOCK, 10**6).slices]) == [30, 40, 50]
+    gap = reader.take(horizon(60), CLOCK, 10**6).gap
+    assert gap is not None
+    assert gap.items == 2
+
+
+def test_what_a_subscription_is_owed_begins_with_what_is_hidden() -> None:
+    made = channel(10, 40, 20, 30)
+    reader = VisibleAll(made, horizon(15), CLOCK)
+    assert reader.lowest_owed_seq(CLOCK) == 2
+    assert delivered(reader, 35) == [20, 30]
+    assert reader.lowest_owed_seq(CLOCK) == 2
+    assert delivered(reader, 41) == [40]
+    assert reader.lowest_owed_seq(CLOCK) == 5
