@@ -19,7 +19,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.groups.link import Knowledge, Link
+from stampede_rt_channel_host.groups.link import INTEREST_MAX, Knowledge, Link
 
 logger = logging.getLogger(__name__)
 
@@ -137,6 +137,9 @@ class Peers:
 
     def _want(self, peer: Peer, wanted: frozenset[bytes]) -> None:
         if wanted != peer.wanted:
+            if len(wanted) > INTEREST_MAX:
+                extra = {"host": peer.host_id.hex(), "channels": len(wanted), "most": INTEREST_MAX}
+                logger.warning("groups have more channels of one host than it can be asked about", extra=extra)
             peer.wanted = wanted
             if peer.link is not None:
                 peer.link.want(wanted)
