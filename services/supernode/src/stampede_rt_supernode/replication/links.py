@@ -33,6 +33,8 @@ HELLO_SECONDS = 2.0
 REMOVED = "was removed from this cluster"
 # In the refusal of a member that was here before with another store.
 ANOTHER_STORE = "has come with another store before"
+# In the refusal of one that is not known, as who just joins is not for a moment.
+UNKNOWN = "is no other member of this cluster"
 # A snapshot is fed to a link only while less than this waits in it.
 ROOM_BYTES = 4 << 20
 
@@ -116,7 +118,8 @@ class Link:
         """Say once why there is no link, not twice a second."""
         if reason != self._reported:
             self._reported = reason
-            logger.warning("no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
+            level = logging.INFO if UNKNOWN in reason else logging.WARNING
+            logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
 
     async def _hold_stream(self) -> None:
         channel = self._dial(self._member.address)

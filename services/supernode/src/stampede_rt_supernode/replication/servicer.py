@@ -17,7 +17,7 @@ from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message, encode_members
 from stampede_rt_supernode.replication.known_stores import KnownStores
-from stampede_rt_supernode.replication.links import ANOTHER_STORE, REMOVED, REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.links import ANOTHER_STORE, REMOVED, REQUEST_MESSAGES_MAX, UNKNOWN
 from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.replica import InboxFull, Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
@@ -122,9 +122,7 @@ class RaftServicer:
         if hello.member_id not in self._roster().peers:
             # Perhaps it does not know those who know it.
             await context.write(self._greeting(knows_caller=False))
-            await context.abort(
-                grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} is no other member of this cluster"
-            )
+            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {UNKNOWN}")
 
     async def _receive(self, member_id: str, context: Any) -> None:
         loop = asyncio.get_running_loop()
