@@ -92,3 +92,18 @@ def test_behind_a_time_what_comes_at_that_very_time_is_dropped_and_counted() -> 
     put(left, 10)
     assert pairs(matcher, right) == [(20, 20)]
     assert matcher.dropped == 1
+
+
+def test_an_item_exactly_as_far_as_the_tolerance_matches_and_may_match_two() -> None:
+    left, far = channel(10, 12), FarTrack()
+    far.add([(9, 1)])
+    matcher = Matcher(left, {RIGHT: far}, 3, NOW, after=Position(-1, 0))
+    taken = [matcher.take(lambda channel_id, instant: True, NOW, 1)[0] for _ in range(2)]
+    assert [one.matched[RIGHT].time for one in taken] == [9, 9]
+    assert matcher.unmatched == 0
+
+
+def test_an_item_that_two_members_have_nothing_for_counts_once() -> None:
+    matcher = Matcher(channel(10), {RIGHT: FarTrack(), b"rear": FarTrack()}, 3, NOW, after=Position(-1, 0))
+    (one,) = matcher.take(lambda channel_id, instant: True, NOW, 100)
+    assert (one.missing, matcher.unmatched) == ((b"rear", RIGHT), 1)

@@ -10,7 +10,7 @@ from stampede_rt.errors import IncarnationLost
 from stampede_rt.model import Policy
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, parse_interval
 from stampede_rt_channel_host.core.channel import Offer, Position, Query, WakeAt
-from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll
+from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from tests.unit.groups.channels import INCARNATION, channel, put, times
 from tests.unit.groups.channels import NOW as CLOCK
 
@@ -197,3 +197,36 @@ def test_what_a_subscription_is_owed_begins_with_what_is_hidden() -> None:
     assert reader.lowest_owed_seq(CLOCK) == 2
     assert delivered(reader, 41) == [40]
     assert reader.lowest_owed_seq(CLOCK) == 5
+
+
+def newest_time(reader: VisibleNewest, cut: int) -> int | None:
+    given = reader.take(horizon(cut), CLOCK)
+    return None if given is None else given.slice.first_time
+
+
+def test_the_newest_visible_item_comes_and_what_was_passed_over_or_lost_is_counted() -> None:
+    made = channel(policy=Policy(max_items=2))
+    reader = VisibleNewest(made, horizon(5), CLOCK)
+    for time in (10, 20, 30):
+        put(made, time)
+    assert newest_time(reader, 25) == 20
+    assert newest_time(reader, 25) is None
+    assert newest_time(reader, 31) == 30
+    assert (reader.delivered, reader.skipped) == (2, 1)
+
+
+def test_the_newest_begins_at_a_start_or_behind_it() -> None:
+    made = channel(10, 20)
+    assert newest_time(VisibleNewest(made, horizon(25), CLOCK, start=NEWEST), 25) == 20
+    assert newest_time(VisibleNewest(made, horizon(25), CLOCK, start=NEWEST, start_exclusive=True), 25) is None
+    assert newest_time(VisibleNewest(made, horizon(25), CLOCK), 25) is None
+
+
+def test_the_newest_never_goes_back_though_later_items_are_used_up() -> None:
+    made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
+    reader = VisibleNewest(made, horizon(15), CLOCK)
+    assert newest_time(reader, 25) == 20
+    made.consume(1, [1, 2], CLOCK)
+    put(made, 18)
+    assert newest_time(reader, 25) is None
+    assert reader.skipped == 1
