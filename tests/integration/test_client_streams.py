@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from functools import partial
+from typing import Any
 
 import pytest
 
@@ -74,6 +75,23 @@ async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: 
             assert not any(get.done() for get in gets)
         item = await channel.put(b"for all")
         assert {got.seq for got in await asyncio.gather(*gets) if got} == {item.seq}
+
+
+async def test_of_many_that_look_for_a_channel_at_once_only_one_asks_its_host(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ten thousand gets on a fresh handle sent as many requests to the gatekeeper before the first one waited."""
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/herd", max_age="60s")
+        asked, bind_at = [], rt._session._bind_at
+
+        async def count(*arguments: Any) -> Any:
+            asked.append(arguments)
+            return await bind_at(*arguments)
+
+        monkeypatch.setattr(rt._session, "_bind_at", count)
+        await asyncio.gather(*(channel.newest() for _ in range(100)))
+        assert len(asked) == 1
 
 
 def test_after_close_nothing_of_a_connection_works_any_more(cluster: LocalCluster) -> None:

@@ -22,7 +22,7 @@ from stampede_rt.credentials import Credentials
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.model import ChannelInfo, Policy
 from stampede_rt.policy import flag_of, parse_name
-from stampede_rt.transports.concurrency_async import thread_id
+from stampede_rt.transports.concurrency_async import Turns, thread_id
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.wire.records import channel_info, policy_to_spec
 from stampede_rt.wire.runs import ItemDecoder
@@ -70,6 +70,7 @@ class Session:
         self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.put_streams = PutStreams()
+        self._turns = Turns()
         self.closed = False
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # who the connection is where items are consumed
         self.consumer_places: dict[bytes, Attached] = {}  # that it keeps, by channel id; see `consuming`
@@ -145,6 +146,13 @@ class Session:
         """Where the channel's data is, from the caches or by asking."""
         found = self.cache.binding(state.info.channel_id, thread_id())
         if found is not None:
+            return found
+        async with self._turns.of(state.info.channel_id, left_s(deadline_s)):
+            return await self._find(state, deadline_s)
+
+    async def _find(self, state: ChannelState, deadline_s: float) -> Binding:
+        found = self.cache.binding(state.info.channel_id, thread_id())
+        if found is not None:  # by now
             return found
         owner = self.cache.owner(state.info.channel_id)
         if owner is None:

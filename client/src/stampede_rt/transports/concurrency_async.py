@@ -6,10 +6,11 @@ import asyncio
 import inspect
 import time
 import weakref
-from collections.abc import Awaitable, Callable, Generator, Sequence
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Hashable, Sequence
+from contextlib import asynccontextmanager, suppress
 from types import TracebackType
 from typing import Any, Self, TypeVar
+from weakref import WeakValueDictionary
 
 from stampede_rt.errors import InvalidArgument
 
@@ -78,6 +79,28 @@ async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> lis
 
 
 at_once = together
+
+
+class Turns:
+    """Those who look for the same thing go one after the other, so that what the first one finds serves all."""
+
+    def __init__(self) -> None:
+        self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
+
+    @asynccontextmanager
+    async def of(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
+        """One's own turn, or after `timeout_s` beside the one whose turn it is."""
+        lock, held = self._locks.setdefault(key, asyncio.Lock()), True
+        try:
+            async with asyncio.timeout(timeout_s):
+                await lock.acquire()
+        except TimeoutError:
+            held = False
+        try:
+            yield
+        finally:
+            if held:
+                lock.release()
 
 
 def callers() -> frozenset[int]:

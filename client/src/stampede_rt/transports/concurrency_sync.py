@@ -7,8 +7,9 @@ import logging
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
@@ -22,6 +23,15 @@ sleep = time.sleep
 monotonic_s = time.monotonic
 monotonic_nanos = time.monotonic_ns
 thread_id = threading.get_ident
+
+
+class Turns:
+    """Threads find their ways each for itself: they have connections of their own."""
+
+    @contextmanager
+    def of(self, key: Hashable, timeout_s: float) -> Iterator[None]:
+        """One's own turn, at once."""
+        yield
 
 
 def callers() -> set[int | None]:
