@@ -114,6 +114,11 @@ def test_of_two_live_processes_with_one_proof_the_later_has_the_name_and_the_oth
         message.ack()
 
 
+def test_a_proof_without_a_name_is_refused(cluster: LocalCluster) -> None:
+    with pytest.raises(st.InvalidArgument, match="a proof belongs to a name"):
+        st.connect(cluster.address, proof="0123456789abcdef")
+
+
 @pytest.mark.parametrize("proof", ["short", 7])
 def test_a_proof_that_anybody_could_guess_is_refused(cluster: LocalCluster, proof: Any) -> None:
     with pytest.raises(st.InvalidArgument, match="token_hex"):

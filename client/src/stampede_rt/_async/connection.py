@@ -42,6 +42,8 @@ class Connection(Discovery):
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:
         super().__init__(session)
+        if proof is not None and not name:
+            raise InvalidArgument('a proof belongs to a name; connect with one, as in name="planner"')
         self.name = name
         self._presence = Presence(session, name, proof) if name else None
         self._mailbox: Mailbox | None = None
