@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Any, cast
 
 import grpc
@@ -11,14 +12,29 @@ from stampede_rt.tls import TlsMaterial, TlsReader
 from stampede_rt_runtime.renewing import RenewingChannel
 
 
+class Call:
+    """One call, which ends when it is told to."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self._callbacks: list[Callable[[Any], None]] = []
+
+    def add_done_callback(self, callback: Callable[[Any], None]) -> None:
+        self._callbacks.append(callback)
+
+    def end(self) -> None:
+        for callback in self._callbacks:
+            callback(self)
+
+
 class Connection:
-    """One gRPC channel, whose calls answer with it."""
+    """One gRPC channel."""
 
     def __init__(self) -> None:
         self.closed = asyncio.Event()
 
     def unary_unary(self, method: str) -> Any:
-        return lambda: self
+        return lambda: Call(self)
 
     async def close(self, grace: float | None = None) -> None:
         self.closed.set()
@@ -49,21 +65,35 @@ async def test_calls_after_a_renewal_go_over_a_new_connection_and_those_before_i
     renewals = Renewals()
     call = renewals.channel().unary_unary("/test.Probe/Echo")
     before = call()
-    renewals.renew()
-    assert (before, call(), call()) == (renewals.made[0], renewals.made[1], renewals.made[1])
-    assert not before.closed.is_set()
+    for _ in range(3):
+        renewals.renew()
+        assert call().connection is renewals.made[-1]
+    assert before.connection is renewals.made[0]
+    assert not renewals.made[0].closed.is_set()
 
 
-async def test_a_connection_of_the_renewal_before_the_last_is_closed() -> None:
+async def test_a_former_connection_is_closed_when_its_last_call_has_ended() -> None:
     """Nobody closed it, and it went on connecting with certificates that nobody accepts any more."""
     renewals = Renewals()
-    channel = renewals.channel()
-    for _ in range(2):
-        renewals.renew()
-        channel.current()
+    call = renewals.channel().unary_unary("/test.Probe/Echo")
+    first, second = call(), call()
+    first.end()
+    renewals.renew()
+    last = call()
+    second.end()
+    last.end()
     async with asyncio.timeout(5):
         await renewals.made[0].closed.wait()
-    assert [one.closed.is_set() for one in renewals.made] == [True, False, False]
+    assert not renewals.made[1].closed.is_set()
+
+
+async def test_an_idle_connection_is_closed_at_the_renewal() -> None:
+    renewals = Renewals()
+    channel = renewals.channel()
+    renewals.renew()
+    channel.current()
+    async with asyncio.timeout(5):
+        await renewals.made[0].closed.wait()
 
 
 async def test_nothing_connects_any_more_once_it_is_closed() -> None:
@@ -72,6 +102,6 @@ async def test_nothing_connects_any_more_once_it_is_closed() -> None:
     call = channel.unary_unary("/test.Probe/Echo")
     await channel.close()
     renewals.renew()
-    assert call() is renewals.made[0]
+    assert call().connection is renewals.made[0]
     assert len(renewals.made) == 1
     assert renewals.made[0].closed.is_set()

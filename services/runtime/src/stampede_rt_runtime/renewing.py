@@ -11,27 +11,56 @@ import grpc
 from stampede_rt.tls import TlsMaterial, TlsReader
 
 
+class _Connection:
+    """One connection and how many calls are under way on it."""
+
+    def __init__(self, channel: grpc.aio.Channel) -> None:
+        self.channel = channel
+        self.calls = 0
+
+
 class RenewingChannel(grpc.aio.Channel):
-    """Looks at the certificate files at each call. Calls under way stay where they are, for one renewal at least."""
+    """Looks at the certificate files at each call. Calls under way stay where they are, however long they last.
+
+    A former connection is closed when its last call has ended: it would go on connecting for ever.
+    """
 
     def __init__(self, connect: Callable[[TlsMaterial], grpc.aio.Channel], reader: TlsReader) -> None:
         self._connect = connect
         self._reader = reader
         self._material = reader.current()
-        self._channel = connect(self._material)
-        self._former: grpc.aio.Channel | None = None
-        self._let_go: asyncio.Future[None] | None = None  # held, so that it is not collected before it is done
+        self._newest = _Connection(connect(self._material))
+        self._former: set[_Connection] = set()
+        self._closing: set[asyncio.Future[None]] = set()  # held, so that none is collected before it is done
         self._closed = False
+
+    @property
+    def _channel(self) -> grpc.aio.Channel:
+        return self._newest.channel
 
     def current(self) -> grpc.aio.Channel:
         """The channel for a call that begins now."""
+        return self._current().channel
+
+    def _current(self) -> _Connection:
         material = self._reader.current()
         if material is not self._material and not self._closed:
             self._material = material
-            if self._former is not None:
-                self._let_go = asyncio.ensure_future(self._former.close())  # it would go on connecting for ever
-            self._former, self._channel = self._channel, self._connect(material)
-        return self._channel
+            former, self._newest = self._newest, _Connection(self._connect(material))
+            self._former.add(former)
+            self._let_go(former)
+        return self._newest
+
+    def _ended(self, connection: _Connection) -> None:
+        connection.calls -= 1
+        self._let_go(connection)
+
+    def _let_go(self, connection: _Connection) -> None:
+        if connection in self._former and not connection.calls:
+            self._former.discard(connection)
+            closing = asyncio.ensure_future(connection.channel.close())
+            self._closing.add(closing)
+            closing.add_done_callback(self._closing.discard)
 
     async def __aenter__(self) -> RenewingChannel:
         return self
@@ -42,9 +71,9 @@ class RenewingChannel(grpc.aio.Channel):
     async def close(self, grace: float | None = None) -> None:
         """Close the connections; calls under way have `grace` seconds. Later calls fail; nothing connects again."""
         self._closed = True
-        for channel in (self._former, self._channel):
-            if channel is not None:
-                await channel.close(grace)
+        former, self._former = self._former, set()
+        for connection in (*former, self._newest):
+            await connection.channel.close(grace)
 
     def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
         """The state of the newest connection."""
@@ -75,14 +104,17 @@ class RenewingChannel(grpc.aio.Channel):
         return self._renewing(lambda channel: channel.stream_stream(*args, **kwargs))
 
     def _renewing(self, bind: Callable[[grpc.aio.Channel], Callable[..., Any]]) -> Callable[..., Any]:
-        bound_to = self._channel
-        bound = bind(bound_to)
+        bound_to = self._newest
+        bound = bind(bound_to.channel)
 
         def call(*args: Any, **kwargs: Any) -> Any:
             nonlocal bound_to, bound
-            channel = self.current()
-            if channel is not bound_to:
-                bound_to, bound = channel, bind(channel)
-            return bound(*args, **kwargs)
+            connection = self._current()
+            if connection is not bound_to:
+                bound_to, bound = connection, bind(connection.channel)
+            begun = bound(*args, **kwargs)
+            connection.calls += 1
+            begun.add_done_callback(lambda _: self._ended(connection))
+            return begun
 
         return call
