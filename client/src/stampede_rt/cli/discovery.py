@@ -70,7 +70,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "epoch": info.epoch,
         "incarnation": f"{stats.incarnation:016x}",
         "keeps": policy_text(stats.policy),
-        "on_full": stats.policy.on_full,
+        "on_full": stats.policy.on_full or "drop_oldest",
         "held": stats.held,
         "held_bytes": bytes_text(stats.held_bytes) if people else stats.held_bytes,
         "accepted": stats.accepted,
