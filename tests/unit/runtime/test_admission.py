@@ -76,10 +76,22 @@ class Handlers(grpc.GenericRpcHandler):
         await context.write(await context.read())
 
 
-async def answer(channel: grpc.aio.Channel, kind: str) -> bytes:
+async def one_request() -> AsyncIterator[bytes]:
+    yield b"x"
+
+
+async def no_request() -> AsyncIterator[bytes]:
+    """For a call that is refused before it says anything: a write that meets its end would cover the reason."""
+    await asyncio.Event().wait()
+    yield b""
+
+
+async def answer(
+    channel: grpc.aio.Channel, kind: str, requests: Callable[[], AsyncIterator[bytes]] = one_request
+) -> bytes:
     call: Any = getattr(channel, kind)(HOSTS_ONLY)
     streams_in, streams_out = kind.startswith("stream"), kind.endswith("stream")
-    running = call(iter([b"x"]), timeout=5) if streams_in else call(b"x", timeout=5)
+    running = call(requests(), timeout=5) if streams_in else call(b"x", timeout=5)
     return await first(running) if streams_out else bytes(await running)
 
 
@@ -100,7 +112,7 @@ async def test_every_kind_of_call_is_for_its_roles_only(kind: str, made: Cluster
         client = TlsReader(made.issue(Role.CLIENT, "cam"))
         async with dial(server.address, secret=None, tls=client) as channel:
             with pytest.raises(grpc.aio.AioRpcError) as caught:
-                await answer(channel, kind)
+                await answer(channel, kind, no_request)
     told = from_rpc_error(caught.value, "it")
     assert isinstance(told, PermissionDenied)
     assert str(told) == (
