@@ -40,6 +40,7 @@ class Prober:
         self._explain = explain
         self._dial = dial
         self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
         self._changed = asyncio.Condition()
 
     async def __aenter__(self) -> Prober:
@@ -89,7 +90,8 @@ class Prober:
         try:
             answer = await _ping(channel, stub)
             accepted = self._roster.answered(target, answer)
-            if not accepted:
+            if not accepted and self._strangers.get(target) != answer.cluster_id:
+                self._strangers[target] = answer.cluster_id
                 logger.warning("another cluster's supernode", extra={"target": target, "cluster_id": answer.cluster_id})
             if answer.ready and accepted:
                 self._roster.listed(await _list(stub))
