@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from enum import Enum
+from itertools import pairwise
 
 from stampede_rt.errors import InvalidArgument, InvalidInterval
 
@@ -84,9 +85,9 @@ def _no_bool(value: DurationLike | int) -> DurationLike:
 
 
 def format_duration(nanos: int) -> str:
-    """`nanos` as people write it: "1.5 s", "30 ms"."""
-    for unit in ("d", "h", "m", "s", "ms", "us"):
-        if abs(nanos) >= _UNITS_NANOS[unit]:
+    """`nanos` as people write it, rounded to thousandths: "1.5 s", "30 ms", and not "60 m"."""
+    for unit, smaller in pairwise(("d", "h", "m", "s", "ms", "us", "ns")):
+        if abs(nanos) + _UNITS_NANOS[smaller] // 2000 >= _UNITS_NANOS[unit]:
             return f"{round(nanos / _UNITS_NANOS[unit], 3):g} {unit}"
     return f"{nanos} ns" if nanos else "0 s"
 

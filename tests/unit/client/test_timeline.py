@@ -134,4 +134,12 @@ def test_times_are_shown_as_people_read_them() -> None:
     assert format_duration(1_500_000_000) == "1.5 s"
     assert format_duration(-30_000_000) == "-30 ms"
     assert format_duration(0) == "0 s"
+    assert format_duration(3_600_000_000_000 - 20_000_000) == "1 h"
+    assert format_duration(3_600_000_000_000 - 40_000_000) == "59.999 m"
+    assert [format_duration(one) for one in (999, 1_000, 999_999, 59_999_600_000)] == [
+        "999 ns",
+        "1 us",
+        "999.999 us",
+        "1 m",
+    ]
     assert "ns" in format_instant(MAX_INSTANT * 1000)
