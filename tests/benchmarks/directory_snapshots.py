@@ -10,8 +10,7 @@ from __future__ import annotations
 import gc
 import random
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from stampede_rt_supernode.codecs.command_codec import decode_result, encode_com
 from stampede_rt_supernode.core.commands import BeginTenure, Command, Deed, OpenChannel, Refused, RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.aside import AsideThread
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.mailroom import Connected, Outgoing, Received, StreamOpened
 from stampede_rt_supernode.replication.proposals import Proposal
@@ -47,7 +47,7 @@ class Alone:
     folder: Path
     peers: tuple[str, ...] = ()
     machine: DirectoryReplica = field(default_factory=DirectoryReplica)
-    aside: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1))
+    aside: AsideThread = field(default_factory=AsideThread)
     proposed: int = 0
     longest_wall: float = 0.0
     longest_cpu: float = 0.0
@@ -62,10 +62,10 @@ class Alone:
             network=self,
             clock=time.monotonic,
             dice=random.Random(1),
-            run_aside=self.aside.submit,
+            run_aside=self.aside.run,
         )
 
-    def release(self, messages: list[Outgoing]) -> None:
+    def release(self, messages: Sequence[Outgoing]) -> None:
         """Nobody listens."""
 
     def has_room(self, member_id: str) -> bool:
@@ -143,7 +143,7 @@ class Alone:
 
     def close(self) -> None:
         self.replica.close()
-        self.aside.shutdown()
+        self.aside.close()
 
 
 def _opening(number: int) -> OpenChannel:

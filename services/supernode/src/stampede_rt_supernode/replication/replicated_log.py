@@ -6,13 +6,12 @@ import asyncio
 import random
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TypeVar
 
 import grpc.aio
 
-from stampede_rt_supernode.replication.aside import RunAside
+from stampede_rt_supernode.replication.aside import AsideThread, RunAside
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     Member,
@@ -47,11 +46,11 @@ class PySyncObjLog:
         thread: TickThread,
         bridge: LoopBridge,
         links: Links,
-        encoder: ThreadPoolExecutor,
+        aside: AsideThread,
         *,
         reads_max: int,
     ) -> None:
-        self._encoder = encoder
+        self._aside = aside
         self._replica = replica
         self._thread = thread
         self._bridge = bridge
@@ -161,7 +160,7 @@ class PySyncObjLog:
             self._servicer.close()
         await self._links.close()
         await asyncio.get_running_loop().run_in_executor(None, self._thread.stop)
-        self._encoder.shutdown(wait=False, cancel_futures=True)
+        self._aside.close()
 
     def _refuse_when_closed(self) -> None:
         if self._closed:
@@ -195,16 +194,15 @@ async def open_replicated_log(
     bridge = LoopBridge(asyncio.get_running_loop())
     links = Links(settings, dial, bridge, on_fatal)
     thread = TickThread(tick_seconds=settings.timing.tick_seconds, on_fatal=on_fatal)
-    # Its thread ends with the process: what it encodes for a closed log is thrown away.
-    encoder = ThreadPoolExecutor(1, thread_name_prefix="snapshot")
+    aside = AsideThread()
     had_store = settings.data_dir is not None and holds_store(settings.data_dir)
-    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, encoder.submit)
+    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, aside.run)
     try:
         stores = await asyncio.to_thread(KnownStores.open, settings.data_dir, had_store=had_store)
     except BaseException:
         replica.close()
         raise
-    log = PySyncObjLog(replica, thread, bridge, links, encoder, reads_max=settings.reads_max)
+    log = PySyncObjLog(replica, thread, bridge, links, aside, reads_max=settings.reads_max)
     log.start(settings, server, stores)
     return log
 
