@@ -25,8 +25,9 @@ PAGES = [*RUN, "stereo.md"]
 
 TAUGHT = {
     "time-model.md": [
-        "COLLECTED", "NEVER", "NOT_YET", "IncarnationLost",
-        "max_age=", "max_items=", "max_bytes=", "consumers=", '"reject"', '"block"', "configure(", "advance(",
+        "COLLECTED", "NEVER", "NOT_YET", "LOST", "IncarnationLost",
+        "max_age=", "max_items=", "max_bytes=", "consumers=", "max_age_unconsumed=", '"reject"', '"block"',
+        "configure(", "advance(",
     ],
     "groups.md": [
         "reference=", 'bound="end"', "idle_after=", "HIDDEN", "complete=True", ".newest(", ".get(", ".subscribe(",
