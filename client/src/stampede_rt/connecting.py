@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from stampede_rt.addresses import DEFAULT_URL, parse_addresses
 from stampede_rt.credentials import Credentials, read_secret
+from stampede_rt.errors import PermissionDenied
 from stampede_rt.policy import parse_name
 from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
 
@@ -43,6 +44,10 @@ def parse_target(
     here = all(frontend.startswith(_LOOPBACK) for frontend in frontends)
     if secret is None and (here or os.environ.get("STAMPEDE_SECRET_FILE")):
         secret = read_secret()
+        if not secret and (named := os.environ.get("STAMPEDE_SECRET_FILE")):
+            raise PermissionDenied(
+                f"$STAMPEDE_SECRET_FILE names {named}, where there is no secret; name the cluster's file, or unset it"
+            )
     files = tls or files_from_environment(os.environ)
     return Target(
         frontends=frontends,

@@ -184,6 +184,18 @@ def test_a_secret_that_everyone_may_read_is_refused(tmp_path: Path) -> None:
     assert read_secret(tmp_path / "absent") is None
 
 
+@pytest.mark.parametrize("text", [None, ""])
+def test_a_named_secret_file_must_hold_a_secret(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str | None
+) -> None:
+    secret = tmp_path / "secret"
+    if text is not None:
+        secret.touch(0o600)
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret))
+    with pytest.raises(PermissionDenied, match=f"names {secret}, where there is no secret"):
+        parse_target("localhost:1", name=None, secret=None, zone=None)
+
+
 def test_the_public_names_are_the_listed_ones() -> None:
     for name in st.__all__:
         assert getattr(st, name) is not None
