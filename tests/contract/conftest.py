@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-import stampede_rt as st
-from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryConnection
-from tests.contract.surfaces import Surface
+from tests.contract.surfaces import Surface, connected
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="session")
+grouped_cluster = cluster_fixture(hosts=2, supernodes=1)
 
 
 @pytest.fixture(params=["memory", "aio", "sync"])
@@ -23,9 +21,5 @@ async def surface(request: pytest.FixtureRequest) -> AsyncIterator[Surface]:
         yield Surface(MemoryConnection())
         return
     running: LocalCluster = request.getfixturevalue("cluster")
-    if request.param == "aio":
-        async with aio.connect(running.address) as connection:
-            yield Surface(connection)
-        return
-    with st.connect(running.address) as blocking, ThreadPoolExecutor(16) as pool:
-        yield Surface(blocking, pool)
+    async with connected(request.param, running.address) as surface:
+        yield surface

@@ -6,9 +6,11 @@ import asyncio
 import itertools
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
 from typing import Any
 
 import stampede_rt as st
+from stampede_rt import aio
 
 _names = itertools.count()
 
@@ -119,3 +121,14 @@ async def take(items: AsyncIterator[Any], count: int) -> list[Any]:
     """The next `count` items, within 10 s."""
     async with asyncio.timeout(10):
         return [await anext(items) for _ in range(count)]
+
+
+@asynccontextmanager
+async def connected(client: str, address: str) -> AsyncIterator[Surface]:
+    """A cluster, over the `client` "aio" or "sync"."""
+    if client == "aio":
+        async with aio.connect(address) as connection:
+            yield Surface(connection)
+        return
+    with st.connect(address) as blocking, ThreadPoolExecutor(16) as pool:
+        yield Surface(blocking, pool)

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 
 import stampede_rt as st
-from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.contract.surfaces import Surface, take
-from tests.support.cluster import cluster_fixture
+from tests.contract.surfaces import Surface, connected, take
 
 MS = 1_000_000
 SECOND = 1_000 * MS
 
-grouped_cluster = cluster_fixture(hosts=2, supernodes=1)
 _names = itertools.count()
 
 
 @pytest.fixture(params=["aio", "sync"])
 async def surface(request: pytest.FixtureRequest, grouped_cluster: LocalCluster) -> AsyncIterator[Surface]:
-    if request.param == "aio":
-        async with aio.connect(grouped_cluster.address) as connection:
-            yield Surface(connection)
-        return
-    with st.connect(grouped_cluster.address) as blocking, ThreadPoolExecutor(16) as pool:
-        yield Surface(blocking, pool)
+    async with connected(request.param, grouped_cluster.address) as surface:
+        yield surface
 
 
 async def two_channels(surface: Surface, **policy: Any) -> tuple[Any, Any]:

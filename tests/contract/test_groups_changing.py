@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -12,24 +11,18 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.contract.surfaces import Surface, take
-from tests.support.cluster import cluster_fixture
+from tests.contract.surfaces import Surface, connected, take
 
 MS = 1_000_000
 SECOND = 1_000 * MS
 
-grouped_cluster = cluster_fixture(hosts=2, supernodes=1)
 _names = itertools.count()
 
 
 @pytest.fixture(params=["aio", "sync"])
 async def surface(request: pytest.FixtureRequest, grouped_cluster: LocalCluster) -> AsyncIterator[Surface]:
-    if request.param == "aio":
-        async with aio.connect(grouped_cluster.address) as connection:
-            yield Surface(connection)
-        return
-    with st.connect(grouped_cluster.address) as blocking, ThreadPoolExecutor(16) as pool:
-        yield Surface(blocking, pool)
+    async with connected(request.param, grouped_cluster.address) as surface:
+        yield surface
 
 
 @pytest.fixture
@@ -199,3 +192,22 @@ async def test_what_is_under_way_goes_on_over_broken_streams_without_a_gap_or_a_
                 times["matches"] += [matched.time for matched in await take(matches, 1)]
     assert times["items"] == times["cuts"] == [base + step * SECOND for step in (1, 2, 3, 4)]
     assert times["matches"] == [base + step * SECOND for step in (2, 3, 4)]
+
+
+async def test_what_comes_late_while_a_stream_of_matches_is_broken_is_counted(other: aio.Connection) -> None:
+    left, right = [
+        await other.channel(f"changing/{next(_names)}-{st.now()}", host=host.name, max_age="120s")
+        for host in await other.hosts()
+    ]
+    group, base = await other.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    async with group.match(left, "1ms") as matches:
+        for step in (2, 3):
+            await put_all([left, right], base + step * SECOND)
+        assert [matched.time for matched in await take(matches, 1)] == [base + 2 * SECOND]
+        assert matches._stream is not None
+        matches._stream._call.cancel()
+        await left.put(b"late", time=base + SECOND)
+        for step in (4, 5):
+            await put_all([left, right], base + step * SECOND)
+        assert [matched.time for matched in await take(matches, 2)] == [base + 3 * SECOND, base + 4 * SECOND]
+        assert matches.dropped == 1

@@ -84,6 +84,29 @@ def test_matching_begins_with_what_comes_and_resumes_behind_an_item() -> None:
     assert pairs(resumed, right) == [(20, 20)]
 
 
+def test_what_came_late_between_two_streams_is_counted_as_dropped() -> None:
+    left, right = channel(10, 20), channel(10, 20, 90)
+    matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(-1, 0))
+    assert pairs(matcher, right) == [(10, 10), (20, 20)]
+    after, next_seq = matcher.place, matcher.next_seq
+    put(left, 15)
+    put(left, 30)
+    resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=after, next_seq=next_seq)
+    pairs(resumed, right)
+    assert (resumed.dropped, resumed.next_seq) == (1, next_seq + 2)
+    uncounted = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=after)
+    pairs(uncounted, right)
+    assert uncounted.dropped == 0
+
+
+def test_of_another_incarnation_all_that_lies_behind_is_counted_as_dropped() -> None:
+    left, right = channel(10, 15, 30), channel(30, 90)
+    of_before = Position(20, 7, INCARNATION + 1)
+    resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=of_before, next_seq=8)
+    assert pairs(resumed, right) == [(30, 30)]
+    assert resumed.dropped == 2
+
+
 def test_behind_a_time_what_comes_at_that_very_time_is_dropped_and_counted() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(10))

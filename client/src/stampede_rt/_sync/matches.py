@@ -42,6 +42,7 @@ class MatchSubscription:
         self._responses: Any = None
         self._ready: deque[Matched[Channel]] = deque()
         self._after: item_pb2.ItemPosition | None = None
+        self._after_next_seq: int | None = None
         self._unmatched_before = self._dropped_before = 0  # of streams that ended; the host counts anew on each
         self._closed = False
         self.unmatched = 0
@@ -103,6 +104,7 @@ class MatchSubscription:
             epoch=epoch,
             tolerance_nanos=self._tolerance_nanos,
             after=self._after,
+            after_next_seq=self._after_next_seq,
             without_payloads=not self._payloads,
         )
 
@@ -136,7 +138,7 @@ class MatchSubscription:
             self._unmatched_before += bool(matched.missing) and not (gone or message.unmatched_channel_ids)
             if self._partial or not matched.missing:
                 self._ready.append(matched)
-        self._after = response.resume_after
+        self._after, self._after_next_seq = response.resume_after, response.resume_next_seq
         self.unmatched = self._unmatched_before + response.unmatched
         self.dropped = self._dropped_before + response.dropped
 

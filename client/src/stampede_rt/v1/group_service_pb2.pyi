@@ -164,32 +164,36 @@ class CutLoss(_message.Message):
     def __init__(self, before_unix_nano: _Optional[int] = ..., items: _Optional[int] = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ...) -> None: ...
 
 class SubscribeMatchesRequest(_message.Message):
-    __slots__ = ("group_id", "per_channel_id", "epoch", "tolerance_nanos", "after", "without_payloads")
+    __slots__ = ("group_id", "per_channel_id", "epoch", "tolerance_nanos", "after", "without_payloads", "after_next_seq")
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     PER_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TOLERANCE_NANOS_FIELD_NUMBER: _ClassVar[int]
     AFTER_FIELD_NUMBER: _ClassVar[int]
     WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
+    AFTER_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     group_id: bytes
     per_channel_id: bytes
     epoch: int
     tolerance_nanos: int
     after: _item_pb2.ItemPosition
     without_payloads: bool
-    def __init__(self, group_id: _Optional[bytes] = ..., per_channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., tolerance_nanos: _Optional[int] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ...) -> None: ...
+    after_next_seq: int
+    def __init__(self, group_id: _Optional[bytes] = ..., per_channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., tolerance_nanos: _Optional[int] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., after_next_seq: _Optional[int] = ...) -> None: ...
 
 class SubscribeMatchesResponse(_message.Message):
-    __slots__ = ("matches", "unmatched", "dropped", "resume_after")
+    __slots__ = ("matches", "unmatched", "dropped", "resume_after", "resume_next_seq")
     MATCHES_FIELD_NUMBER: _ClassVar[int]
     UNMATCHED_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
     RESUME_AFTER_FIELD_NUMBER: _ClassVar[int]
+    RESUME_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
     matches: _containers.RepeatedCompositeFieldContainer[ItemMatch]
     unmatched: int
     dropped: int
     resume_after: _item_pb2.ItemPosition
-    def __init__(self, matches: _Optional[_Iterable[_Union[ItemMatch, _Mapping]]] = ..., unmatched: _Optional[int] = ..., dropped: _Optional[int] = ..., resume_after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ...) -> None: ...
+    resume_next_seq: int
+    def __init__(self, matches: _Optional[_Iterable[_Union[ItemMatch, _Mapping]]] = ..., unmatched: _Optional[int] = ..., dropped: _Optional[int] = ..., resume_after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., resume_next_seq: _Optional[int] = ...) -> None: ...
 
 class ItemMatch(_message.Message):
     __slots__ = ("item", "matched", "unmatched_channel_ids")

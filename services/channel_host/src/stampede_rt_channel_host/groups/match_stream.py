@@ -59,7 +59,8 @@ class MatchStream:
     async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesRequest) -> None:
         now = self._groups.channels.now()
         after = position_of(request.after) if request.HasField("after") else None
-        matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after)
+        next_seq = request.after_next_seq if request.HasField("after_next_seq") else None
+        matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after, next_seq=next_seq)
         arrangement = 0
         counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
         while True:  # ends with the stream
@@ -74,7 +75,10 @@ class MatchStream:
                 continue
             counted = matcher.unmatched, matcher.dropped
             about = pb.SubscribeMatchesResponse(
-                unmatched=matcher.unmatched, dropped=matcher.dropped, resume_after=position_to(matcher.place)
+                unmatched=matcher.unmatched,
+                dropped=matcher.dropped,
+                resume_after=position_to(matcher.place),
+                resume_next_seq=matcher.next_seq,
             )
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 

@@ -113,15 +113,21 @@ class Matcher:
 
     def __init__(
         self, channel: Channel, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
-        after: Position | None = None,
+        after: Position | None = None, next_seq: int | None = None,
     ) -> None:  # fmt: skip
-        """From the items accepted from now on, or behind `after`."""
+        """From the items accepted from now on, or behind `after`, with what has `next_seq` or a later one in mind.
+
+        Are they of another incarnation, then all that this one had came since.
+        """
         held, _ = channel.look(now)
         self._channel = channel
         self._tracks = dict(tracks)
         self._tolerance = tolerance_nanos
         self._place = behind(after) if after is not None else _end(held.newest, channel.next_seq)
-        self._ledger = Ledger(held, self._place, channel.next_seq)
+        known = channel.next_seq if next_seq is None else min(next_seq, channel.next_seq)
+        if next_seq is not None and after is not None and after.incarnation not in (0, channel.incarnation):
+            known = 1
+        self._ledger = Ledger(held, self._place, known)
         self.unmatched = 0
         self.dropped = 0
 
@@ -130,6 +136,11 @@ class Matcher:
         """Everything up to it is settled: begun `after` this, another goes on."""
         time, end_seq = self._place
         return Position(clamp(time), end_seq - 1 if end_seq else None, self._channel.incarnation)
+
+    @property
+    def next_seq(self) -> int:
+        """Of the items with a lower seq those below `place` are settled; it goes with that."""
+        return self._ledger.next_seq
 
     @property
     def earliest(self) -> int:
