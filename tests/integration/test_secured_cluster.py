@@ -262,6 +262,27 @@ def test_a_host_that_is_not_let_in_ends_with_one_sentence(
     assert not any("Traceback" in line for line in host.last_lines)
 
 
+def test_a_host_in_a_shell_with_a_clients_certificates_uses_those_of_its_own_file(
+    cluster: LocalCluster, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    clients, own = cluster.tls_files("shell"), cluster.tls_files("h7", Role.HOST)
+    assert clients is not None
+    assert own is not None
+    for variable, path in zip(("CA", "CERTIFICATE", "KEY"), clients.paths(), strict=True):
+        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+    settings = zip(("tls-ca", "tls-certificate", "tls-key"), own.paths(), strict=True)
+    config = tmp_path / "host.toml"
+    config.write_text("[host]\n" + "".join(f'{name} = "{path}"\n' for name, path in settings))
+    words = ["--config", str(config), "--frontend", cluster.address]
+    host = ServiceProcess("host h7", "stampede_rt_channel_host", words)
+    host.start()
+    try:
+        host.wait_ready(30)
+    finally:
+        host.stop()
+    assert host.exit_code == 0
+
+
 def test_the_command_line_takes_certificates_from_the_environment(cluster: LocalCluster) -> None:
     files = cluster.tls_files("shell")
     assert files is not None

@@ -17,7 +17,9 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 logger = logging.getLogger(__name__)
 
 LOOK_EVERY_S = 1.0  # a changed file counts after this, at the latest, for every new connection
-_VARIABLES = {"ca": "STAMPEDE_TLS_CA", "certificate": "STAMPEDE_TLS_CERTIFICATE", "key": "STAMPEDE_TLS_KEY"}
+_PARTS = ("ca", "certificate", "key")
+CLIENT_VARIABLES = tuple(f"STAMPEDE_TLS_{part.upper()}" for part in _PARTS)
+"""They name a client's files; services have variables of their own, so that one shell can serve both."""
 _READ_TRIES_MAX = 3
 _PATIENT_TRIES_MAX = 5
 _PATIENCE_S = 0.05
@@ -54,20 +56,19 @@ class TlsMaterial:
         return "TlsMaterial(...)"  # never the key
 
 
-def files_from_environment(environ: Mapping[str, str]) -> TlsFiles | None:
-    """The files that `$STAMPEDE_TLS_CA`, `_CERTIFICATE` and `_KEY` name; None if none of them is set.
+def files_from_environment(
+    environ: Mapping[str, str], variables: tuple[str, ...] = CLIENT_VARIABLES
+) -> TlsFiles | None:
+    """The files that `variables` name, for ca, certificate and key in this order; None if none of them is set.
 
     Raises InvalidArgument if only some are.
     """
-    named = {field: environ[variable] for field, variable in _VARIABLES.items() if environ.get(variable)}
-    missing = [f"${variable}" for field, variable in _VARIABLES.items() if field not in named]
+    named = {part: environ[variable] for part, variable in zip(_PARTS, variables, strict=True) if environ.get(variable)}
+    missing = [f"${variable}" for variable in variables if not environ.get(variable)]
     if named and missing:
-        raise InvalidArgument(f"{' and '.join(missing)} must be set, too: TLS needs all of {_all_of_them()}")
+        every = ", ".join(f"${variable}" for variable in variables)
+        raise InvalidArgument(f"{' and '.join(missing)} must be set, too: TLS needs all of {every}")
     return TlsFiles(**named) if named else None
-
-
-def _all_of_them() -> str:
-    return ", ".join(f"${variable}" for variable in _VARIABLES.values())
 
 
 class TlsReader:

@@ -202,7 +202,7 @@ async def test_the_health_check_uses_the_certificate_of_the_service_beside_it(
     async with serving(lambda _: None, tls=own) as server:
         assert await asyncio.to_thread(health_check, [server.address]) == 1
         for variable, path in zip(("CA", "CERTIFICATE", "KEY"), own.reader.files.paths(), strict=True):
-            monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+            monkeypatch.setenv(f"STAMPEDE_FRONTEND_TLS_{variable}", str(path))
         capsys.readouterr()
         assert await asyncio.to_thread(health_check, [server.address]) == 0
     assert "SERVING" in capsys.readouterr().out

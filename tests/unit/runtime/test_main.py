@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from stampede_rt.errors import Unavailable
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import check_listen
 from stampede_rt_runtime.main import ServiceSettings, announce, run_service
 from stampede_rt_runtime.settings import setting
@@ -46,6 +47,24 @@ async def serve(settings: Settings) -> int | None:
         raise OSError("not about a file")
     announce(f"served on {type(asyncio.get_running_loop()).__module__}")
     return int(settings.what) if settings.what else None
+
+
+def test_a_service_leaves_the_certificates_of_clients_alone_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("STAMPEDE_TLS_CERTIFICATE", "/nowhere/client.pem")
+    assert run_service(Settings, "sample", (), serve) == 0
+    told = capsys.readouterr().err
+    assert "no certificates are used: $STAMPEDE_TLS_CERTIFICATE is for clients" in told
+    assert "$STAMPEDE_SAMPLE_TLS_CA" in told
+    monkeypatch.setenv("STAMPEDE_SAMPLE_TLS_CERTIFICATE", "/nowhere/own.pem")
+    assert run_service(Settings, "sample", (), lambda settings: serve(_with_certificates(settings))) == 2
+    assert "--tls-ca and --tls-key must be given, too" in capsys.readouterr().err
+
+
+def _with_certificates(settings: Settings) -> Settings:
+    settings.load_tls(Role.HOST)
+    return settings
 
 
 @pytest.mark.parametrize(

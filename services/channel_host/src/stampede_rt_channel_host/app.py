@@ -12,8 +12,11 @@ from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.listen import NotAllowed
 from stampede_rt_runtime.main import EXIT_FAILED, announce, run_service
+from stampede_rt_runtime.routes import address_towards, is_loopback
 from stampede_rt_runtime.server import ServiceServer
+from stampede_rt_runtime.settings import SettingsError
 from stampede_rt_runtime.values import Address, parse_address
 
 _ANYWHERE = frozenset({"0.0.0.0", "::"})
@@ -35,8 +38,10 @@ class _Service:
         _tune_garbage_collection()
         host = self._make_host()
         host.add_to(self._server.grpc)
-        address = self._server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
-        advertise = settings.advertise or _reachable(address)
+        secured = self._credentials.tls is not None
+        own = settings.listen or where_to_listen(settings, secured=secured)
+        address = self._server.bind(own, allow_insecure_anywhere=settings.allow_insecure_anywhere)
+        advertise = settings.advertise or where_to_call(address, settings.frontend, self._names_certified())
         if self._credentials.tls is not None:
             self._credentials.tls.require_address(advertise)
         await self._server.start()
@@ -82,6 +87,9 @@ class _Service:
         tls.require_name(told or tls.identity.name, "--name")
         return tls.identity.name
 
+    def _names_certified(self) -> tuple[str, ...]:
+        return self._credentials.tls.addresses if self._credentials.tls else ()
+
     def _serving_changed(self, serving: bool) -> None:
         if not self._server.stopping.is_set():
             self._health = asyncio.create_task(self._server.set_serving(serving))
@@ -102,10 +110,40 @@ def _tune_garbage_collection() -> None:
     gc.set_threshold(5_000, 5, 1_000)
 
 
-def _reachable(address: str) -> str:
-    """Where others find a server that listens at `address`: a place to listen at may stand for all of a machine's."""
+def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
+    """For a host that is not told: where those who come by its front-ends can call it. Any free port.
+
+    Raises NotAllowed if that is open to other machines and nobody said that this is wanted.
+    """
+    own = address_towards(settings.frontend)
+    if own != "localhost" and not (secured or settings.allow_insecure_anywhere):
+        raise NotAllowed(
+            f"the front-end {', '.join(settings.frontend)} is on another machine, so this host must listen at {own}, "
+            "where others can call it, and without certificates everything, the secret included, would cross the "
+            "network in clear text; give it certificates (--tls-ca and the others), or, on a network that you trust, "
+            "add --allow-insecure-anywhere"
+        )
+    return str(Address(own, 0))
+
+
+def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[str]) -> str:
+    """Where others find a host that listens at `address`, which may stand for all of its machine's addresses.
+
+    `certified`: the names and addresses in its certificate. Raises SettingsError if it can be called from its own
+    machine alone, while its front-ends are elsewhere.
+    """
     place = parse_address(address)
-    return str(Address(socket.gethostname(), place.port)) if place.host in _ANYWHERE else address
+    if place.host in _ANYWHERE:
+        own = address_towards(frontends)
+        by_name = own == "localhost" or socket.gethostname() in certified
+        return str(Address(socket.gethostname() if by_name else own, place.port))
+    if is_loopback(address) and (own := address_towards(frontends)) != "localhost":
+        raise SettingsError(
+            f"this host would be known as {address}, which only its own machine can call, while the front-end "
+            f"{', '.join(frontends)} is on another one; listen at {own} (--listen {Address(own, place.port)}), or say "
+            "with --advertise where others reach it"
+        )
+    return address
 
 
 async def serve(settings: HostSettings) -> int:

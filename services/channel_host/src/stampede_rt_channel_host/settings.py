@@ -20,8 +20,13 @@ class HostSettings(ServiceSettings):
     """Stores channels and serves their items. Run one on each machine, or several."""
 
     listen: str = field(
-        default="localhost:0",
-        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where it listens; port 0: any free one"),
+        default="",
+        metadata=setting(
+            metavar="HOST:PORT",
+            parse=parse_address_text,
+            help="where it listens, port 0: any free one; left out: localhost, or, with the front-end on another "
+            "machine, the address that leads there",
+        ),
     )
     advertise: str = field(
         default="",

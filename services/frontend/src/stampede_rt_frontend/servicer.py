@@ -11,6 +11,7 @@ from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.ranking import Supernode, rank
 from stampede_rt_frontend.roster import Roster
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.routes import is_loopback, is_of_another_machine
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
 WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so long rather than being sent away
@@ -32,7 +33,9 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
         try:
             _check_version(request)
             await self._prober.wait_healthy(WAIT_SECONDS_MAX)
-            return self._respond(request.zone or self._default_zone)
+            response = self._respond(request.zone or self._default_zone)
+            _check_callable(response, context.peer())
+            return response
         except StampedeError as error:
             await abort(context, error)
 
@@ -58,6 +61,17 @@ def _check_version(request: frontend_service_pb2.BindRequest) -> None:
             f"the caller speaks protocol version {request.protocol_version}, this cluster {PROTOCOL_VERSION} "
             f"(software {software_version()}); install the same release on both sides",
             metadata={"protocol_version": str(PROTOCOL_VERSION), "version": software_version()},
+        )
+
+
+def _check_callable(response: frontend_service_pb2.BindResponse, peer: str) -> None:
+    """Raises Unavailable if the caller is on another machine, and every supernode can be called from its own alone."""
+    targets = [record.endpoint.target for record in response.supernodes]
+    if targets and all(map(is_loopback, targets)) and is_of_another_machine(peer):
+        raise Unavailable(
+            f"the supernodes of this cluster are known as {', '.join(targets)}, which only their own machine can call; "
+            "found them with addresses that other machines can call (--listen or --advertise of the supernodes)",
+            reason="NO_QUORUM",
         )
 
 

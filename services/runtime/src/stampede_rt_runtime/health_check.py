@@ -2,7 +2,7 @@
 
 For the health checks of containers, which have no other client of the standard gRPC health service at hand. That
 service answers without a secret, so none is needed here; with certificates, it uses those of the service beside it,
-which $STAMPEDE_TLS_CA, $STAMPEDE_TLS_CERTIFICATE and $STAMPEDE_TLS_KEY name.
+which $STAMPEDE_HOST_TLS_CA, ..._CERTIFICATE and ..._KEY name, or those of FRONTEND or SUPERNODE in its place.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.tls import CLIENT_VARIABLES, TlsFiles, TlsReader, files_from_environment
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt_runtime.certificates import CertificateError, describe
 from stampede_rt_runtime.limits import Limits
@@ -73,6 +73,15 @@ def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsF
     return str(health_pb2.HealthCheckResponse.ServingStatus.Name(answer.status))
 
 
+def _files_of_service(environ: Mapping[str, str]) -> TlsFiles | None:
+    """The certificates of the first service that has some. Raises InvalidArgument if it has only some of its files."""
+    for service in ("HOST", "FRONTEND", "SUPERNODE"):
+        variables = tuple(name.replace("STAMPEDE_", f"STAMPEDE_{service}_") for name in CLIENT_VARIABLES)
+        if (found := files_from_environment(environ, variables)) is not None:
+            return found
+    return None
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Exit code 0: it serves; 1: it does not; 2: the address cannot be used. One line on stdout or stderr says why."""
     try:
@@ -81,7 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"health check: {error}\n")
         return EXIT_BAD_ADDRESS
     try:
-        status = status_of(target, files=files_from_environment(os.environ))
+        status = status_of(target, files=_files_of_service(os.environ))
     except (StampedeError, CertificateError) as error:
         status = str(error)
     sys.stdout.write(f"{target}: {status}\n")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.tls import TlsFiles
+from stampede_rt.tls import CLIENT_VARIABLES, TlsFiles
 from stampede_rt_runtime.auth import Secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
@@ -43,13 +43,16 @@ class ServiceSettings:
     )
     tls_ca: Path | None = field(
         default=None,
-        metadata=setting(metavar="FILE", help="the cluster's authorities (PEM); with it, all must bring certificates"),
+        metadata=setting(
+            metavar="FILE", shared=False, help="the cluster's authorities (PEM); with it, all must bring certificates"
+        ),
     )
     tls_certificate: Path | None = field(
-        default=None, metadata=setting(metavar="FILE", help="this service's own certificate (PEM)")
+        default=None, metadata=setting(metavar="FILE", shared=False, help="this service's own certificate (PEM)")
     )
     tls_key: Path | None = field(
-        default=None, metadata=setting(metavar="FILE", help="its private key (PEM), for its user's eyes only")
+        default=None,
+        metadata=setting(metavar="FILE", shared=False, help="its private key (PEM), for its user's eyes only"),
     )
     log_level: str = field(default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="what is logged"))
 
@@ -97,6 +100,7 @@ def run_service(
     except SettingsError as error:
         return _complain(service, error, EXIT_BAD_SETTINGS)
     set_up_logging(settings.log_level)
+    _tell_of_clients_certificates(settings, service)
     try:
         return run_loop(serve(settings)) or 0
     except (NotAllowed, SettingsError) as error:
@@ -109,6 +113,18 @@ def run_service(
         return _complain(service, f"{error.filename} cannot be used: {error.strerror}", EXIT_FAILED)
     except KeyboardInterrupt:  # before the service had its own way to stop
         return 130
+
+
+def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> None:
+    """A service in plain text where a client's certificates are named: somebody may have meant them for it."""
+    named = [f"${name}" for name in CLIENT_VARIABLES if os.environ.get(name)]
+    if named and settings.tls_ca is None:
+        logger.warning(
+            "no certificates are used: %s is for clients; name this service's own with --tls-ca, --tls-certificate and "
+            "--tls-key, or in $STAMPEDE_%s_TLS_CA, ..._CERTIFICATE and ..._KEY",
+            ", ".join(named),
+            service.replace("-", "_").upper(),
+        )
 
 
 def _complain(service: str, error: Exception | str, code: int) -> int:

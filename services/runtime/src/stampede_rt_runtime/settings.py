@@ -48,11 +48,13 @@ def setting(
     choices: Sequence[str] = (),
     minimum: int | None = None,
     maximum: int | None = None,
+    shared: bool = True,
 ) -> dict[str, Any]:
     """The metadata of a field of a settings dataclass. A field without a default must be given.
 
     `parse` takes the text and raises ValueError with what is allowed; left out, the field's type decides among str,
-    int, bool and Path. `minimum` and `maximum`, both allowed, are checked after parsing.
+    int, bool and Path. `minimum` and `maximum`, both allowed, are checked after parsing. Not `shared`: only
+    the service's own variable is read, since the one that all read means something else (to clients, for one).
     """
     return {
         "help": help,
@@ -61,6 +63,7 @@ def setting(
         "choices": tuple(choices),
         "minimum": minimum,
         "maximum": maximum,
+        "shared": shared,
     }
 
 
@@ -81,10 +84,11 @@ class _Setting:
         return f"--{self.name}"
 
     @property
-    def variables(self) -> tuple[str, str]:
+    def variables(self) -> tuple[str, ...]:
         """The environment variables, the one that wins first."""
         upper = self.name.replace("-", "_").upper()
-        return (f"STAMPEDE_{self.service.replace('-', '_').upper()}_{upper}", f"STAMPEDE_{upper}")
+        own = f"STAMPEDE_{self.service.replace('-', '_').upper()}_{upper}"
+        return (own, f"STAMPEDE_{upper}") if self.field.metadata.get("shared", True) else (own,)
 
     @property
     def required(self) -> bool:
@@ -192,9 +196,12 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
 
 def _epilog(service: str, example: _Setting) -> str:
     own, shared = example.variables
+    tail = shared.removeprefix("STAMPEDE_")
     return (
         f"A setting can also come from the environment ({example.flag} from {own}, or from {shared}, "
-        f"which all services read), or from the TOML file (as {example.name}, in its table [{service}] or at its top). "
+        f"which all services read; those of certificates from {own.removesuffix(tail)}TLS_... alone, since "
+        f"$STAMPEDE_TLS_... is for clients), or from the TOML file (as {example.name}, in its table [{service}] or at "
+        "its top). "
         "A flag wins over the environment, the environment over the file."
     )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from stampede_rt.errors import StampedeError
 from stampede_rt.policy import parse_name
 from stampede_rt_runtime.main import ServiceSettings
+from stampede_rt_runtime.routes import is_loopback
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS
@@ -86,6 +87,12 @@ class SupernodeSettings(ServiceSettings):
             raise ValueError(f"--members names {len(ids)} members; {MEMBERS_MAX} at most")
         if self.members and self.id not in ids:
             raise ValueError(f"--id is {self.id!r}; with --members it must be one of them: {', '.join(ids)}")
+        here = [member for member in self.members if is_loopback(member.partition("=")[2])]
+        if here and len(here) < len(self.members):
+            raise ValueError(
+                f"--members names {', '.join(here)}, which only its own machine can call, beside members of other "
+                "machines; give each the address at which the others reach it"
+            )
         if self.members and parse_address(self.listen).port == 0:
             raise ValueError(f"--listen is {self.listen}; with --members it must be a port that the others know, not 0")
 

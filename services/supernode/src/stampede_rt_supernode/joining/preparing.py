@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import secrets
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from stampede_rt.cli.members import reached
 from stampede_rt.cli.supernode import add_place
 from stampede_rt.errors import StampedeError
 from stampede_rt.policy import parse_name
+from stampede_rt.tls import CLIENT_VARIABLES
+from stampede_rt_runtime.routes import is_loopback
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
 from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
@@ -88,6 +91,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
     members = {record.supernode_id: record.endpoint.target for record in listed}
     if name in members:
         raise StampedeError(f"{name} is a member already; a wiped supernode, too, joins under a new id")
+    _check_callable(address, members)
     founding = Founding(
         supernode_id=name,
         address=address,
@@ -99,6 +103,22 @@ def _run_join(arguments: argparse.Namespace) -> int:
     write_founding(arguments.data_dir, founding)
     _say(f"Supernode {name} may enter the cluster of {', '.join(members)}. {_start(arguments)}")
     return 0
+
+
+def _check_callable(address: str, members: Mapping[str, str]) -> None:
+    """Raises ValueError if the members are not all on this machine, and could not call the newcomer."""
+    elsewhere = [f"{name} at {target}" for name, target in members.items() if not is_loopback(target)]
+    if elsewhere and is_loopback(address):
+        raise ValueError(
+            f"{address} can be called from its own machine alone, and the members are elsewhere "
+            f"({', '.join(elsewhere)}); give --listen or --advertise the address at which they reach this supernode"
+        )
+    here = [f"{name} at {target}" for name, target in members.items() if is_loopback(target)]
+    if here and not is_loopback(address):
+        raise ValueError(
+            f"{', '.join(here)} can be called from its own machine alone, so a supernode at {address} cannot reach it; "
+            "found the cluster with an address that all machines can call (stampede supernode init --advertise)"
+        )
 
 
 def _say(text: str) -> None:
@@ -128,4 +148,8 @@ def _read(option: str, parse: Callable[[str], str], text: str) -> str:
 
 def _start(arguments: argparse.Namespace) -> str:
     advertise = f" --advertise {arguments.advertise}" if arguments.advertise else ""
-    return f"Start it:\n\n  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}"
+    secured = any(os.environ.get(name) for name in CLIENT_VARIABLES)  # a service reads other variables: say the flags
+    tls = " --tls-ca FILE --tls-certificate FILE --tls-key FILE" if secured else ""
+    return (
+        f"Start it:\n\n  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}{tls}"
+    )

@@ -1,0 +1,67 @@
+"""Which of this machine's addresses leads where: what others can call is not what a service of this machine can."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Iterable
+from urllib.parse import unquote
+
+from stampede_rt_runtime.listen import CannotListen
+from stampede_rt_runtime.values import parse_address
+
+LOOPBACK_NAMES = ("localhost", "ip6-localhost", "ip6-loopback")
+
+
+def is_loopback(target: str) -> bool:
+    """Whether `HOST:PORT` is certain to be of the caller's own machine alone. Resolves no name."""
+    if target.startswith("unix:"):
+        return True
+    host = parse_address(target).host.lower()
+    if host in LOOPBACK_NAMES or host.endswith(".localhost"):
+        return True
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False
+
+
+def address_towards(targets: Iterable[str]) -> str:
+    """The address of this machine from which the first of `targets` that is elsewhere is called.
+
+    "localhost" if all are here. Nothing is sent: a datagram socket is connected, and its own address read. Resolving a
+    name may block for a moment. Raises CannotListen if no way leads there.
+    """
+    for target in targets:
+        if not is_loopback(target):
+            found = _own_address_towards(target)
+            return "localhost" if ipaddress.ip_address(found.partition("%")[0]).is_loopback else found
+    return "localhost"
+
+
+def _own_address_towards(target: str) -> str:
+    place = parse_address(target)
+    try:
+        family, _, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect(address)
+            return str(probe.getsockname()[0])
+    except (OSError, UnicodeError) as error:
+        raise CannotListen(
+            f"no address of this machine is known to lead to {target} ({error}); start {place.host} first, correct its "
+            "name, or say with --listen HOST:PORT which address this service has"
+        ) from error
+
+
+def is_of_another_machine(peer: str) -> bool:
+    """Whether a caller, as gRPC names it ("ipv4:10.0.0.3:5", "ipv6:%5B::1%5D:5"), has no address of this machine's."""
+    kind, _, place = peer.partition(":")
+    if kind not in ("ipv4", "ipv6"):
+        return False
+    address = unquote(place).rpartition(":")[0].strip("[]")
+    try:
+        with socket.socket(socket.AF_INET6 if kind == "ipv6" else socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((address, 0))  # which is allowed for one's own addresses alone
+    except OSError:
+        return True
+    return False
