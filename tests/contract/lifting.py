@@ -8,7 +8,7 @@ from typing import Any
 
 import stampede_rt as st
 
-_LIFTED = (st.Queue, st.Mailbox, st.Message, st.Connection)
+_LIFTED = (st.Channel, st.Group, st.Queue, st.Mailbox, st.Message, st.Connection)
 
 
 def lifted(value: Any, pool: ThreadPoolExecutor | None) -> Any:

@@ -43,7 +43,7 @@ class InvalidInterval(InvalidArgument):
 
 
 class InvalidName(InvalidArgument):
-    """A name does not match `[a-z0-9][a-z0-9._/-]{0,127}`."""
+    """A name does not match `[A-Za-z0-9][A-Za-z0-9._/-]{0,127}`."""
 
     reason = "INVALID_NAME"
 

@@ -9,7 +9,9 @@ from stampede_rt.errors import InvalidArgument, InvalidName
 from stampede_rt.model import Policy
 from stampede_rt.timeline import DurationLike, parse_duration
 
-_NAME = re.compile(r"[a-z0-9][a-z0-9._/-]{0,127}")
+NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
+"""Of channels, groups, queues, peers and hosts. Names that differ only in case are different names."""
+_NAME = re.compile(NAME_GRAMMAR)
 ON_FULL = ("drop_oldest", "block", "reject")
 
 
@@ -17,8 +19,8 @@ def parse_name(name: str, what: str = "channel") -> str:
     """`name` as it is. Raises InvalidName."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InvalidName(
-            f"the {what} name {name!r} is not allowed; use 1 to 128 of a-z, 0-9, '.', '_', '/', '-', beginning with a "
-            "letter or digit"
+            f"the {what} name {name!r} is not allowed; use 1 to 128 of A-Z, a-z, 0-9, '.', '_', '/', '-', beginning "
+            "with a letter or digit"
         )
     return name
 

@@ -44,12 +44,12 @@ def test_a_wrong_address_is_named(url: str) -> None:
         parse_addresses(url)
 
 
-@pytest.mark.parametrize("name", ["a", "cam/left", "0-9._/-", "a" * 128])
+@pytest.mark.parametrize("name", ["a", "A", "LSL/EEG_Amp-1", "cam/left", "0-9._/-", "a" * 128])
 def test_names_within_the_grammar_are_taken(name: str) -> None:
     assert parse_name(name) == name
 
 
-@pytest.mark.parametrize("name", ["", "A", "/a", "a b", "a" * 129, "cam\n", "ü", None])
+@pytest.mark.parametrize("name", ["", "/a", "a b", "a" * 129, "cam\n", "ü", None])
 def test_a_name_outside_the_grammar_is_refused(name: object) -> None:
     with pytest.raises(InvalidName, match="not allowed; use"):
         parse_name(name)  # type: ignore[arg-type]

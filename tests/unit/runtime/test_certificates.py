@@ -76,6 +76,18 @@ def test_the_commands_make_files_that_work_together(tmp_path: Path, capsys: pyte
     assert "(an authority)" in told
 
 
+def test_names_that_differ_in_case_or_in_a_slash_have_files_of_their_own(tmp_path: Path) -> None:
+    names = ("robot-arm", "Robot-Arm", "robot/arm", "Robot/arm")
+    assert stampede(["certs", "init", str(tmp_path)]) == 0
+    for name in names:
+        assert stampede(["certs", "issue", "--dir", str(tmp_path), "--name", name, "--role", "client"]) == 0
+    files = [file.name for file in tmp_path.glob("client-*.pem")]
+    assert len({file.lower() for file in files}) == len(names)
+    found = [describe((tmp_path / file).read_bytes())[0].identity for file in files]
+    assert {one.name for one in found if one} == set(names)
+    assert "client-robot-arm.pem" in files
+
+
 def test_a_certificate_for_other_addresses_is_noticed_by_the_service_itself(made: ClusterCertificates) -> None:
     tls = load_tls(made.issue(Role.HOST, "h1"), Role.HOST)
     for target in ("localhost:1", "LocalHost:1", "127.0.0.1:1", "[::1]:1", "unix:/run/h1", "0.0.0.0:1"):
@@ -98,7 +110,7 @@ def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: py
     ("words", "status", "complaint"),
     [
         (["issue", "--name", "n", "--role", "king"], 2, "invalid choice"),
-        (["issue", "--name", "N", "--role", "client"], 2, "the name is 'N'"),
+        (["issue", "--name", "N O", "--role", "client"], 2, "the name is 'N O'"),
         (["init", "x", "--cluster", "A B"], 2, "the cluster's name is 'A B'"),
         (["init", "x", "--days", "0"], 2, "allowed: 1 to 36500"),
         (["issue", "--dir", "nowhere", "--name", "n", "--role", "client"], 1, "no authority in nowhere; make one with"),

@@ -118,11 +118,16 @@ def test_blocking_is_allowed_where_something_makes_room(log: Log, policy: dict[s
     assert opened(log, "cam/left", on_full="block", **policy).created
 
 
-@pytest.mark.parametrize("name", ["", "Cam", "-cam", "/cam", "cam left", "cäm", "c" * 129, "cam\n"])
+@pytest.mark.parametrize("name", ["", "-cam", "/cam", "cam left", "cäm", "c" * 129, "cam\n"])
 def test_a_name_outside_the_grammar_is_refused(log: Log, name: str) -> None:
     result = refused(log, name)
     assert result.reason == "INVALID_NAME"
     assert "a-z" in result.message
+
+
+def test_names_that_differ_only_in_case_are_different_channels(log: Log) -> None:
+    upper, lower = opened(log, "LSL/EEG_Amp").channel, opened(log, "lsl/eeg_amp").channel
+    assert upper.channel_id != lower.channel_id
 
 
 def test_the_longest_name_is_allowed(log: Log) -> None:

@@ -104,7 +104,7 @@ def test_what_a_peer_cannot_say_of_itself_is_refused(log: Log, how: dict[str, An
 
 
 def test_a_name_follows_the_grammar_and_a_host_must_be_there(log: Log) -> None:
-    assert refusal(log, register_peer(7, "Planner")).reason == "INVALID_NAME"
+    assert refusal(log, register_peer(7, "the planner")).reason == "INVALID_NAME"
     assert refusal(log, register_peer(7, "planner", host_id=id_of(99))).reason == "HOST_NOT_FOUND"
     assert enter(log, 7, "planner", host_id=id_of(1)).peer.host_id == id_of(1)
 

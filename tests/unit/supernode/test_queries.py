@@ -30,6 +30,7 @@ def names(log: Log, glob: str, after: str = "", size: int = 0) -> list[str]:
         ("*r*", ["cam/right", "cam/top/far", "camera"]),
         ("m?c", ["mic"]),
         ("mic", ["mic"]),
+        ("Cam*", []),
         ("nothing*", []),
     ],
 )

@@ -55,7 +55,7 @@ class ClusterCertificates:
         identity = Identity(self._cluster, role, name)
         now = begins or datetime.now(UTC)
         made = issue(self._authority, identity, self._addresses, now=now, lifetime=lifetime)
-        certificate, key = write_pair(made, self.folder, f"{role}-{name.replace('/', '-')}")
+        certificate, key = write_pair(made, self.folder, identity.file_stem)
         self._issued[role, name] = TlsFiles(ca=self.ca, certificate=certificate, key=key)
         return self._issued[role, name]
 

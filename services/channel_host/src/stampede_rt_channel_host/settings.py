@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.addresses import ADDRESSES_MAX
+from stampede_rt.policy import NAME_GRAMMAR
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address_text, parse_list, parse_size, parse_target
 
-_NAME = re.compile(r"[a-z0-9][a-z0-9._/-]{0,127}")
 MEMORY_BYTES_MIN = 2**20
 
 
@@ -64,5 +64,5 @@ class HostSettings(ServiceSettings):
     def __post_init__(self) -> None:
         if not 0 < len(self.frontend) <= ADDRESSES_MAX:
             raise ValueError(f"--frontend names {len(self.frontend)} front-ends; allowed: 1 to {ADDRESSES_MAX}")
-        if self.name and not _NAME.fullmatch(self.name):
-            raise ValueError(f"--name is {self.name!r}; allowed: {_NAME.pattern}")
+        if self.name and not re.fullmatch(NAME_GRAMMAR, self.name):
+            raise ValueError(f"--name is {self.name!r}; allowed: {NAME_GRAMMAR}")

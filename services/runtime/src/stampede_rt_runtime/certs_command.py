@@ -115,7 +115,7 @@ def _issue(arguments: argparse.Namespace) -> list[str]:
     made = issue(authority, identity, addresses, now=datetime.now(UTC), lifetime=lifetime)
     out: Path = arguments.out or folder
     out.mkdir(mode=0o700, parents=True, exist_ok=True)
-    certificate, key = write_pair(made, out, f"{identity.role}-{identity.name.replace('/', '-')}")
+    certificate, key = write_pair(made, out, identity.file_stem)
     reached = f", called at {', '.join(addresses)}" if addresses else ""
     end = describe(made.certificate)[0].not_after
     told = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d}", f"{key}: its private key"]

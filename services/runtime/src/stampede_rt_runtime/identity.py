@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from stampede_rt.policy import NAME_GRAMMAR
+
 SCHEME = "stampede://"
-_CLUSTER = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
-_NAME = re.compile(r"[a-z0-9][a-z0-9._/-]{0,127}")
+_CLUSTER = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")  # the host part of a URI, where case does not count
+
+_FILE_NAME = re.compile(r"[a-z0-9][a-z0-9._-]*")
 
 
 class Role(StrEnum):
@@ -36,8 +40,8 @@ class Identity:
     def __post_init__(self) -> None:
         if not _CLUSTER.fullmatch(self.cluster):
             raise ValueError(f"the cluster's name is {self.cluster!r}; allowed: {_CLUSTER.pattern}")
-        if not _NAME.fullmatch(self.name):
-            raise ValueError(f"the name is {self.name!r}; allowed: {_NAME.pattern}")
+        if not re.fullmatch(NAME_GRAMMAR, self.name):
+            raise ValueError(f"the name is {self.name!r}; allowed: {NAME_GRAMMAR}")
 
     def __str__(self) -> str:
         return f"{self.role} {self.name} of cluster {self.cluster}"
@@ -46,6 +50,17 @@ class Identity:
     def uri(self) -> str:
         """As it stands in the certificate."""
         return f"{SCHEME}{self.cluster}/{self.role}/{self.name}"
+
+    @property
+    def file_stem(self) -> str:
+        """What its files are called, without their endings: no two names share one, also where case does not count.
+
+        A name with upper-case letters or "/" is no file name: it is spelled otherwise, with a digest of it behind.
+        """
+        if _FILE_NAME.fullmatch(self.name):
+            return f"{self.role}-{self.name}"
+        digest = hashlib.blake2b(self.name.encode(), digest_size=6).hexdigest()
+        return f"{self.role}-{self.name.lower().replace('/', '-')}-{digest}"
 
 
 def parse_identity(uri: str) -> Identity:

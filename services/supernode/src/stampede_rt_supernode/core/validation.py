@@ -8,24 +8,24 @@ from __future__ import annotations
 import re
 
 from stampede_rt.errors import InvalidArgument, InvalidName
+from stampede_rt.policy import NAME_GRAMMAR
 from stampede_rt_supernode.core.records import ID_BYTES, Endpoint
 
-NAME_GRAMMAR = "[a-z0-9][a-z0-9._/-]{0,127}"
 GATEKEEPERS_MAX = 16
 TARGET_CHARACTERS_MAX = 256
 ZONE_CHARACTERS_MAX = 64
 VERSION_CHARACTERS_MAX = 64
 GLOB_CHARACTERS_MAX = 256
 _NAME = re.compile(NAME_GRAMMAR, re.ASCII)
-_GLOB = re.compile(r"[a-z0-9._/*?-]*", re.ASCII)
+_GLOB = re.compile(r"[A-Za-z0-9._/*?-]*", re.ASCII)
 
 
 def check_name(name: str, what: str) -> None:
     """`what` is the kind of thing that is named: "channel", "host"."""
     if _NAME.fullmatch(name) is None:
         raise InvalidName(
-            f"{_shown(name)} cannot name a {what}: {_fault(name)}; a name is 1 to 128 of a-z, 0-9, '.', '_', '/' and "
-            "'-', and begins with a letter or digit",
+            f"{_shown(name)} cannot name a {what}: {_fault(name)}; a name is 1 to 128 of A-Z, a-z, 0-9, '.', '_', '/' "
+            "and '-', and begins with a letter or digit",
             metadata={what: name[:128]},
         )
 
@@ -39,11 +39,9 @@ def _fault(name: str) -> str:
         return "it is empty"
     if len(name) > 128:
         return f"it has {len(name)} characters"
-    if any(c.isascii() and c.isupper() for c in name):
-        return "it has upper-case letters"
     if name[0] in "._/-":
         return f"it begins with {name[0]!r}"
-    bad = next(c for c in name if not re.fullmatch(r"[a-z0-9._/-]", c, re.ASCII))
+    bad = next(c for c in name if not re.fullmatch(r"[A-Za-z0-9._/-]", c, re.ASCII))
     return f"it contains {bad!r}"
 
 
@@ -53,7 +51,7 @@ def check_glob(glob: str) -> None:
         raise InvalidArgument(f"the pattern has {len(glob)} characters; {GLOB_CHARACTERS_MAX} at most")
     if _GLOB.fullmatch(glob) is None:
         raise InvalidArgument(
-            f"{glob!r} can match no name: names have only a-z, 0-9, '.', '_', '/' and '-'; beside these a pattern "
+            f"{glob!r} can match no name: names have only A-Z, a-z, 0-9, '.', '_', '/' and '-'; beside these a pattern "
             "has '*' for any run of characters and '?' for one"
         )
 
