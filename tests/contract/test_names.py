@@ -58,9 +58,11 @@ async def test_peers_whose_names_differ_in_case_are_different_peers(rt: Any, clu
         aio.connect(cluster.address, name="turtle1") as lower,
     ):
         await rt.send("Turtle1", b"for the upper one")
-        assert upper.mailbox and lower.mailbox
+        assert upper.mailbox
+        assert lower.mailbox
         message = await upper.mailbox.get(timeout=10)
-        assert message and message.payload == b"for the upper one"
+        assert message
+        assert message.payload == b"for the upper one"
         assert await lower.mailbox.get(timeout=0) is None
 
 
