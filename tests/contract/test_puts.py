@@ -27,6 +27,12 @@ async def test_seqs_grow_by_one(surface: Surface) -> None:
     assert seqs == [seqs[0], seqs[0] + 1, seqs[0] + 2]
 
 
+async def test_an_advance_that_is_ahead_of_the_host_makes_no_put_too_old_that_the_host_stamps(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s", max_future="60s")
+    ahead = await channel.advance(st.now() + 30_000_000_000)
+    assert (await channel.put(b"stamped")).time == ahead
+
+
 async def test_a_put_behind_an_advance_is_too_old(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     time = st.now() - SECOND

@@ -24,7 +24,9 @@ class Taken:
 def put_run(channel: OracleChannel, offer: Offer, clock: int) -> Taken:
     """Item after item, each with those before it in."""
     channel.age(clock)  # what is gone by now stamps nothing, not even the newest item
-    stamp = channel.now(clock)
+    stamp = max(
+        [channel.now(clock), *channel.collected_times, *([] if channel.advanced_to is None else [channel.advanced_to])]
+    )
     waited_since = clock if offer.since is None else offer.since
     verdicts: list[Item | Refused] = []
     for index, length in enumerate(offer.lengths):

@@ -27,6 +27,18 @@ def test_a_run_without_times_is_stamped_with_the_later_of_clock_and_newest_item(
     assert outcome.run.body == f"4 None {CLOCK + 500}".encode()
 
 
+def test_a_run_without_times_is_stamped_with_no_time_that_is_too_old() -> None:
+    """The advance of a machine whose clock was 20 ms ahead made the puts of the next 20 ms too old."""
+    channel = a_channel(max_bytes=100)
+    unstamped = Offer(times=None, durations=None, lengths=[1])
+    channel.advance(CLOCK + 20, CLOCK)
+    assert channel.put(unstamped, CLOCK + 1, seal).stamped_time == CLOCK + 20
+    put(channel, CLOCK + 30)
+    channel.configure(Policy(max_bytes=70), CLOCK + 2)
+    assert channel.newest is None, "an item ahead of the clock was collected"
+    assert channel.put(unstamped, CLOCK + 3, seal).stamped_time == CLOCK + 30
+
+
 def test_refused_items_do_not_hold_up_the_others_and_leave_no_hole_in_the_seqs() -> None:
     channel = a_channel(clock_ahead=100, max_items=9, max_item_bytes=50)
     outcome = put(channel, CLOCK, CLOCK + 101, CLOCK + 1, CLOCK + 2, lengths=[1, 1, 51, 1])

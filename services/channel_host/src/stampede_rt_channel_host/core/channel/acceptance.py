@@ -39,8 +39,9 @@ class Acceptance:
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
     def stamp(self, clock: int) -> int:
-        """The time of items that come without one: what `now` resolves to."""
-        return clock if self._held.newest is None else max(clock, self._held.newest)
+        """The time of items that come without one: what `now` resolves to, but nothing that is refused as too old."""
+        now = clock if self._held.newest is None else max(clock, self._held.newest)
+        return max(now, self._least_time())
 
     def _fits_at_a_stroke(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
         """Every item is accepted, and retention after the last one does the same as retention after each.
