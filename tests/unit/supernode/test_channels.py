@@ -53,6 +53,16 @@ def test_a_named_host_that_is_not_live_is_refused(log: Log) -> None:
     assert refused(log, "cam/left", host="two").reason == "HOST_NOT_FOUND"
 
 
+def test_a_channel_at_another_live_host_than_the_named_one_is_refused(log: Log) -> None:
+    opened(log, "cam/left", host="one")
+    assert opened(log, "cam/left", host="one").host.name == "one"
+    result = refused(log, "cam/left", host="two")
+    assert result.reason == "CHANNEL_EXISTS"
+    assert "exists at host one, not at two" in result.message
+    log.apply(deregister(1))
+    assert opened(log, "cam/left", host="two").host.name == "two", "a lost owner is no contradiction"
+
+
 def test_without_a_live_host_there_is_no_place() -> None:
     assert refused(Log(), "cam/left").reason == "NO_HOST"
 

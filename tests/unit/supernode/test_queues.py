@@ -182,6 +182,12 @@ def test_a_deleted_queue_is_gone_and_its_name_free(log: Log) -> None:
     assert queue(log, "jobs", max_items=6).queue_id != before.queue_id
 
 
+def test_a_queue_at_another_live_host_than_the_named_one_is_refused(log: Log) -> None:
+    queue(log, "jobs", host="one")
+    assert queue(log, "jobs", host="one").name == "jobs"
+    assert refusal(log, open_queue("jobs", host="two")).reason == "QUEUE_EXISTS"
+
+
 def test_a_queue_waits_for_its_lost_host_and_gets_another_when_it_is_opened(log: Log) -> None:
     before = queue(log, "jobs", host="one", incarnation=5)
     log.apply(deregister(1))

@@ -109,7 +109,8 @@ class Connection(Discovery):
         ChannelExists. Unstated: max_age "10s" if no limit at all is stated, max_bytes 256 MiB, on_full "drop_oldest",
         max_future "1s". `consumers`: an item may go once so many have consumed it; `max_age_unconsumed`: what a live
         consumer has yet to consume goes at that age instead of max_age (see `Channel.consume`). `host` names the host
-        to create it at. `create=False` raises ChannelNotFound if it is absent.
+        to create it at; a channel that exists at another live host raises ChannelExists. `create=False` raises
+        ChannelNotFound if it is absent.
 
         `codec` belongs to the handle, not to the channel: what `put` takes and `item.value` gives. "bytes" (default),
         "json", "numpy" (shape and dtype kept), or an object with `content_type`, `encode` and `decode`.

@@ -100,9 +100,14 @@ class SecretInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
 async def _refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -> None:
     """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes."""
     brought = any(key == "authorization" for key, _ in context.invocation_metadata() or ())
-    what = "the secret that the call brought is another one than the service's" if brought else "the call has no secret"
-    remedy = (
-        "clients and services look for it in the file that --secret-file or $STAMPEDE_SECRET_FILE names, else in "
-        "$XDG_CONFIG_HOME/stampede/secret, else in ~/.config/stampede/secret: bring the service's file there"
+    places = (
+        "the file that --secret-file or $STAMPEDE_SECRET_FILE names, else $XDG_CONFIG_HOME/stampede/secret, else "
+        "~/.config/stampede/secret"
     )
+    if brought:
+        what = "the call brought a secret that differs from the service's"
+        remedy = f"the caller read its secret from {places}: replace that file by the service's own"
+    else:
+        what = "the call brought no secret"
+        remedy = f"copy the service's secret file to one of the places where callers look: {places}"
     await abort(context, PermissionDenied(f"{what}; {remedy}", reason="UNAUTHENTICATED"))

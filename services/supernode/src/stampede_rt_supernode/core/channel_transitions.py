@@ -18,7 +18,7 @@ from stampede_rt_supernode.core.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
-from stampede_rt_supernode.core.lookups import channel_by_id, host_by_name, no_such_channel
+from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
 from stampede_rt_supernode.core.policies import agree, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.records import Channel, Host
 from stampede_rt_supernode.core.replicas.transitions import check_epoch
@@ -51,6 +51,7 @@ def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
     channel = tables.channel_named(deed.name)
     if channel is None:
         return _create(tables, deed)
+    check_host_agrees("channel", channel.name, tables.hosts[channel.host_id], deed.host_name)
     policy = agree(channel.name, channel.policy, deed.policy)
     opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
     if not tables.hosts[channel.host_id].alive:
@@ -71,8 +72,9 @@ def open_unchanged(tables: Tables, deed: OpenChannel) -> ChannelOpened | None:
             raise no_such_channel(deed.name)
         check_policy(deed.name, deed.policy)
         return None
-    unchanged = agree(channel.name, channel.policy, deed.policy) == channel.policy
     host = tables.hosts[channel.host_id]
+    check_host_agrees("channel", channel.name, host, deed.host_name)
+    unchanged = agree(channel.name, channel.policy, deed.policy) == channel.policy
     return ChannelOpened(channel=channel, host=host, created=False) if unchanged and host.alive else None
 
 

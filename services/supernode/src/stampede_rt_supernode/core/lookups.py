@@ -49,6 +49,19 @@ def host_by_name(tables: Tables, name: str) -> Host:
     return host
 
 
+def check_host_agrees(kind: str, name: str, host: Host, asked_host_name: str) -> None:
+    """A caller that names a host gets that one. Raises CHANNEL_EXISTS or QUEUE_EXISTS if live `host` is another.
+
+    `kind` is "channel" or "queue". A lost owner is no contradiction: the host that is asked for takes its place.
+    """
+    if host.alive and asked_host_name not in ("", host.name):
+        raise StampedeError(
+            f"{kind} {name} exists at host {host.name}, not at {asked_host_name}; leave the host out to use it there",
+            reason=f"{kind.upper()}_EXISTS",
+            metadata={kind: name, "host": host.name},
+        )
+
+
 def no_such_channel(name: str) -> ChannelNotFound:
     """The error for a name that no channel has."""
     text = f"there is no channel {name}; open it with create=True to make it, or list the channels for its right name"
@@ -77,7 +90,7 @@ def group_by_name(tables: Tables, name: str) -> Group:
 
 def no_such_group(name: str) -> StampedeError:
     """The error for a name that no group has."""
-    text = f"there is no group {name}; open it with create=True to make it, or list the groups for its right name"
+    text = f"there is no group {name}; name its channels to make it, or list the groups to find its right name"
     return StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group": name})
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StaleBinding
-from stampede_rt_supernode.core.lookups import no_such_queue, queue_by_id
+from stampede_rt_supernode.core.lookups import check_host_agrees, no_such_queue, queue_by_id
 from stampede_rt_supernode.core.queues.commands import (
     DeleteQueue,
     OpenQueue,
@@ -50,6 +50,7 @@ def open_queue(tables: Tables, deed: OpenQueue) -> QueueOpened:
     queue = tables.queues.named(deed.name)
     if queue is None:
         return _create(tables, deed)
+    check_host_agrees("queue", queue.name, tables.hosts[queue.host_id], deed.host_name)
     opened = _agreed(tables, queue, deed.spec)
     if not tables.hosts[queue.host_id].alive:
         host = choose_host(tables, f"queue {queue.name}", deed.host_name, tables.hosts[queue.host_id].name)
@@ -67,6 +68,7 @@ def open_queue_unchanged(tables: Tables, deed: OpenQueue) -> QueueOpened | None:
             raise no_such_queue(deed.name)
         return None
     host = tables.hosts[queue.host_id]
+    check_host_agrees("queue", queue.name, host, deed.host_name)
     unchanged = _agreed(tables, queue, deed.spec) == queue
     return QueueOpened(queue=queue, host=host, created=False) if unchanged and host.alive else None
 
