@@ -83,7 +83,7 @@ async def test_a_host_asks_for_the_secret(directory: FakeDirectory, tmp_path: Pa
         address = await ready(process)
         request = gate_pb.GatekeeperServicePingRequest()
         async with grpc.aio.insecure_channel(address) as channel:
-            with pytest.raises(grpc.aio.AioRpcError, match="the call has no secret"):
+            with pytest.raises(grpc.aio.AioRpcError, match="the call brought no secret"):
                 await GatekeeperServiceStub(channel).Ping(request)
         async with dial(address, secret=secret) as channel:
             assert (await GatekeeperServiceStub(channel).Ping(request)).name == "h1"

@@ -141,6 +141,72 @@ def test_get_says_in_a_sentence_why_it_has_not_all(stampede: Run, thinned: tuple
     assert done.stderr.startswith("stampede: COLLECTED: max_items (2) has collected")
 
 
+def test_a_piped_line_of_text_is_shown_as_text(stampede: Run) -> None:
+    stampede("put", "cli/piped", stdin=b"text\n")
+    assert stampede("get", "cli/piped").stdout.endswith("  text\\n\n")
+
+
+def test_no_control_character_of_an_item_reaches_the_terminal(stampede: Run) -> None:
+    stampede("put", "cli/hostile", "--attribute", "k=\x1b[2J", stdin=b"\x1b]0;t\x07\r\nforged")
+    for form in ("table", "json"):
+        text = stampede("get", "cli/hostile", "-o", form).stdout
+        assert "forged" in text
+        assert text.replace("\n", "").isprintable()
+
+
+def test_raw_output_that_could_command_the_terminal_is_refused_there(
+    stampede: Run, environment: dict[str, str]
+) -> None:
+    stampede("put", "cli/raw", stdin=b"\x1b[2J")
+    assert stampede("get", "cli/raw", "--raw").stdout == "\x1b[2J"
+    ours, theirs = os.openpty()
+    with os.fdopen(ours, "rb"):
+        done = subprocess.run(
+            [*COMMAND, "get", "cli/raw", "--raw"],
+            env=environment,
+            stdout=theirs,
+            stderr=subprocess.PIPE,
+            timeout=40,
+            check=False,
+        )
+        os.close(theirs)
+    assert done.returncode == 2
+    assert b"send it to a file" in done.stderr
+
+
+def test_a_time_without_a_zone_is_local_time(stampede: Run, environment: dict[str, str]) -> None:
+    environment["TZ"] = "Asia/Tokyo"
+    try:
+        text = stampede("get", "cli/times/none", "2026-01-31T12:00:00", "now", status=1).stderr
+        assert "there is no channel" in text
+        stampede("put", "cli/zone", "x", "--max-age", "60s")
+        put = stampede("put", "cli/zone", "y", "--time", "2026-01-31T12:00:00").stdout
+    finally:
+        del environment["TZ"]
+    assert "at 2026-01-31T03:00:00" in put
+
+
+def test_a_full_disk_below_the_output_is_told_as_that(stampede: Run, environment: dict[str, str]) -> None:
+    stampede("put", "cli/full", "x")
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*COMMAND, "ls"], env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=40, check=False
+        )
+    assert (done.returncode, done.stderr) == (1, "stampede: the output cannot be written: No space left on device\n")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["get", "--help"]])
+def test_help_and_version_load_no_grpc(arguments: list[str]) -> None:
+    script = (
+        "import sys; from stampede_rt.cli.main import main\n"
+        "try: main(sys.argv[1:])\n"
+        "except SystemExit: pass\n"
+        "sys.exit(any(name.split('.')[0] in ('grpc', 'google') for name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, timeout=40, check=False)
+    assert done.returncode == 0, done
+
+
 def test_ls_and_info_show_what_is_there(stampede: Run) -> None:
     stampede("put", "cli/shown/one", "x", "--max-items", "5")
     listed = stampede("ls", "cli/shown/*").stdout
@@ -192,12 +258,12 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
     ("arguments", "status", "said"),
     [
         (["get", "no/such/channel"], 1, "`stampede ls` lists"),
-        (["put", "Wrong Name", "x"], 1, "not allowed; use"),
+        (["put", "Wrong Name", "x"], 2, "not allowed; use"),
         (["put", "cli/wrong", "x", "--max-age", "3s"], 1, "cli/wrong"),
-        (["get", "cli/wrong", "5", "3"], 1, "starts at"),
-        (["get", "cli/wrong", "5"], 1, "two times"),
-        (["get", "cli/wrong", "yesterday", "now"], 2, "is no time"),
-        (["get", "cli/wrong", "--last", "10"], 1, "ns, us, ms"),
+        (["get", "cli/wrong", "5", "3"], 2, "starts at"),
+        (["get", "cli/wrong", "5"], 2, "two times"),
+        (["get", "cli/wrong", "yesterday", "now"], 2, "is not a time"),
+        (["get", "cli/wrong", "--last", "10"], 2, "ns, us, ms"),
         (["put", "cli/wrong", "x", "--time", str(2**62)], 1, "ahead"),
         (["get", "cli/wrong", "--limit", "0"], 2, "1 or more"),
         (["ls", "--colour"], 2, "stampede ls --help"),
@@ -205,7 +271,7 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
         (["fly"], 2, "fly"),
         ([], 2, "VERB"),
         (["ls", "--url", "localhost:1"], 1, "cannot connect to localhost:1"),
-        (["ls", "--url", "localhost:x"], 1, "port from 1 to 65535"),
+        (["ls", "--url", "localhost:x"], 2, "port from 1 to 65535"),
         (["hz", "cli/wrong", "--every", "0"], 2, "0.05 to 3600"),
     ],
 )
@@ -215,7 +281,7 @@ def test_wrong_use_is_answered_with_the_way_out(stampede: Run, arguments: list[s
 
 
 def test_standard_input_beyond_one_item_is_refused(stampede: Run) -> None:
-    assert "split it" in stampede("put", "cli/a", stdin=bytes(16 * 1024 * 1024 + 1), status=1).stderr
+    assert "split it" in stampede("put", "cli/a", stdin=bytes(16 * 1024 * 1024 + 1), status=2).stderr
 
 
 def test_a_wrong_secret_is_refused_and_says_where_it_is_looked_for(environment: dict[str, str], tmp_path: Any) -> None:

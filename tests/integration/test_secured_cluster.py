@@ -361,7 +361,7 @@ def test_a_cluster_that_is_told_to_ask_for_the_secret_asks_for_both(
     wrong.chmod(0o600)
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(wrong))
     told = refusal(connect, secret_cluster.address, secret_cluster.tls_files())
-    assert told.startswith("the secret that the call brought is another one than the service's; ")
+    assert told.startswith("the call brought a secret that differs from the service's; ")
 
 
 class Bomb:

@@ -62,9 +62,7 @@ class NumpyCodec:
         try:
             import numpy  # noqa: F401  # said at once rather than at the first item
         except ImportError as error:
-            raise CodecError(
-                'codec="numpy" needs numpy, which is not installed; run: pip install "stampede-rt[numpy]"'
-            ) from error
+            raise CodecError('codec="numpy" needs numpy, which is not installed; run: pip install numpy') from error
 
     def encode(self, value: Any) -> bytes:
         """What numpy can make an array of; arrays of objects are refused."""

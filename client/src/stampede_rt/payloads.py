@@ -10,16 +10,25 @@ ITEM_BYTES_MAX = 16 * 1024 * 1024
 
 
 def check_payload(payload: object) -> bytes:
-    """`payload` as bytes; anything with a buffer will do. Text is refused, since its encoding would be a guess.
+    """`payload` as bytes; bytes, bytearray and memoryview are taken. A codec takes other values.
 
     Raises InvalidArgument, ItemTooLarge.
     """
     if not isinstance(payload, bytes | bytearray | memoryview):
-        raise InvalidArgument(f"the payload is a {type(payload).__name__}; give bytes, such as text.encode()")
+        raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_instead(payload)}")
     data = payload if type(payload) is bytes else bytes(payload)
     if len(data) > ITEM_BYTES_MAX:
         raise ItemTooLarge(f"the item has {len(data)} bytes; one item has {ITEM_BYTES_MAX} at most: split it")
     return data
+
+
+def _instead(payload: object) -> str:
+    """What the caller of `check_payload` may give instead."""
+    if isinstance(payload, str):
+        return 'give text.encode(), or open the channel or queue with codec="json"'
+    if hasattr(payload, "__array_interface__"):
+        return 'open the channel or queue with codec="numpy", or give payload.tobytes()'
+    return 'give bytes, or open the channel or queue with a codec: codec="json", codec="numpy" or one of your own'
 
 
 def check_attributes(attributes: Mapping[str, str] | None) -> None:

@@ -67,7 +67,8 @@ def parse_instant(value: InstantLike, what: str = "a time") -> int:
     """Nanoseconds since the epoch of an int or a timezone-aware datetime; floats and naive datetimes are refused."""
     if isinstance(value, datetime):
         if value.utcoffset() is None:
-            raise InvalidArgument(f"{what} is {value!r} without a timezone; give it one, such as datetime.now(UTC)")
+            shown = value.isoformat()
+            raise InvalidArgument(f"{what} is {shown} without a timezone; give it one, such as datetime.now(UTC)")
         return parse_duration(value - _EPOCH)
     if isinstance(value, bool | float | str):
         raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with timezone")

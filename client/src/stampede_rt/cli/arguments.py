@@ -7,12 +7,14 @@ import os
 import re
 from collections.abc import Callable, Sequence
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import Channel, Connection, connect
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.policy import ON_FULL
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import Channel, Connection
 
 _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
 _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
@@ -55,6 +57,8 @@ def add_verb(
 
 def connected(arguments: argparse.Namespace) -> Connection:
     """The connection that the common options name."""
+    from stampede_rt import connect  # gRPC takes 0.1 s to load, which --help and completion do not pay
+
     return connect(arguments.url or os.environ.get("STAMPEDE_URL"))
 
 
@@ -88,16 +92,17 @@ def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
 
 
 def parse_time(text: str) -> int:
-    """An instant: nanoseconds since the epoch, or ISO 8601 with a timezone."""
+    """An instant: nanoseconds since the epoch, or ISO 8601; without a timezone it is this machine's local time."""
     if re.fullmatch(r"[+-]?\d+", text):
         return parse_instant(int(text))
     try:
-        return parse_instant(datetime.fromisoformat(text))
-    except ValueError as error:
+        return parse_instant(datetime.fromisoformat(text).astimezone())
+    except (ValueError, OverflowError) as error:
         if isinstance(error, InvalidArgument):
             raise
         raise InvalidArgument(
-            f"{text!r} is no time; write nanoseconds since the epoch, or ISO 8601 such as 2026-01-31T12:00:00Z"
+            f"{text!r} is not a time; write nanoseconds since the epoch, or ISO 8601 such as 2026-01-31T12:00:00Z or, "
+            "in local time, 2026-01-31T12:00:00"
         ) from None
 
 

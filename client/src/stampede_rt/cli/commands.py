@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.cli.terminal import escaped
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.version import VERSION
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 FAILED = 1
+MISUSED = 2
+
+OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 SERVICE_VERBS = {
     "dev": "the whole system on this machine, in memory, in one command",
@@ -33,18 +38,29 @@ def run(arguments: Sequence[str]) -> int:
         if arguments and arguments[0] in SERVICE_VERBS:
             return _run_service(arguments[0], arguments[1:])
         parsed = _parser().parse_args(arguments)
-        return int(parsed.run(parsed))
+        status = int(parsed.run(parsed))
+        sys.stdout.flush()  # a full disk is told here, rather than by the interpreter as it exits
+        return status
     except StampedeError as error:
-        print(f"stampede: {error.message}", file=sys.stderr)
-        return FAILED
+        print(f"stampede: {escaped(error.message)}", file=sys.stderr)
+        return MISUSED if isinstance(error, InvalidArgument) else FAILED
     except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 0
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in OUTPUT_ERRNOS:
+            _drop_output()
+            print(f"stampede: the output cannot be written: {error.strerror}", file=sys.stderr)
+            return FAILED
         if os.environ.get("STAMPEDE_DEBUG"):
             raise
         print(f"stampede: a defect: {type(error).__name__}: {error}. STAMPEDE_DEBUG=1 shows where", file=sys.stderr)
         return FAILED
+
+
+def _drop_output() -> None:
+    """What is still buffered goes nowhere, so that the interpreter does not try to write it again as it exits."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run_service(verb: str, arguments: Sequence[str]) -> int:
@@ -56,7 +72,11 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
     found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
     if not found:
         extra = verb if verb in ("demo", "bench") else "server"
-        print(f"stampede: `{verb}` is not installed here; run: pip install 'stampede-rt[{extra}]'", file=sys.stderr)
+        print(
+            f"stampede: `{verb}` is not installed here: it belongs to the extra [{extra}] of stampede-rt; install that "
+            "extra from where stampede-rt came from, or run `make setup` in a clone of the repository",
+            file=sys.stderr,
+        )
         return FAILED
     return _load_and_run(found[0], arguments)
 

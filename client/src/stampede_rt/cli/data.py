@@ -6,9 +6,8 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import Channel
 from stampede_rt.cli.arguments import (
     add_policy,
     add_verb,
@@ -23,9 +22,13 @@ from stampede_rt.cli.arguments import (
 )
 from stampede_rt.cli.messages import add_payload, payload_of
 from stampede_rt.cli.output import item_line, item_row
+from stampede_rt.cli.terminal import check_raw_output, escaped
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Item, Items, Reason
 from stampede_rt.timeline import MIN_INSTANT, NEWEST, NOW, OLDEST, format_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import Channel
 
 NOTHING = 3
 
@@ -111,12 +114,13 @@ def run_get(arguments: argparse.Namespace) -> int:
         items, reason = _get(existing(rt, arguments.channel), arguments)
     if arguments.raw:
         for item in items:
+            check_raw_output(item.payload or b"")
             sys.stdout.buffer.write(item.payload or b"")
         sys.stdout.flush()
     else:
         _print_items(items, arguments.output)
     if reason is not None:
-        print(f"stampede: {reason}: {reason.detail}", file=sys.stderr)
+        print(f"stampede: {reason}: {escaped(reason.detail)}", file=sys.stderr)
     return 0 if items else NOTHING
 
 

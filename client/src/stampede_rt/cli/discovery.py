@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import Connection
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
 from stampede_rt.model import ChannelInfo, ChannelStats
 from stampede_rt.timeline import format_duration, format_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import Connection
 
 
 def add_verbs(subparsers: Any) -> None:

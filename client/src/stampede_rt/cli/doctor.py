@@ -6,12 +6,10 @@ import argparse
 import os
 from typing import Any
 
-from stampede_rt._sync.ports import Ports
 from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.diagnosis import PEER, UNKNOWN, Finding, diagnose
-from stampede_rt.cli.examining import Examination
 from stampede_rt.cli.output import print_rows
-from stampede_rt.connecting import parse_target
+from stampede_rt.cli.terminal import escaped
 from stampede_rt.timeline import format_duration
 from stampede_rt.version import VERSION
 
@@ -26,6 +24,10 @@ def add_verbs(subparsers: Any) -> None:
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Look at every part; exit status 1 if something is to be fixed."""
+    from stampede_rt._sync.ports import Ports
+    from stampede_rt.cli.examining import Examination
+    from stampede_rt.connecting import parse_target
+
     url = arguments.url or os.environ.get("STAMPEDE_URL")
     target = parse_target(url or arguments.member, name=None, secret=None, zone=None)
     members = parse_target(arguments.member, name=None, secret=None, zone=None).frontends if arguments.member else ()
@@ -39,7 +41,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
     advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
     if arguments.output == "table":
-        print("\n" + ("\n".join(advice) if advice else "Everything is well."))
+        print("\n" + ("\n".join(map(escaped, advice)) if advice else "Everything is well."))
     return 1 if advice else 0
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import Channel, Connection, Group
 from stampede_rt.cli.arguments import (
     VerbParser,
     add_verb,
@@ -20,6 +19,9 @@ from stampede_rt.cli.output import item_line, item_row, print_rows
 from stampede_rt.grouping import Cut, GroupInfo, GroupStatus, Matched
 from stampede_rt.model import Item
 from stampede_rt.timeline import format_duration, format_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import Channel, Connection, Group
 
 NOTHING = 3
 

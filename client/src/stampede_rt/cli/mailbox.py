@@ -5,15 +5,17 @@ from __future__ import annotations
 import argparse
 import os
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import PeerInfo, connect
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute
 from stampede_rt.cli.diagnosis import UNKNOWN, ahead, is_off
 from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import PeerNotFound
 from stampede_rt.timeline import format_duration, format_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import PeerInfo
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -98,6 +100,8 @@ def run_send(arguments: argparse.Namespace) -> int:
 
 def run_get(arguments: argparse.Namespace) -> int:
     """Take messages under a name and print them."""
+    from stampede_rt import connect
+
     with connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=arguments.name) as rt:
         return take(rt.mailbox, arguments)
 

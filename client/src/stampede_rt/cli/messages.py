@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from stampede_rt import Message, QueueStats
 from stampede_rt.cli.arguments import parse_count
-from stampede_rt.cli.output import bytes_text, payload_fields, preview
+from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview
+from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.timeline import format_duration, format_instant
+
+if TYPE_CHECKING:
+    from stampede_rt import Message, QueueStats
 
 NOTHING = 3
 STDIN_BYTES_MAX = 16 * 1024 * 1024
@@ -63,11 +66,12 @@ def take(source: Source, arguments: argparse.Namespace) -> int:
 
 def _print_message(message: Message, arguments: argparse.Namespace) -> None:
     if arguments.raw:
+        check_raw_output(message.payload)
         sys.stdout.buffer.write(message.payload)
         sys.stdout.flush()
     elif arguments.output == "table":
         again = f" (delivery {message.deliveries})" if message.deliveries > 1 else ""
-        attributes = "".join(f" {key}={value}" for key, value in message.attributes.items())
+        attributes = attributes_text(message.attributes)
         shown = preview(message.payload, len(message.payload), message.content_type)
         print(f"{format_instant(message.time)}  #{message.seq}{again}{attributes}  {shown}", flush=True)
     else:

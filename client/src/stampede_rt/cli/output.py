@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from stampede_rt.cli.terminal import columns_max, escaped, table_lines
 from stampede_rt.model import Item, Policy
 from stampede_rt.timeline import format_duration, format_instant
 
@@ -29,17 +30,15 @@ def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> No
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
-    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return escaped(", ".join(map(str, value)) if isinstance(value, list) else str(value))
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Columns as wide as their widest cell; numbers to the right."""
+    """Columns as wide as their widest cell, or as the terminal lets them be; numbers to the right."""
     cells = [[head.replace("_", " ").upper() for head in heads], *rows]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
     right = [all(_is_number(row[i]) for row in cells[1:]) for i in range(len(heads))]
-    for row in cells:
-        parts = [c.rjust(w) if r else c.ljust(w) for c, w, r in zip(row, widths, right, strict=True)]
-        print("  ".join(parts).rstrip())
+    for line in table_lines(cells, right, columns_max()):
+        print(line)
 
 
 def _is_number(cell: str) -> bool:
@@ -79,20 +78,23 @@ def payload_fields(payload: bytes) -> dict[str, str]:
 def item_line(item: Item) -> str:
     """An item for people, on one line."""
     duration = f" for {format_duration(item.duration)}" if item.duration is not None else ""
-    attributes = "".join(f" {key}={value}" for key, value in item.attributes.items())
     shown = preview(item.payload, item.payload_length_bytes, item.content_type)
-    return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes}  {shown}"
+    return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes_text(item.attributes)}  {shown}"
+
+
+def attributes_text(attributes: Mapping[str, str]) -> str:
+    """Attributes for people, each behind a space."""
+    return "".join(f" {escaped(key)}={escaped(value)}" for key, value in attributes.items())
 
 
 def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
-    """A payload for people: short text as it is, what else it is in brackets."""
-    kind = f" {content_type}" if content_type else ""
+    """A payload for people: the beginning of a text, escaped; of anything else its length and content type."""
+    kind = f" {escaped(content_type)}" if content_type else ""
     text = None if payload is None else _text(payload)
-    if text is None or not text.isprintable():
+    if text is None or "\0" in text:
         return f"[{length_bytes} bytes{kind}]"
-    return (
-        text if len(text) <= PREVIEW_CHARACTERS_MAX else f"{text[:PREVIEW_CHARACTERS_MAX]}... [{len(text)} characters]"
-    )
+    more = f"... [{len(text)} characters]" if len(text) > PREVIEW_CHARACTERS_MAX else ""
+    return escaped(text[:PREVIEW_CHARACTERS_MAX]) + more
 
 
 def _text(payload: bytes) -> str | None:

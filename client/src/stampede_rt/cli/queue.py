@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute, parse_count
 from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
 from stampede_rt.errors import QueueNotFound
 from stampede_rt.queueing import LEASE_NANOS_DEFAULT, ON_FULL
 from stampede_rt.timeline import format_duration
+
+if TYPE_CHECKING:
+    from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy
 
 STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")
 

@@ -6,12 +6,14 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from stampede_rt import Channel
 from stampede_rt.cli.arguments import add_verb, connected, existing, parse_count
 from stampede_rt.cli.output import bytes_text
 from stampede_rt.model import ChannelStats
+
+if TYPE_CHECKING:
+    from stampede_rt import Channel
 
 
 def add_verbs(subparsers: Any) -> None:

@@ -1,0 +1,77 @@
+"""What may reach a terminal: text whose control characters are escaped, in lines that fit."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+from collections.abc import Sequence
+from itertools import zip_longest
+
+from stampede_rt.errors import InvalidArgument
+
+GAP = "  "
+CELL_CHARACTERS_MIN = 8
+
+
+def escaped(text: str) -> str:
+    r"""`text` on one line, with every character that does not print written as an escape, such as `\n` or `\x1b`.
+
+    Names, attributes, content types, payloads and error texts come from other programs. Unescaped they could move the
+    cursor, change the window's title, or forge lines of output.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+
+
+def check_raw_output(payload: bytes) -> None:
+    """Raises InvalidArgument if standard output is a terminal that `payload` could give commands to."""
+    if not sys.stdout.isatty():
+        return
+    try:
+        text = payload.decode()
+    except UnicodeDecodeError:
+        text = "\0"
+    if not text.replace("\n", "").replace("\t", "").isprintable():
+        raise InvalidArgument(
+            "--raw: this payload is not plain text, and the terminal could take it for commands; send it to a file or "
+            "a program, as in `... --raw > FILE`"
+        )
+
+
+def columns_max() -> int | None:
+    """How many characters a line of output may have; None if no terminal shows it."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max: int | None) -> list[str]:
+    """`rows` as lines of aligned columns; `right` says which are aligned to the right.
+
+    The widest columns of text are wrapped until a line has `width_max` characters; None: nothing is wrapped.
+    """
+    widths = [max(len(row[i]) for row in rows) for i in range(len(right))]
+    if width_max is not None:
+        widths = _fitted(widths, right, width_max - len(GAP) * (len(widths) - 1))
+    lines = []
+    for row in rows:
+        cells = [_wrapped(cell, width) for cell, width in zip(row, widths, strict=True)]
+        for parts in zip_longest(*cells, fillvalue=""):
+            placed = zip(parts, widths, right, strict=True)
+            lines.append(GAP.join(c.rjust(w) if r else c.ljust(w) for c, w, r in placed).rstrip())
+    return lines
+
+
+def _fitted(widths: Sequence[int], right: Sequence[bool], sum_max: int) -> list[int]:
+    """`widths` with the widest columns of text narrowed until their sum is `sum_max`, or none can be narrowed more."""
+    fitted = list(widths)
+    while sum(fitted) > sum_max:
+        widest = max((i for i, is_right in enumerate(right) if not is_right), key=lambda i: fitted[i], default=None)
+        if widest is None or fitted[widest] <= CELL_CHARACTERS_MIN:
+            break
+        fitted[widest] -= 1
+    return fitted
+
+
+def _wrapped(cell: str, width: int) -> list[str]:
+    return textwrap.wrap(cell, width, break_on_hyphens=False) or [""] if len(cell) > width else [cell]

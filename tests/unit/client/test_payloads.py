@@ -1,0 +1,23 @@
+"""What is said to a caller whose payload is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.payloads import check_payload
+
+
+@pytest.mark.parametrize(
+    ("payload", "way_out"),
+    [
+        (np.zeros(3), 'the payload is a ndarray; open the channel or queue with codec="numpy"'),
+        ("text", "give text.encode\\(\\), or open"),
+        ({"speed": 1}, 'codec="json"'),
+        (None, "the payload is a NoneType; give bytes"),
+    ],
+)
+def test_a_payload_that_is_no_bytes_is_refused_with_the_codec_that_takes_it(payload: object, way_out: str) -> None:
+    with pytest.raises(InvalidArgument, match=way_out):
+        check_payload(payload)

@@ -1,0 +1,79 @@
+"""What reaches a terminal: no control characters, and lines that fit."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.cli.output import item_line, preview
+from stampede_rt.cli.terminal import escaped, table_lines
+from stampede_rt.model import Item
+
+HOSTILE = "a\x1b]0;title\x07b\r\nforged\u202e\x9b31m"
+
+
+def item(payload: bytes, **fields: object) -> Item:
+    known: dict[str, object] = {
+        "time": 0,
+        "end": None,
+        "duration": None,
+        "seq": 1,
+        "payload": payload,
+        "payload_length_bytes": len(payload),
+        "content_type": "",
+        "attributes": {},
+    }
+    return Item(**{name: (known | fields).get(name) for name in Item._fields})
+
+
+def test_text_that_prints_is_left_as_it_is() -> None:
+    assert escaped("Grüße, 世界 \\n") == "Grüße, 世界 \\n"
+
+
+def test_control_characters_are_escaped() -> None:
+    assert escaped(HOSTILE) == "a\\x1b]0;title\\x07b\\r\\nforged\\u202e\\x9b31m"
+
+
+@pytest.mark.parametrize("field", ["payload", "attributes", "content_type"])
+def test_no_field_of_an_item_brings_control_characters_into_its_line(field: str) -> None:
+    values: dict[str, object] = {
+        "payload": HOSTILE.encode(),
+        "attributes": {HOSTILE: HOSTILE},
+        "content_type": HOSTILE,
+    }
+    payload = values["payload"] if field == "payload" else b"\0"
+    assert isinstance(payload, bytes)
+    shown = item_line(item(payload, **({} if field == "payload" else {field: values[field]})))
+    assert shown.isprintable()
+    assert "forged" in shown
+
+
+def test_a_line_of_text_is_shown_with_its_newline_escaped() -> None:
+    assert preview(b"text\n", 5, "") == "text\\n"
+
+
+def test_bytes_that_are_no_text_are_counted() -> None:
+    assert preview(b"\xff\xd8", 2, "image/jpeg") == "[2 bytes image/jpeg]"
+    assert preview(b"\0\1", 2, "") == "[2 bytes]"
+
+
+def test_a_long_text_is_cut_before_it_is_escaped() -> None:
+    assert preview(b"\n" * 100, 100, "") == "\\n" * 60 + "... [100 characters]"
+
+
+ROWS = [["NAME", "KEEPS", "HELD"], ["cam/left", "10 s, 300 items, 256.0 MiB, 4 consumers and more words", "12"]]
+
+
+def test_a_table_without_a_terminal_is_as_wide_as_it_needs_to_be() -> None:
+    assert len(table_lines(ROWS, [False, False, True], None)) == 2
+
+
+def test_a_table_is_wrapped_to_the_terminals_width() -> None:
+    lines = table_lines(ROWS, [False, False, True], 40)
+    assert len(lines) > 2
+    assert max(map(len, lines)) <= 40
+    assert " ".join(" ".join(lines).split()).count("consumers") == 1
+
+
+def test_a_table_keeps_its_least_widths_in_a_terminal_that_is_too_narrow() -> None:
+    lines = table_lines(ROWS, [False, False, True], 5)
+    assert lines[0].split() == ["NAME", "KEEPS", "HELD"]
