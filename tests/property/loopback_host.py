@@ -17,7 +17,7 @@ from typing import Any
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
-from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.dial import dial, dial_apart
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.clock import ManualClock
 from tests.unit.channel_host.fake_directory import FakeDirectory
@@ -114,6 +114,7 @@ async def serve() -> None:
             HostIdentity(host_id=HOST_ID, name="loopback", boot_incarnation=1),
             frontends=[directory.target],
             dial=lambda target: dial(target, secret=None),
+            dial_apart=lambda target: dial_apart(target, secret=None),
             clock=clock,
             memory_bytes_max=2**30,
             on_serving=lambda serving: None,

@@ -33,7 +33,7 @@ class Host:
             self.identity,
             self.supernodes,
             SystemClock(),
-            on_registered=self.registered.put_nowait,
+            on_registered=self.registered.put,
             on_lease=self.lease.put_nowait,
         )
 

@@ -72,6 +72,7 @@ class _Service:
             identity,
             frontends=settings.frontend,
             dial=self._credentials,
+            dial_apart=self._credentials.apart,
             explain=self._credentials.explain,
             clock=SystemClock(),
             memory_bytes_max=settings.memory_bytes_max,

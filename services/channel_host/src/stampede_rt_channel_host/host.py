@@ -21,6 +21,7 @@ from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
@@ -42,6 +43,7 @@ CHANNELS_TOLD_MAX = QUEUES_TOLD_MAX = 1000  # how many a registration's answer n
 class ChannelHost:
     """Order of use, on one event loop: make, `add_to` a server, `enter` once that listens, `leave`.
 
+    `dial` opens connections for that loop; `dial_apart` opens those of the lease, which has a thread of its own.
     `on_serving` hears whether the host may serve, each time that changes; `on_defect` that a task of the host died,
     which must end the host.
     """
@@ -52,6 +54,7 @@ class ChannelHost:
         *,
         frontends: Sequence[str],
         dial: Callable[[str], grpc.aio.Channel],
+        dial_apart: Callable[[str], grpc.aio.Channel],
         clock: HostClock,
         memory_bytes_max: int,
         on_serving: Callable[[bool], None],
@@ -61,27 +64,39 @@ class ChannelHost:
         self.identity = identity
         self._dial = dial
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
-        self._registration = Registration(
-            identity, self._supernodes, clock, on_registered=self._registered, on_lease=self._lease_changed
-        )
+        apart = Supernodes(frontends, dial_apart, peer_name=identity.name, zone=identity.zone, explain=explain)
+        self._lease = LeaseThread(lambda serving: self._make_registration(apart, clock, serving))
         memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
         self.store = ChannelStore(
             identity,
             Directory(self._supernodes),
             clock,
-            lease_held=self._registration.lease_held,
+            lease_held=self._lease.lease_held,
             memory=memory,
         )
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
-        self.groups = GroupStore(
-            identity, self.store, GroupDirectory(self._supernodes), dial, lambda: self._supernodes.cluster_id
-        )
+        self.groups = GroupStore(identity, self.store, GroupDirectory(self._supernodes), dial, lambda: apart.cluster_id)
         self._gatekeeper = GatekeeperServicer(self.store, identity)
         self._streams = OpenStreams()
         self._on_serving = on_serving
         self._on_defect = on_defect
         self._tasks: list[asyncio.Task[None]] = []
         self._entering: asyncio.Future[None] | None = None
+
+    def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
+        """What concerns channels is done on the loop that serves them, in the order in which the lease changed."""
+
+        async def registered(response: directory_service_pb2.RegisterHostResponse) -> None:
+            await serving.run(lambda: self._registered(response))
+
+        return Registration(
+            self.identity,
+            supernodes,
+            clock,
+            on_registered=registered,
+            on_lease=lambda held: serving.run_soon(lambda: self._lease_changed(held)),
+            has_hung=serving.has_hung,
+        )
 
     def _make_queues(
         self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
@@ -93,7 +108,7 @@ class ChannelHost:
             directory,
             memory,
             now=self.store.now,
-            lease_held=self._registration.lease_held,
+            lease_held=self._lease.lease_held,
             on_departures=lambda hosted: mover.departures(hosted),
         )
         mover = DeadLetterMover(directory, self._dial, may_move=queues.holds, on_defect=on_defect)
@@ -112,9 +127,9 @@ class ChannelHost:
         Blocks until the directory knows the host; raises its refusal, or what went wrong last after `timeout_s`.
         """
         self._gatekeeper.target = target
-        self._entering = asyncio.ensure_future(self._registration.enter(target, timeout_s))
+        self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
-        self._start(self._registration.keep(), "lease")
+        self._start(self._lease.keep(), "lease")
         self._start(sweep_forever(self.store), "sweep")
         self._start(self.groups.keep(), "groups")
         of_groups = directory_service_pb2.WatchRequest(include_groups=True)
@@ -132,7 +147,7 @@ class ChannelHost:
         self.store.close()
         self.queues.close()
         self._dead_letters.close()
-        await self._registration.leave()
+        await self._lease.leave()
         self.groups.end_all(refusals.SHUTTING_DOWN)
         self.store.end_all(refusals.SHUTTING_DOWN)
         self.queues.end_all(refusals.SHUTTING_DOWN)

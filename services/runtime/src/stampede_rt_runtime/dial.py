@@ -14,6 +14,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.tls import TlsMaterial, TlsReader
 from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt.transports.grpc_credentials import channel_credentials
+from stampede_rt_runtime.apart import ApartChannel
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits, Option
 from stampede_rt_runtime.renewing import RenewingChannel
@@ -33,6 +34,20 @@ def dial(
     channel = _open(target, options, tls)
     metadata = call_metadata(secret.text if secret else None)
     return _AuthorizedChannel(channel, metadata) if metadata else channel
+
+
+def dial_apart(
+    target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
+) -> grpc.aio.Channel:
+    """As `dial`, for single calls on an event loop of another thread, which no other loop can hold up."""
+    options = (limits or Limits()).channel_options()
+
+    def connect(material: TlsMaterial | None) -> grpc.Channel:
+        if material is None:
+            return grpc.insecure_channel(target, options=options)
+        return grpc.secure_channel(target, channel_credentials(material), options=options)
+
+    return ApartChannel(connect, call_metadata(secret.text if secret else None), tls)
 
 
 def _open(target: str, options: list[Option], tls: TlsReader | None) -> grpc.aio.Channel:
@@ -55,6 +70,10 @@ class Dialer:
     def __call__(self, target: str) -> grpc.aio.Channel:
         """A channel to `target`; the caller closes it."""
         return dial(target, secret=self.secret, tls=self._reader())
+
+    def apart(self, target: str) -> grpc.aio.Channel:
+        """As `dial_apart` does."""
+        return dial_apart(target, secret=self.secret, tls=self._reader())
 
     async def explain(self, target: str) -> StampedeError | None:
         """Why `target` cannot be talked to, if that is for certificates. Takes 3 s at most."""

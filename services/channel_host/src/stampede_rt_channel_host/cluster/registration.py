@@ -10,10 +10,10 @@ import logging
 import random
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import NoReturn
 
-from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, VersionMismatch
+from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import RENEWALS_PER_TTL, LeaseKeeper
@@ -34,8 +34,10 @@ RegisterHostResponse = directory_service_pb2.RegisterHostResponse
 class Registration:
     """One host's place in the directory.
 
-    `on_registered` hears of every registration with the directory's answer, before anything is served under it;
-    `on_lease` hears True when the lease begins to hold, and False when it ran out. Order: `enter`, `keep`, `leave`.
+    `on_registered` hears of every registration with the directory's answer, and is waited for, before anything is
+    served under it; `on_lease` hears True when the lease begins to hold, and False when it ran out. While `has_hung`
+    says that nothing is served anyway, the lease is not renewed. Order: `enter`, `keep`, `leave`. All of it runs on one
+    event loop; `lease_held` may be asked from any thread.
     """
 
     def __init__(
@@ -44,17 +46,20 @@ class Registration:
         supernodes: Supernodes,
         clock: HostClock,
         *,
-        on_registered: Callable[[RegisterHostResponse], None],
+        on_registered: Callable[[RegisterHostResponse], Awaitable[None]],
         on_lease: Callable[[bool], None],
+        has_hung: Callable[[], bool] = lambda: False,
     ) -> None:
         self._identity = identity
         self._supernodes = supernodes
         self._clock = clock
         self._on_registered = on_registered
         self._on_lease = on_lease
+        self._has_hung = has_hung
         self._lease = LeaseKeeper()
         self._told_held = False  # what on_lease heard last
         self._target = ""
+        self._has_left = False
         self._fence: asyncio.TimerHandle | None = None
 
     def lease_held(self) -> bool:
@@ -85,6 +90,8 @@ class Registration:
         while True:  # paced by the lease, or by the pause after failures
             await asyncio.sleep(self._lease.renewal_in_nanos(self._clock.boottime_nanos()) / 1e9)
             try:
+                if self._has_hung():
+                    raise Unavailable("the loop that serves channels has stopped; others are to have them")
                 await self._renew_or_register()
                 pause_s = _PAUSE_SECONDS_MIN
             except StampedeError as error:
@@ -93,6 +100,7 @@ class Registration:
 
     async def leave(self) -> None:
         """Deregister, so that the channels are free at once. Failing that, the lease ends by itself."""
+        self._has_left = True
         if self._fence is not None:
             self._fence.cancel()
         self._lease.give_up()
@@ -105,6 +113,10 @@ class Registration:
             await self._supernodes.call("DeregisterHost", request, LEAVE_SECONDS_MAX)
         except StampedeError as error:
             logger.warning("left without deregistering", extra={"host": self._identity.name, "why": str(error)})
+
+    async def aclose(self) -> None:
+        """Close the connections to the directory."""
+        await self._supernodes.aclose()
 
     async def _renew_or_register(self) -> None:
         try:
@@ -143,11 +155,13 @@ class Registration:
                 f"the directory speaks protocol {response.protocol_version}, this host {PROTOCOL_VERSION} (version "
                 f"{software_version()}); install the same release on both"
             )
-        self._on_registered(response)  # before the grant: nothing is served that went elsewhere
+        await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
         logger.info("registered", extra={"host": one.name, "channels": len(response.channels)})
 
     def _grant(self, sent: int, ttl_nanos: int) -> None:
+        if self._has_left:
+            return  # an answer that came while the host left
         self._lease.granted(sent_nanos=sent, ttl_nanos=ttl_nanos)
         self._check_fence()
 

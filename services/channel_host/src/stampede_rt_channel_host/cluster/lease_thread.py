@@ -1,0 +1,136 @@
+"""Runs a host's registration on a thread and an event loop of its own (decision 0060).
+
+Whatever holds up the loop that serves channels, renewals go on and the fence falls in time. A loop that has not turned
+for LOOP_SILENCE_SECONDS_MAX serves nobody: then renewals stop too, and the channels get another owner.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from typing import Any, NoReturn, TypeVar
+
+from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
+
+logger = logging.getLogger(__name__)
+
+LOOP_SILENCE_SECONDS_MAX = 60.0
+LOOP_LATE_SECONDS = 1.0
+"""A loop that turns later than that is worth a line in the log."""
+STOP_SECONDS_MAX = 5.0
+
+Result = TypeVar("Result")
+
+
+class ServingLoop:
+    """The loop that serves channels, as the lease's thread sees it. All methods are called on the lease's thread."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._asked_s: float | None = None  # None: the loop has turned since it was asked
+
+    def run_soon(self, call: Callable[[], None]) -> None:
+        """Run `call` there, behind all that was handed over before. Does not wait."""
+        self._loop.call_soon_threadsafe(call)
+
+    async def run(self, call: Callable[[], None]) -> None:
+        """Run `call` there, and wait until it has returned. Raises what it raises."""
+        done: Future[None] = Future()
+
+        def run() -> None:
+            try:
+                call()
+            except BaseException as error:  # noqa: BLE001  # it is for the thread that waits
+                done.set_exception(error)
+            else:
+                done.set_result(None)
+
+        self._loop.call_soon_threadsafe(run)
+        await asyncio.wrap_future(done)
+
+    def has_hung(self) -> bool:
+        """The loop has not turned for LOOP_SILENCE_SECONDS_MAX. Asks it to turn, if it is not asked yet."""
+        now_s = time.monotonic()
+        if self._asked_s is None:
+            self._asked_s = now_s
+            self._loop.call_soon_threadsafe(self._turned, now_s)
+        return now_s - self._asked_s > LOOP_SILENCE_SECONDS_MAX
+
+    def _turned(self, asked_s: float) -> None:
+        """On the serving loop's own thread."""
+        late_s = time.monotonic() - asked_s
+        if late_s > LOOP_LATE_SECONDS:
+            logger.warning("the loop that serves channels was held up", extra={"seconds": round(late_s, 3)})
+        self._asked_s = None
+
+
+class LeaseThread:
+    """One host's place in the directory, kept on a thread of its own. Made and called on the loop that serves channels.
+
+    `make` makes the registration; it gets the serving loop, to which it has to hand whatever concerns channels. Order:
+    `enter`, `keep`, `leave`.
+    """
+
+    def __init__(self, make: Callable[[ServingLoop], Registration]) -> None:
+        self._make = make
+        self._registration: Registration | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._thread: threading.Thread | None = None
+
+    def lease_held(self) -> bool:
+        """Whether the host may serve its channels now."""
+        return self._registration is not None and self._registration.lease_held()
+
+    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
+        """See `Registration.enter`."""
+        registration, loop = self._started()
+        await _on(loop, registration.enter(target, timeout_s))
+
+    async def keep(self) -> NoReturn:
+        """See `Registration.keep`."""
+        registration, loop = self._started()
+        await _on(loop, registration.keep())
+        raise AssertionError("keep never returns")
+
+    async def leave(self) -> None:
+        """See `Registration.leave`; ends the thread. Idempotent; nothing to do for a host that never entered."""
+        thread, self._thread = self._thread, None
+        if thread is None:
+            return
+        registration, loop = self._started()
+        try:
+            await _on(loop, registration.leave())
+            await _on(loop, registration.aclose())
+        finally:
+            loop.call_soon_threadsafe(loop.stop)
+            await asyncio.to_thread(thread.join, STOP_SECONDS_MAX)
+
+    def _started(self) -> tuple[Registration, asyncio.AbstractEventLoop]:
+        if self._registration is None or self._loop is None:
+            self._registration = self._make(ServingLoop(asyncio.get_running_loop()))
+            self._loop = asyncio.new_event_loop()
+            self._thread = threading.Thread(target=_run_loop, args=(self._loop,), name="lease", daemon=True)
+            self._thread.start()
+        return self._registration, self._loop
+
+
+def _run_loop(loop: asyncio.AbstractEventLoop) -> None:
+    """Until the loop is stopped."""
+    asyncio.set_event_loop(loop)
+    try:
+        loop.run_forever()
+    finally:
+        left = asyncio.all_tasks(loop)
+        for task in left:
+            task.cancel()
+        loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+        loop.close()
+
+
+async def _on(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, Result]) -> Result:
+    """Do `work` on another thread's loop. Cancelled here, it is cancelled there."""
+    return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, loop))

@@ -1,0 +1,106 @@
+"""Connections for an event loop on a thread of its own.
+
+grpc.aio brings the events of all event loops of a process through one queue, so that a loop which is held up holds up
+the others, too. Here gRPC's blocking channel is underneath, which has threads of its own, and a call can be awaited on
+whatever loop it is made.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+
+from stampede_rt.tls import TlsMaterial, TlsReader
+
+Connect = Callable[[TlsMaterial | None], grpc.Channel]
+
+
+class ApartChannel(grpc.aio.Channel):
+    """Unary calls that can be awaited on any event loop; each goes over a connection with the certificate of now.
+
+    `metadata` goes with every call. Streams are not offered. One caller at a time: a renewed certificate ends the calls
+    that are under way on the former connection.
+    """
+
+    def __init__(self, connect: Connect, metadata: tuple[tuple[str, str], ...], reader: TlsReader | None) -> None:
+        self._connect = connect
+        self._metadata = metadata or None
+        self._reader = reader
+        self._material = self._read()
+        self._channel = connect(self._material)
+
+    async def __aenter__(self) -> ApartChannel:
+        return self
+
+    async def __aexit__(self, *exc_info: Any) -> None:
+        await self.close()
+
+    async def close(self, grace: float | None = None) -> None:
+        """Close the connection; calls under way fail."""
+        self._channel.close()
+
+    def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
+        """Not offered."""
+        raise NotImplementedError("calls tell how the connection is")
+
+    async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
+        """Not offered."""
+        raise NotImplementedError("calls tell how the connection is")
+
+    async def channel_ready(self) -> None:
+        """Not offered."""
+        raise NotImplementedError("calls tell how the connection is")
+
+    def unary_unary(self, *args: Any, **kwargs: Any) -> Any:
+        """A callable for one request and one response."""
+
+        async def call(request: Any, timeout: float | None = None) -> Any:
+            method: Any = self._current().unary_unary(*args, **kwargs)
+            return await _awaited(method.future(request, timeout=timeout, metadata=self._metadata))
+
+        return call
+
+    def unary_stream(self, *args: Any, **kwargs: Any) -> Any:
+        """Bound by every stub, and not to be called."""
+        return _no_streams
+
+    stream_unary = stream_stream = unary_stream
+
+    def _current(self) -> grpc.Channel:
+        material = self._read()
+        if material is not self._material:
+            former, self._material, self._channel = self._channel, material, self._connect(material)
+            former.close()
+        return self._channel
+
+    def _read(self) -> TlsMaterial | None:
+        return None if self._reader is None else self._reader.current()
+
+
+def _no_streams(*args: Any, **kwargs: Any) -> Any:
+    raise NotImplementedError("connections apart carry single calls")
+
+
+async def _awaited(call: Any) -> Any:
+    """The call's response. Raises grpc.RpcError; cancelled, it cancels the call."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def settle() -> None:
+        if not done.done():
+            done.set_result(None)
+
+    def ended(_call: Any) -> None:
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(settle)
+
+    call.add_done_callback(ended)
+    try:
+        await done
+    except asyncio.CancelledError:
+        call.cancel()
+        raise
+    return call.result()

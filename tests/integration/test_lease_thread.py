@@ -1,0 +1,124 @@
+"""A host whose event loop is held up for longer than its lease keeps the lease: another thread renews it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_channel_host.cluster import lease_thread
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.dial import Dialer
+from stampede_rt_runtime.server import ServiceServer
+
+LEASE_SECONDS = 2.0
+
+
+class Served:
+    """A host on this test's own event loop, and what it was told of its lease."""
+
+    def __init__(self, cluster: LocalCluster) -> None:
+        dialer = Dialer(secret=cluster.secret)
+        self.told: list[bool] = []
+        self.news = asyncio.Event()
+        self.server = ServiceServer(secret=cluster.secret)
+        self.host = ChannelHost(
+            HostIdentity(host_id=b"the-host-id-here", name="here", boot_incarnation=7),
+            frontends=[cluster.address],
+            dial=dialer,
+            dial_apart=dialer.apart,
+            clock=SystemClock(),
+            memory_bytes_max=2**30,
+            on_serving=self._hear,
+            on_defect=_fail,
+        )
+
+    def _hear(self, serving: bool) -> None:
+        self.told.append(serving)
+        self.news.set()
+
+
+def _fail(failure: BaseException) -> None:
+    raise AssertionError("a task of the host died") from failure
+
+
+@asynccontextmanager
+async def served() -> AsyncIterator[tuple[LocalCluster, Served]]:
+    """A cluster of processes without a host, and one in here whose lease lasts 2 s."""
+    cluster = LocalCluster(hosts=0, supernodes=1)
+    cluster.supernodes[0].arguments.extend(("--lease-ttl", f"{LEASE_SECONDS:g}s"))
+    await asyncio.to_thread(cluster.__enter__)
+    try:
+        one = Served(cluster)
+        address = one.server.bind("localhost:0")
+        one.host.add_to(one.server.grpc)
+        await one.server.start()
+        await one.host.enter(address)
+        try:
+            yield cluster, one
+        finally:
+            await one.server.stop(one.host.leave)
+    finally:
+        await asyncio.to_thread(cluster.__exit__, None, None, None)
+
+
+def hold_up(seconds: float) -> None:
+    """As a long computation does; the loop does not turn meanwhile."""
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        sum(range(10_000))
+
+
+async def test_an_event_loop_that_is_held_up_for_longer_than_the_lease_costs_nothing() -> None:
+    async with served() as (cluster, one), await st.aio.connect(cluster.address, secret=cluster.secret.text) as rt:
+        channel = await rt.channel("cam", max_age="60s")
+        put = await channel.put(b"before")
+        hold_up(2 * LEASE_SECONDS)
+        assert one.host.store.lease_held()
+        await channel.put(b"after")
+        items = await channel.get(st.OLDEST, st.NEWEST)
+        assert [(item.payload, item.incarnation) for item in items] == [
+            (b"before", put.incarnation),
+            (b"after", put.incarnation),
+        ]
+        assert one.told == [True]
+
+
+async def test_an_event_loop_that_has_stopped_for_good_loses_the_lease_and_gets_it_back_when_it_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(lease_thread, "LOOP_SILENCE_SECONDS_MAX", 1.0)
+    async with served() as (_, one):
+        hold_up(2 * LEASE_SECONDS)
+        assert not one.host.store.lease_held()
+        async with asyncio.timeout(30):
+            while one.told != [True, False, True]:
+                one.news.clear()
+                await one.news.wait()
+        assert one.host.store.lease_held()
+
+
+async def test_what_a_registration_changes_is_done_on_the_serving_loop_before_the_lease_counts() -> None:
+    async with served() as (_, one):
+        seen: list[tuple[Any, bool]] = []
+        registered = one.host.store.registered
+
+        def spy(*args: Any, **kwargs: Any) -> None:
+            seen.append((asyncio.get_running_loop(), one.host.store.lease_held()))
+            registered(*args, **kwargs)
+
+        one.host.store.registered = spy  # type: ignore[method-assign]
+        registration = one.host._lease._registration
+        assert registration is not None
+        registration._lease.give_up()
+        await lease_thread._on(one.host._lease._started()[1], registration._register())
+        assert seen == [(asyncio.get_running_loop(), False)]
+        assert one.host.store.lease_held()
