@@ -54,11 +54,12 @@ class ServingLoop:
 
     def has_hung(self) -> bool:
         """The loop has not turned for LOOP_SILENCE_SECONDS_MAX. Asks it to turn, if it is not asked yet."""
-        now_s = time.monotonic()
-        if self._asked_s is None:
-            self._asked_s = now_s
-            self._loop.call_soon_threadsafe(self._turned, now_s)
-        return now_s - self._asked_s > LOOP_SILENCE_SECONDS_MAX
+        now_s, asked_s = time.monotonic(), self._asked_s  # read once: the other thread sets it
+        if asked_s is not None:
+            return now_s - asked_s > LOOP_SILENCE_SECONDS_MAX
+        self._asked_s = now_s
+        self._loop.call_soon_threadsafe(self._turned, now_s)
+        return False
 
     def _turned(self, asked_s: float) -> None:
         """On the serving loop's own thread."""
