@@ -307,7 +307,7 @@ async def test_closing_the_connection_gives_back_too(rig: Rig) -> None:
 async def test_a_full_queue_makes_a_put_wait_or_refuses_it(rig: Rig) -> None:
     queue = await rig.queue(max_items=1)
     await queue.put(b"1")
-    with pytest.raises(st.ChannelFull, match=queue.name):
+    with pytest.raises(st.QueueFull, match=queue.name):
         await queue.put(b"2", timeout=0.05)
     put = asyncio.ensure_future(queue.put(b"2"))
     await until(queue, lambda stats: stats.waiting_puts == 1)
@@ -319,7 +319,7 @@ async def test_a_full_queue_makes_a_put_wait_or_refuses_it(rig: Rig) -> None:
 async def test_a_queue_that_rejects_says_so_at_once(rig: Rig) -> None:
     queue = await rig.queue(max_items=1, on_full="reject")
     await queue.put(b"1")
-    with pytest.raises(st.ChannelFull):
+    with pytest.raises(st.QueueFull):
         await queue.put(b"2")
     assert adds_up(await queue.stats()).rejected["full"] == 1
 
@@ -330,6 +330,29 @@ async def test_a_queue_that_drops_the_oldest_counts_them(rig: Rig) -> None:
         await queue.put(str(number).encode())
     assert (await queue.get(timeout=10)).payload == b"3"
     assert adds_up(await queue.stats()).dropped == 3
+
+
+async def test_a_queue_whose_items_are_all_leased_drops_none_and_is_full(rig: Rig) -> None:
+    queue = await rig.queue(max_items=1, on_full="drop_oldest")
+    await queue.put(b"1")
+    message = await queue.get(timeout=10)
+    with pytest.raises(st.QueueFull, match="1 of them leased") as caught:
+        await queue.put(b"2")
+    assert isinstance(caught.value, st.Full)
+    assert not isinstance(caught.value, st.ChannelFull)
+    await message.ack()
+    await queue.put(b"2")
+
+
+async def test_a_lowered_number_of_deliveries_holds_at_once(rig: Rig) -> None:
+    dead = await rig.queue()
+    queue = await rig.queue(max_deliveries=9, dead_letter=dead.name)
+    await queue.put(b"poison")
+    for _ in range(3):
+        await (await queue.get(timeout=10)).nack()
+    await queue.configure(max_deliveries=2)
+    assert (await dead.get(timeout=10)).payload == b"poison"
+    assert (await until(queue, lambda stats: not stats.held)).delivered == 3
 
 
 async def test_an_item_delivered_too_often_goes_to_the_dead_letter_queue(rig: Rig) -> None:

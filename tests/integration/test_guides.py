@@ -36,7 +36,7 @@ TAUGHT = {
     ],
     "queues.md": [
         ".put(", ".get(", ".ack()", ".nack(", ".extend(", "LeaseExpired", "lease=", "max_deliveries=", "dead_letter=",
-        "copies=", "max_items=", "on_full=", "ChannelFull", "prefetch=", "configure(", ".stats()", "codec=", "name=",
+        "copies=", "max_items=", "on_full=", "QueueFull", "prefetch=", "configure(", ".stats()", "codec=", "name=",
         "proof=", "PeerExists", "PeerNotFound", ".send(", ".mailbox", ".peers(", ".delete()",
     ],
 }  # fmt: skip

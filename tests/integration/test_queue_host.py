@@ -127,7 +127,7 @@ async def test_a_wait_for_room_that_is_over_ends_in_channel_full(rig: QueueRig, 
     await queue.put(b"a")
     refused = await queue.put(b"b", wait_nanos=wait_nanos)
     assert not refused.HasField("first_seq")
-    assert [one.error.reason for one in refused.rejections] == [error_pb2.ERROR_REASON_CHANNEL_FULL]
+    assert [one.error.reason for one in refused.rejections] == [error_pb2.ERROR_REASON_QUEUE_FULL]
     status = await queue.status()
     assert (status.counters.rejected_full, status.waiting_enqueues) == (1, 0)
 

@@ -136,11 +136,12 @@ class OracleQueue:
         self.tick(now)
         self.drain(taker)
         for delivery_id in taker.unsent:
-            for item in self.items:
+            for item in list(self.items):
                 for lease in [one for one in item.leases if one.id == delivery_id]:
                     item.leases.remove(lease)
                     item.returned += [lease.number - 1] if lease.number > 1 else []
                     self.counts["delivered"] -= 1
+                    self._leave_if_exhausted(item)
         taker.unsent = []
         self._follow_up()
 
@@ -200,8 +201,8 @@ class OracleQueue:
             if item.leaving and not setup.dead_letters:
                 self.departures.remove(item.seq)
                 self._expel(item)
-            else:
-                self._use_up(item)
+            elif not self._use_up(item):
+                self._leave_if_exhausted(item)
         self._follow_up()
 
     def tick(self, now: int) -> None:
@@ -282,7 +283,7 @@ class OracleQueue:
             elif setup.on_full == "block":
                 return False
             else:
-                self._refuse(run, "CHANNEL_FULL")
+                self._refuse(run, "QUEUE_FULL")
         self._answer(run)
         return True
 
@@ -302,12 +303,12 @@ class OracleQueue:
         run.left.pop(0)
 
     def _refuse(self, run: Run, why: str) -> None:
-        self.counts["rejected_full" if why == "CHANNEL_FULL" else "rejected_too_large"] += 1
+        self.counts["rejected_full" if why == "QUEUE_FULL" else "rejected_too_large"] += 1
         run.refused.append((run.left.pop(0), why))
 
     def _refuse_rest(self, run: Run) -> None:
         while run.left:
-            self._refuse(run, "CHANNEL_FULL")
+            self._refuse(run, "QUEUE_FULL")
         self._answer(run)
 
     def _answer(self, run: Run) -> None:
@@ -325,27 +326,36 @@ class OracleQueue:
     def _in_vain(self, item: Item, lease: Lease, delay: int) -> None:
         item.leases.remove(lease)
         item.returned.append(lease.number)
-        most = self.setup.max_deliveries
-        if most is not None and lease.number >= most:
-            item.leases.clear()
-            if self.setup.dead_letters:
-                item.leaving, item.held_back_until = True, None
-                self.departures.append(item.seq)
-            else:
-                self._expel(item)
-        elif delay:
+        if not self._leave_if_exhausted(item) and delay:
             item.held_back_until = max(self.now + delay, item.held_back_until or 0)
+
+    def _leave_if_exhausted(self, item: Item) -> bool:
+        most = self.setup.max_deliveries
+        exhausted = most is not None and max(item.returned, default=0) >= most
+        if exhausted and not item.leaving:
+            self._give_up(item)
+        return exhausted
+
+    def _give_up(self, item: Item) -> None:
+        item.leases.clear()
+        if self.setup.dead_letters:
+            item.leaving, item.held_back_until = True, None
+            self.departures.append(item.seq)
+        else:
+            self._expel(item)
 
     def _expel(self, item: Item) -> None:
         self.items.remove(item)
         self.counts["expelled"] += 1
 
-    def _use_up(self, item: Item) -> None:
-        if len(item.done) >= self.setup.copies:
+    def _use_up(self, item: Item) -> bool:
+        enough = len(item.done) >= self.setup.copies
+        if enough:
             self.items.remove(item)
             self.counts["consumed"] += 1
             if item.leaving:
                 self.departures.remove(item.seq)
+        return enough
 
     def _free(self, item: Item) -> bool:
         copies = self.setup.copies - len(item.leases) - len(item.done)

@@ -124,10 +124,20 @@ class HostExists(StampedeError):
     reason = "HOST_EXISTS"
 
 
-class ChannelFull(StampedeError):
-    """The limits of the channel or queue are reached and nothing made room in time."""
+class Full(StampedeError):
+    """A limit is reached, and nothing made room in time: a ChannelFull or a QueueFull."""
+
+
+class ChannelFull(Full):
+    """The channel's limits are reached and nothing made room in time, or all places of its consumers are taken."""
 
     reason = "CHANNEL_FULL"
+
+
+class QueueFull(Full):
+    """The limits of the queue or mailbox are reached and nothing made room in time. Leased messages take room, too."""
+
+    reason = "QUEUE_FULL"
 
 
 class TooOld(StampedeError):
@@ -211,12 +221,11 @@ _BY_REASON: dict[str, type[StampedeError]] = {
     for cls in (
         InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
         GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
-        ChannelFull, TooOld, InFuture, IncarnationLost, LeaseExpired, PermissionDenied, Overloaded, Unavailable,
-        DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch, WatchRestart,
+        ChannelFull, QueueFull, TooOld, InFuture, IncarnationLost, LeaseExpired, PermissionDenied, Overloaded,
+        Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch, WatchRestart,
     )
 }  # fmt: skip
 _BY_REASON |= {
-    "QUEUE_FULL": ChannelFull,
     "NO_HOST": Unavailable,
     "AMBIGUOUS": Unavailable,
     "SHUTTING_DOWN": Unavailable,

@@ -36,7 +36,7 @@ def test_a_set_up_keeps_what_was_stated_and_what_was_not() -> None:
 
 
 def test_an_error_names_its_queue_once() -> None:
-    error = error_for("CHANNEL_FULL", "it is full")
+    error = error_for("QUEUE_FULL", "it is full")
     error.concerning("queue", "work")
     error.concerning("queue", "work")
     assert (str(error), error.metadata) == ("queue 'work': it is full", {"queue": "work"})

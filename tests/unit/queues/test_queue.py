@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.queue import (
     dealing,
     enqueuing,
 )
+from stampede_rt_channel_host.core.queue import queue as queue_module
 from stampede_rt_channel_host.core.queue.queue import DUE_PER_CALL_MAX
 from tests.unit.queues.cores import Core
 
@@ -218,7 +219,7 @@ def test_a_queue_that_rejects_says_what_it_holds_and_the_way_out() -> None:
     run = core.put(100, 100)
     assert run.outcome is not None
     (rejection,) = run.outcome.rejections
-    assert rejection.error.reason == "CHANNEL_FULL"
+    assert rejection.error.reason == "QUEUE_FULL"
     assert "'q'" in rejection.error.message
     assert "200 bytes" in rejection.error.message
 
@@ -234,7 +235,7 @@ def test_the_oldest_items_that_nobody_has_make_room() -> None:
     assert core.dealt() == {2: [4, 5]}
     run = core.put(1)
     assert run.outcome is not None
-    assert [one.error.reason for one in run.outcome.rejections] == ["CHANNEL_FULL"]
+    assert [one.error.reason for one in run.outcome.rejections] == ["QUEUE_FULL"]
 
 
 def test_an_item_that_was_delivered_too_often_is_expelled_with_its_other_leases() -> None:
@@ -262,6 +263,42 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     assert core.counted("dead_lettered", "held", "accepted") == (1, 1, 2)
     assert core.queue.take_finished() == [waiting]
     assert core.dealt() == {1: [2]}
+
+
+def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delivered_more_often() -> None:
+    core = Core(max_deliveries=9, dead_letters=True)
+    core.put(1, 1, 1)
+    core.taker(1, credit=5)
+    core.dealt()
+    for delivery_id in (1, 2, 4, 5, 3):  # the first and the second item twice, the third once
+        core.nack(1, delivery_id)
+        core.dealt()
+    core.queue.configure(QueueLimits(max_deliveries=2, dead_letters=True), core.now)
+    assert [one.seq for one in core.queue.departing(10)] == [1, 2]
+    core.taker(2, credit=1)
+    assert core.dealt() == {2: [3]}
+    core.nack(2, 6)
+    assert [one.seq for one in core.queue.departing(10)] == [1, 2, 3]
+
+
+def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_dealt_before_all_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(queue_module, "CHECKED_PER_CALL_MAX", 4)
+    core = Core()
+    core.put(*[1] * 10)
+    giver = core.taker(1, credit=10)
+    core.dealt()
+    for delivery_id in range(1, 11):
+        core.nack(1, delivery_id)
+    core.queue.drain(giver)
+    core.queue.configure(QueueLimits(max_deliveries=1), core.now)
+    core.taker(2, credit=10)
+    assert core.dealt() == {}
+    assert core.queue.next_deadline() == core.now
+    while core.queue.next_deadline() is not None:
+        core.queue.tick(core.now)
+    assert core.counted("expelled", "held") == (10, 0)
 
 
 def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -245,7 +245,7 @@ class Connection(Discovery):
 
         `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`.
         A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
-        limit. A send that was tried again is never doubled. Raises PeerNotFound, ChannelFull, ItemTooLarge, CodecError;
+        limit. A send that was tried again is never doubled. Raises PeerNotFound, QueueFull, ItemTooLarge, CodecError;
         Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer

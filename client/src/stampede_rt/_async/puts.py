@@ -12,7 +12,7 @@ from stampede_rt._async.attempts import Place, attempt
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.binding import Binding
 from stampede_rt.codecs import Coding
-from stampede_rt.errors import ChannelFull
+from stampede_rt.errors import Full
 from stampede_rt.model import Item
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.policy import content_type_of
@@ -60,7 +60,7 @@ class Puts:
             part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
             try:
                 return await self._put(numbers, item, part)
-            except ChannelFull:
+            except Full:
                 if part is left or monotonic_s() - asked_s < renew_s / 2:  # too soon: the host lets no put wait
                     raise
             renew_s = RENEW_S

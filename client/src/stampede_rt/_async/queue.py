@@ -128,7 +128,7 @@ class Queue(Taking):
         `payload` is bytes, or the value if the handle has a codec. `timeout` in seconds matters on a full queue with
         on_full="block" (the default): how long to wait there; None: without limit. A put that was tried again is never
         doubled. Where the order of puts matters, let one end before the next: of those under way at once none waits
-        behind one that may wait longer. Raises ChannelFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if
+        behind one that may wait longer. Raises QueueFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if
         the host cannot be reached.
         """
         item = Single.parse(self._state.coding, payload, None, None, attributes, content_type)

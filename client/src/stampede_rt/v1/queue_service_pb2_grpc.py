@@ -68,7 +68,7 @@ class QueueServiceServicer(object):
     def Enqueue(self, request_iterator, context):
         """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
         with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-        answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, CHANNEL_FULL, WRONG_EPOCH, NOT_HERE,
+        answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
         MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

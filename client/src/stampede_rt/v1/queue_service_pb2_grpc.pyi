@@ -39,7 +39,7 @@ class QueueServiceStub:
     Enqueue: _grpc.StreamStreamMultiCallable[_queue_service_pb2.EnqueueRequest, _queue_service_pb2.EnqueueResponse]
     """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
     with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-    answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, CHANNEL_FULL, WRONG_EPOCH, NOT_HERE,
+    answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
     MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Take: _grpc.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]
@@ -66,7 +66,7 @@ class QueueServiceAsyncStub(QueueServiceStub):
     Enqueue: _aio.StreamStreamMultiCallable[_queue_service_pb2.EnqueueRequest, _queue_service_pb2.EnqueueResponse]  # type: ignore[assignment]
     """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
     with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-    answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, CHANNEL_FULL, WRONG_EPOCH, NOT_HERE,
+    answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
     MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Take: _aio.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]  # type: ignore[assignment]
@@ -96,7 +96,7 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.EnqueueResponse], _abc.AsyncIterator[_queue_service_pb2.EnqueueResponse]]:
         """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
         with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-        answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, CHANNEL_FULL, WRONG_EPOCH, NOT_HERE,
+        answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
         MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
 

@@ -108,7 +108,10 @@ class _Draft:
 
 
 class Dealing:
-    """The line of waiting takers. `dealt` gathers who was given what, until the caller takes it."""
+    """The line of waiting takers. `dealt` gathers who was given what, until the caller takes it.
+
+    While it `is_paused` nobody is given anything: all wait in line.
+    """
 
     def __init__(self, shelf: Shelf, leasing: Leasing) -> None:
         self._shelf = shelf
@@ -116,6 +119,7 @@ class Dealing:
         self._line: OrderedDict[Taker, None] = OrderedDict()
         self._views: OrderedDict[int, View] = OrderedDict()  # the latest used last
         self.dealt: list[tuple[Taker, Batch]] = []
+        self.is_paused = False
 
     def __len__(self) -> int:
         """How many takers wait."""
@@ -124,7 +128,7 @@ class Dealing:
     def wait(self, taker: Taker, now: int) -> None:
         """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
         waits = taker.credit and not taker.is_busy and taker not in self._line
-        if waits and not self._serve(taker, 1, now):
+        if waits and (self.is_paused or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
     def leave(self, taker: Taker) -> None:
@@ -135,7 +139,7 @@ class Dealing:
         """There may be something new for those in line."""
         served = []
         for place, taker in enumerate(self._line):
-            if not self._shelf.available_items:
+            if self.is_paused or not self._shelf.available_items:
                 break
             if self._serve(taker, len(self._line) - place, now):
                 served.append(taker)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 
-from stampede_rt.errors import ChannelFull, ItemTooLarge, Overloaded, StampedeError
+from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.queue.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.items import QueuedRun
@@ -221,10 +221,10 @@ class Enqueuing:
             f"{max(0, self._shelf.limits.payload_bytes_max)}; split it, or raise the limits"
         )
 
-    def _full(self) -> ChannelFull:
+    def _full(self) -> QueueFull:
         limits, shelf = self._shelf.limits, self._shelf
         charged = shelf.payload_bytes + shelf.items * ITEM_OVERHEAD_BYTES
-        return ChannelFull(
+        return QueueFull(
             f"{self._queue} is full: it holds {shelf.items} items charged with {charged} bytes, {shelf.leased} of them "
             f"leased, of at most {limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; take "
             "faster, put later, or raise its limits"

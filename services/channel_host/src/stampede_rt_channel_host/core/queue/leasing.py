@@ -106,7 +106,10 @@ class Leasing:
                     self._end(lease)
                     if lease.number > 1:
                         insort(lease.item.returned, lease.number - 1)
-                    self._put_back(lease.item)
+                    if self.is_exhausted(lease.item):  # fewer deliveries are allowed since
+                        self.give_up(lease.item)
+                    else:
+                        self._put_back(lease.item)
 
     def settle_copies(self, item: TouchedItem) -> bool:
         """Use the item up if enough takers are done with it; True if it has gone."""
@@ -116,6 +119,29 @@ class Leasing:
         self._shelf.tally.consumed += 1
         self._shelf.remove(item)
         return True
+
+    def check_again(self, item: TouchedItem) -> None:
+        """Hold an item that was touched under other limits to those of now."""
+        if item.is_leaving and not self._shelf.limits.dead_letters:
+            self.expel(item)
+        elif not self.settle_copies(item):
+            if self.is_exhausted(item) and not item.is_leaving:
+                self.give_up(item)
+            else:
+                self._put_back(item)
+
+    def is_exhausted(self, item: TouchedItem) -> bool:
+        """One of its copies was delivered as often as is allowed, in vain."""
+        most = self._shelf.limits.max_deliveries
+        return most is not None and bool(item.returned) and item.returned[-1] >= most
+
+    def give_up(self, item: TouchedItem) -> None:
+        """It leaves, and its other leases end: for the dead-letter queue if there is one, else for good."""
+        if self._shelf.limits.dead_letters:
+            self._void(item)
+            self._shelf.set_leaving(item)
+        else:
+            self.expel(item)
 
     def expel(self, item: TouchedItem) -> None:
         """It leaves the queue for good."""
@@ -137,15 +163,11 @@ class Leasing:
 
     def _take_back(self, lease: Lease, not_before: int | None) -> None:
         """The delivery was in vain. After the last that is allowed the item leaves, and with it its other leases."""
-        item, limits = lease.item, self._shelf.limits
+        item = lease.item
         self._end(lease)
         insort(item.returned, lease.number)
-        if limits.max_deliveries is not None and lease.number >= limits.max_deliveries:
-            if limits.dead_letters:
-                self._void(item)
-                self._shelf.set_leaving(item)
-            else:
-                self.expel(item)
+        if self.is_exhausted(item):
+            self.give_up(item)
             return
         if not_before is not None and (item.due is None or item.due < not_before):
             self._shelf.delays.arm(item, not_before)

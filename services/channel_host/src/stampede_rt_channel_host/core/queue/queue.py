@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from itertools import islice
 
@@ -20,6 +21,8 @@ from stampede_rt_channel_host.core.queue.values import (
     SettlementResult,
 )
 
+CHECKED_PER_CALL_MAX = 1024
+"""How many items one call looks at again after other limits were set."""
 DUE_PER_CALL_MAX = 256
 """How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
 
@@ -41,6 +44,7 @@ class Queue:
         self._enqueuing = Enqueuing(self._shelf, self._name)
         self._dealing = Dealing(self._shelf, self._leasing)
         self._clock: int | None = None
+        self._unchecked: deque[int] = deque()  # seqs of items that were touched before the limits changed
 
     def export(self, now: int) -> QueueState:
         """The whole queue as values. Those who wait are not in it: withdraw them, and let them go, before."""
@@ -52,6 +56,7 @@ class Queue:
         """The queue that another host exported, with its seqs, leases and counters. Takes as long as it has items."""
         queue = cls(limits, incarnation=incarnation, name=name)
         handoff.restore(state, queue._shelf, queue._leasing, queue._enqueuing.retries, now)
+        queue._unchecked = deque(queue._shelf.touched)  # the other host may have known other limits
         queue._tick(now)
         return queue
 
@@ -135,17 +140,12 @@ class Queue:
             self._shelf.leaving.move_to_end(seq)
 
     def configure(self, limits: QueueLimits, now: int) -> None:
-        """Set other limits; held items that exceed them stay. Another number of copies looks at every touched item."""
+        """Set other limits; held items that exceed those of room stay. Touched items are looked at again, a bounded
+        number in one call, and nothing is dealt before all were."""
         clock = self._tick(now)
-        before, self._shelf.limits = self._shelf.limits, limits
-        if not limits.dead_letters:
-            for item in list(self._shelf.leaving.values()):
-                self._leasing.expel(item)
-        if limits.copies != before.copies:
-            for item in list(self._shelf.touched.values()):
-                if not self._leasing.settle_copies(item):
-                    self._shelf.refresh(item)
-                    self._shelf.log_return(item)
+        self._shelf.limits = limits
+        self._unchecked = deque(self._shelf.touched)
+        self._check_again()
         self._follow_up(clock)
 
     def tick(self, now: int) -> None:
@@ -154,6 +154,8 @@ class Queue:
 
     def next_deadline(self) -> int | None:
         """When `tick` is next useful; None: only after another call."""
+        if self._unchecked:
+            return self._clock
         due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline())
         return min((one for one in due if one is not None), default=None)
 
@@ -213,7 +215,7 @@ class Queue:
 
     def _tick(self, now: int) -> int:
         clock = self._clock = now if self._clock is None else max(self._clock, now)
-        due = 0
+        due = self._check_again()
         while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
             due += 1
         while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
@@ -221,6 +223,16 @@ class Queue:
         if due:
             self._follow_up(clock)
         return clock
+
+    def _check_again(self) -> int:
+        """Hold some items that were touched under other limits to those of now; how many."""
+        count = min(len(self._unchecked), CHECKED_PER_CALL_MAX)
+        for _ in range(count):
+            item = self._shelf.touched.get(self._unchecked.popleft())
+            if item is not None:
+                self._leasing.check_again(item)
+        self._dealing.is_paused = bool(self._unchecked)
+        return count
 
     def _end_delay(self, clock: int) -> bool:
         item = self._shelf.delays.pop(clock)

@@ -22,7 +22,7 @@ class SealRun(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """An item that was refused: its place in the run, and why (ItemTooLarge, ChannelFull)."""
+    """An item that was refused: its place in the run, and why (ItemTooLarge, QueueFull)."""
 
     index: int
     error: StampedeError
