@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from stampede_rt.errors import DeadlineExceeded, PermissionDenied, StampedeError, Unavailable, error_for
 from stampede_rt.grpc_quiet import grpc
+from stampede_rt.majority import UNREACHED
 from stampede_rt.v1 import error_pb2, rpc_status_pb2
 
 DOMAIN = "stampede-rt"
@@ -131,7 +132,8 @@ def _from_code(error: grpc.RpcError, peer: str) -> StampedeError:
     code = error.code() if hasattr(error, "code") else grpc.StatusCode.UNKNOWN
     details = _brief((error.details() if hasattr(error, "details") else None) or "no details")
     if code is grpc.StatusCode.UNAVAILABLE:
-        return Unavailable(f"{peer} cannot be reached ({details}); is it running, and is the address right?")
+        text = f"{peer} cannot be reached ({details}); is it running, and is the address right?"
+        return Unavailable(text, metadata={UNREACHED: details})
     if code is grpc.StatusCode.DEADLINE_EXCEEDED:
         return DeadlineExceeded(f"{peer} did not answer in time; it may be overloaded or stopped")
     if code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED):

@@ -98,6 +98,22 @@ async def test_a_host_whose_renewals_fail_is_fenced_and_serves_again_after_the_n
             assert host.registered.qsize() == 1  # it was only late: no second registration
 
 
+async def test_the_loss_of_renewals_and_their_return_are_logged_once_each(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            fake.refuse["RenewHostLease"] = Unavailable("no majority")
+            await host.lease_becomes(False)
+            await fake.called("RenewHostLease", times=5)
+            fake.refuse.clear()
+            await host.lease_becomes(True)
+            await fake.called("RenewHostLease", times=8)
+    told = [record.getMessage().partition(";")[0] for record in caplog.records if "lease" in record.getMessage()]
+    assert [line for line in told if "fenced" not in line] == ["lease not renewed", "lease renewed again"]
+
+
 async def test_a_host_whose_lease_has_ended_registers_again_as_the_same_start_of_the_process() -> None:
     async with directory(lease_ttl_nanos=200 * MS) as fake:
         host = Host(fake.target)

@@ -10,6 +10,7 @@ from typing import Any
 from stampede_rt._async.ports import Ports
 from stampede_rt.binding import order_by_round_trip
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.majority import UNREACHED, why_unserved
 from stampede_rt.peering import ClockOffset
 from stampede_rt.retry import Backoff
 from stampede_rt.tls_diagnosis import explain_refusal
@@ -83,6 +84,8 @@ class Supernodes:
         if failure is not None and not isinstance(failure, Unavailable | DeadlineExceeded):
             return failure
         addresses = ", ".join(self._frontends)
+        if isinstance(failure, Unavailable) and UNREACHED not in failure.metadata:
+            return Unavailable(f"the front-end {addresses} runs, but: {failure}", reason=failure.reason)
         return Unavailable(
             f"cannot connect to {addresses}: {failure} (start one with `stampede dev`, or name another in connect() or "
             "$STAMPEDE_URL)",
@@ -137,14 +140,13 @@ class Supernodes:
         `timeout_s` is over.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
-        failure: StampedeError = Unavailable("no supernode is known; is a front-end running?")
+        failures: dict[str, StampedeError] = {}
         while True:
             try:
-                return await self._call_each(method, request, backoff.deadline_s, failure)
+                return await self._call_each(method, request, backoff.deadline_s, failures)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
-                failure = error
                 if self._ports.closed:
                     raise
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
@@ -153,8 +155,8 @@ class Supernodes:
                 await sleep(delay_s)
             await self._rebind(backoff.deadline_s)
 
-    async def _call_each(self, method: str, request: Any, deadline_s: float, failure: StampedeError) -> Any:
-        """Ask one supernode after the other; raises what the last one met, or the `failure` from before if none was."""
+    async def _call_each(self, method: str, request: Any, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
+        """Ask one supernode after the other. Raises what `failures`, those of former rounds among them, come to."""
         if time.monotonic() > self._measure_again_s:
             await self._measure()
         for target in list(self._targets):
@@ -168,9 +170,13 @@ class Supernodes:
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
-                failure = error
+                failures.pop(target, None)
+                failures[target] = error
                 self._demote(target)
-        raise failure
+        known = {target: error for target, error in failures.items() if target in self._targets}
+        if not known:
+            raise Unavailable("no supernode is known; is a front-end running?")
+        raise why_unserved(known, len(self._targets))
 
     def _demote(self, target: str) -> None:
         if target in self._targets:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from stampede_rt.timeline import format_duration
@@ -37,6 +37,11 @@ class Observation:
     clock_offset_nanos: int | None = None
     version: str = ""
     certificate_left_s: float | None = None
+
+    @property
+    def clock_doubt_nanos(self) -> int:
+        """How far its offset may be from the truth: the way there may have taken all of the time, or none."""
+        return (self.round_trip_nanos or 0) // 2
 
     @property
     def part(self) -> str:
@@ -156,24 +161,44 @@ def _hosts(seen: Sequence[Observation]) -> Iterator[Finding]:
 
 
 def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
-    """Whose clock is off, against the services' and the caller's. Those of most services are taken to be right."""
+    """Whose clock is off, against the services' and the caller's. Those of most services are taken to be right.
+
+    An answer that took long tells little of a clock: beyond half of its round trip nothing is judged.
+    """
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
-    services = [one for one in offsets if one.kind != PEER]
+    told = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
+    services = [one for one in told if one.kind != PEER]
     if not services:
+        if offsets:
+            quickest = format_duration(2 * min(one.clock_doubt_nanos for one in offsets))
+            yield Finding("clocks", "-", f"{UNKNOWN}: answers took {quickest} or longer, which tells too little")
         return
     middle = sorted(offsets[one] for one in services)[(len(services) - 1) // 2]
-    doubt = max(one.round_trip_nanos or 0 for one in services) // 2
-    off = {one: offset - middle for one, offset in offsets.items() if is_off(offset - middle, doubt + _doubt(one))}
+    doubt = max(one.clock_doubt_nanos for one in services)
+    off = {
+        one: offset - middle
+        for one, offset in offsets.items()
+        if is_off(offset - middle, doubt + one.clock_doubt_nanos)
+    }
     advice = [f"that of {one.part} is {ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]
     if is_off(middle, 2 * doubt):
         advice.append(f"this machine's is {ahead(-middle)} the cluster's; synchronise this one")
-    apart = max(*offsets.values(), 0) - min(*offsets.values(), 0)
-    state = f"{format_duration(apart)} apart, {format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
-    yield Finding("clocks", "-", state, f"{'; '.join(advice)} (chrony, ntpd)" if advice else "")
+    yield Finding(
+        "clocks",
+        "-",
+        _apart(told | {one: offsets[one] for one in off}),
+        f"{'; '.join(advice)} (chrony, ntpd)" if advice else "",
+    )
 
 
-def _doubt(one: Observation) -> int:
-    return (one.round_trip_nanos or 0) // 2
+def _apart(offsets: Mapping[Observation, int]) -> str:
+    """How far the clocks are apart, the caller's among them, and how well that is known."""
+    known = [(offset, one.clock_doubt_nanos) for one, offset in offsets.items()] + [(0, 0)]
+    (high, high_doubt), (low, low_doubt) = max(known), min(known, key=lambda one: (one[0], -one[1]))
+    return (
+        f"{format_duration(high - low)} apart, give or take {format_duration(high_doubt + low_doubt)}, "
+        f"{format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
+    )
 
 
 def is_off(offset_nanos: int, uncertainty_nanos: int) -> bool:

@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb
-from stampede_rt.cli.diagnosis import PEER, UNKNOWN, Finding, diagnose
+from stampede_rt.cli.diagnosis import CLOCK_OFFSET_NANOS_MAX, PEER, UNKNOWN, Finding, Observation, diagnose
 from stampede_rt.cli.output import print_rows
 from stampede_rt.cli.terminal import escaped
 from stampede_rt.timeline import format_duration
@@ -60,6 +60,14 @@ def _row(finding: Finding, form: str) -> dict[str, Any]:
         "address": finding.address,
         "state": finding.state,
         "round_trip": duration(seen.round_trip_nanos) if seen else None,
-        "clock_offset": duration(seen.clock_offset_nanos, UNKNOWN if seen.kind == PEER else None) if seen else None,
+        "clock_offset": (_vague(seen) if people else None)
+        or (duration(seen.clock_offset_nanos, UNKNOWN if seen.kind == PEER else None) if seen else None),
         "version": (seen.version or None) if seen else None,
-    } | ({} if people else {"advice": finding.advice})
+    } | ({} if people else {"clock_uncertainty": seen and seen.clock_doubt_nanos, "advice": finding.advice})
+
+
+def _vague(seen: Observation | None) -> str | None:
+    """A clock of which an answer that took long tells too little."""
+    if seen is None or seen.clock_offset_nanos is None or seen.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX:
+        return None
+    return f"within {format_duration(abs(seen.clock_offset_nanos) + seen.clock_doubt_nanos)}"

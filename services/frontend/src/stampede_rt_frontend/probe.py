@@ -13,6 +13,7 @@ import grpc
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt_frontend.journal import Journal
 from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import Answer, MemberList, Roster
 
@@ -42,6 +43,7 @@ class Prober:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
         self._changed = asyncio.Condition()
+        self._journal = Journal()
 
     async def __aenter__(self) -> Prober:
         self._match_tasks()
@@ -77,6 +79,7 @@ class Prober:
             pause = _RETRY_SECONDS_MIN
             while True:  # for as long as the target is on the roster; paced below
                 healthy = await self._probe(target, channel, stub)
+                self._tell()
                 async with self._changed:
                     self._changed.notify_all()
                 pause = PROBE_PERIOD_SECONDS if healthy else min(2 * pause, PROBE_PERIOD_SECONDS)
@@ -102,6 +105,11 @@ class Prober:
             self._roster.failed(target, why)
             return False
         return answer.ready and accepted
+
+    def _tell(self) -> None:
+        """Log, once each, what has changed since the last probe: who can serve, and whether anybody can."""
+        for change in self._journal.changes(self._roster, asyncio.get_running_loop().time()):
+            logger.log(logging.INFO if change.is_well else logging.WARNING, change.text, extra=change.facts)
 
     async def _better(self, target: str, error: StampedeError) -> StampedeError:
         if self._explain is None or not isinstance(error, Unavailable):

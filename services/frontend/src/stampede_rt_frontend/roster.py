@@ -106,6 +106,15 @@ class Roster:
                 best.setdefault(node.supernode_id, node)
         return list(best.values())
 
+    def states(self) -> dict[str, str | None]:
+        """For each target why it cannot serve, or None if it can; those that were not heard of yet are left out."""
+        states: dict[str, str | None] = {}
+        for target, node in self._nodes.items():
+            if node.answered or target in self._failures:
+                unready = "it knows no leader with a majority"
+                states[target] = None if node.healthy else unready if node.answered else self._failures[target]
+        return states
+
     def any_healthy(self) -> bool:
         """At least one supernode says that it can serve."""
         return any(node.healthy for node in self._nodes.values())

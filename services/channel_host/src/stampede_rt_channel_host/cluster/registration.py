@@ -58,6 +58,7 @@ class Registration:
         self._has_hung = has_hung
         self._lease = LeaseKeeper()
         self._told_held = False  # what on_lease heard last
+        self._unrenewed_since_s: float | None = None  # when renewals began to fail, if they do
         self._target = ""
         self._has_left = False
         self._fence: asyncio.TimerHandle | None = None
@@ -93,10 +94,25 @@ class Registration:
                 if self._has_hung():
                     raise Unavailable("the loop that serves channels has stopped; others are to have them")
                 await self._renew_or_register()
+                self._note_renewed()
                 pause_s = _PAUSE_SECONDS_MIN
             except StampedeError as error:
-                logger.warning("lease not renewed", extra={"host": self._identity.name, "why": str(error)})
+                self._note_unrenewed(error)
                 pause_s = await _pause(pause_s)
+
+    def _note_unrenewed(self, error: StampedeError) -> None:
+        """Said once, however often it is tried again, and taken back by `_note_renewed`."""
+        if self._unrenewed_since_s is None:
+            self._unrenewed_since_s = time.monotonic()
+            logger.warning("lease not renewed; trying on", extra={"host": self._identity.name, "why": str(error)})
+        else:
+            logger.debug("lease still not renewed", extra={"host": self._identity.name, "why": str(error)})
+
+    def _note_renewed(self) -> None:
+        if self._unrenewed_since_s is not None:
+            after = f"{time.monotonic() - self._unrenewed_since_s:.1f}"
+            logger.warning("lease renewed again", extra={"host": self._identity.name, "after_s": after})
+            self._unrenewed_since_s = None
 
     async def leave(self) -> None:
         """Deregister, so that the channels are free at once. Failing that, the lease ends by itself."""
@@ -180,7 +196,8 @@ class Registration:
         if held is not self._told_held:
             self._told_held = held
             if not held:
-                logger.warning("fenced: the lease was not renewed in time", extra={"host": self._identity.name})
+                text = "fenced: the lease was not renewed in time, so all calls are refused until it is"
+                logger.warning(text, extra={"host": self._identity.name})
             self._on_lease(held)
 
 

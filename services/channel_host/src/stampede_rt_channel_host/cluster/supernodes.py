@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import grpc
 
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.majority import why_unserved
 from stampede_rt.retry import Backoff
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
@@ -70,11 +71,12 @@ class Supernodes:
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, service)
+        failures: dict[str, StampedeError] = {}
         while True:  # ends with the backoff's deadline
             try:
                 if not self._targets:
                     await self.bind(backoff.deadline_s)
-                return await self._call_each(call, backoff.deadline_s)
+                return await self._call_each(call, backoff.deadline_s, failures)
             except StampedeError as error:
                 if not may_pass(error):
                     raise
@@ -162,8 +164,7 @@ class Supernodes:
                 raise
             logger.debug("no front-end answers", extra={"why": str(error)})
 
-    async def _call_each(self, call: _Call, deadline_s: float) -> Any:
-        failure: StampedeError = Unavailable("the front-ends name no supernode")
+    async def _call_each(self, call: _Call, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
         waiting, tried = deque(self._targets), set[str]()
         while waiting and len(tried) < SUPERNODES_MAX:
             target = waiting.popleft()
@@ -176,12 +177,16 @@ class Supernodes:
             except StampedeError as error:
                 if not may_pass(error):
                     raise
-                failure = error
+                failures.pop(target, None)
+                failures[target] = error
                 waiting.extendleft(_leader_named_by(error))
                 continue
             self._prefer(target)
             return answer
-        raise failure
+        known = {target: error for target, error in failures.items() if target in self._targets}
+        if not known:
+            raise [Unavailable("the front-ends name no supernode"), *failures.values()][-1]
+        raise why_unserved(known, len(self._targets))
 
     async def _call_one(self, target: str, call: _Call, timeout_s: float) -> Any:
         stub = call.service(self._channel(target))

@@ -1,0 +1,52 @@
+"""What to tell of a call that no supernode served: what one of them said, or that too few of them answer. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+
+UNREACHED = "unreached"
+"""The key in the metadata of an error of who could not be reached; its value says why."""
+
+
+def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> StampedeError:
+    """The one error for a call that each supernode in `failures` (by its address, the last one last) has failed.
+
+    `supernodes`: how many there are; `failures` has one at least.
+    """
+    last = list(failures.values())[-1]
+    ambiguous = [error for error in failures.values() if error.reason == "AMBIGUOUS"]
+    if ambiguous:
+        return ambiguous[-1]
+    silent = {target: error for target, error in failures.items() if _is_silent(error)}
+    needed = supernodes // 2 + 1
+    if supernodes == 1 and silent:
+        return last if isinstance(last, DeadlineExceeded) else _alone(*silent.items())
+    if supernodes - len(silent) < needed:
+        answering = f"{supernodes - len(silent)} of {supernodes} supernodes answer"
+        missing = ", ".join(f"{target} {_how(error)}" for target, error in silent.items())
+        return Unavailable(
+            f"the directory has no majority: {answering}, {needed} must ({missing}); start them "
+            "with their folders, `stampede doctor` looks at all of them",
+            reason="NO_QUORUM",
+        )
+    spoken = [error for target, error in failures.items() if target not in silent]
+    return spoken[-1] if spoken else last
+
+
+def _is_silent(error: StampedeError) -> bool:
+    return isinstance(error, DeadlineExceeded) or UNREACHED in error.metadata
+
+
+def _how(error: StampedeError) -> str:
+    return "did not answer in time" if isinstance(error, DeadlineExceeded) else "cannot be reached"
+
+
+def _alone(silent: tuple[str, StampedeError]) -> Unavailable:
+    target, error = silent
+    return Unavailable(
+        f"the directory does not answer: its one supernode, {target}, cannot be reached ({error.metadata[UNREACHED]}); "
+        "start it again, with its folder",
+        reason="NO_QUORUM",
+    )

@@ -1,0 +1,59 @@
+"""What a front-end writes into its log about the supernodes: each change once, not each probe. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from stampede_rt_frontend.roster import Roster
+
+START_SECONDS = 5.0
+
+
+class Note(NamedTuple):
+    """One line of the log. `is_well`: things are better than before."""
+
+    text: str
+    is_well: bool
+    facts: dict[str, str]
+
+
+class Journal:
+    """Remembers what was said last.
+
+    All parts of a cluster may be starting at once: until a supernode can serve, START_SECONDS pass in silence.
+    """
+
+    def __init__(self) -> None:
+        self._starts_until_s: float | None = None
+        self._served: dict[str, bool] = {}
+        self._any_served: bool | None = None
+
+    def changes(self, roster: Roster, now_s: float) -> Iterator[Note]:
+        """What has changed since the last call; `now_s` on a clock that never goes back."""
+        if self._starts_until_s is None:
+            self._starts_until_s = now_s + START_SECONDS
+        if self._any_served is None and now_s < self._starts_until_s and not roster.any_healthy():
+            return
+        states = roster.states()
+        for target, why in states.items():
+            if self._served.get(target) is not (why is None):
+                yield _of_one(target, why)
+        self._served = {target: why is None for target, why in states.items()}
+        any_serves = roster.any_healthy()
+        all_heard = len(states) == len(roster.targets())
+        if any_serves is not self._any_served and (any_serves or all_heard):
+            self._any_served = any_serves
+            yield _of_all(any_serves)
+
+
+def _of_one(target: str, why: str | None) -> Note:
+    if why is None:
+        return Note("a supernode can serve", True, {"supernode": target})
+    return Note("a supernode cannot serve", False, {"supernode": target, "why": why})
+
+
+def _of_all(any_serves: bool) -> Note:
+    if any_serves:
+        return Note("the directory can serve: callers can connect", True, {})
+    return Note("no supernode can serve: nobody can connect or open anything until a majority of them runs", False, {})

@@ -1,0 +1,53 @@
+"""What a caller hears when no supernode served a call."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.majority import UNREACHED, why_unserved
+
+
+def gone(target: str) -> Unavailable:
+    return Unavailable(f"{target} cannot be reached", metadata={UNREACHED: "Connection refused"})
+
+
+NO_MAJORITY = Unavailable("no majority of the supernodes answered within 2.0 s", reason="NO_QUORUM")
+
+
+def told(failures: dict[str, StampedeError], supernodes: int = 3) -> str:
+    error = why_unserved(failures, supernodes)
+    assert isinstance(error, Unavailable | DeadlineExceeded)
+    return f"{error.reason}: {error.message}"
+
+
+def test_that_too_few_answer_is_told_as_the_loss_of_the_majority_whoever_was_asked_last() -> None:
+    for failures in (
+        {"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")},
+        {"b": NO_MAJORITY, "a": gone("a"), "c": gone("c")},
+    ):
+        said = told(dict(failures))
+        assert said.startswith(
+            "NO_QUORUM: the directory has no majority: 1 of 3 supernodes answer, 2 must (a cannot be"
+        )
+        assert "address" not in said
+
+
+def test_one_that_is_down_beside_two_that_run_does_not_hide_what_those_say() -> None:
+    assert told({"a": gone("a"), "b": NO_MAJORITY, "c": gone("c")}, 5).startswith("NO_QUORUM: no majority of the")
+    assert told({"b": NO_MAJORITY, "c": NO_MAJORITY, "a": gone("a")}).startswith("NO_QUORUM: no majority of the")
+
+
+def test_who_is_silent_counts_like_who_is_gone() -> None:
+    said = told({"a": DeadlineExceeded("late"), "b": gone("b"), "c": gone("c")})
+    assert "0 of 3 supernodes answer" in said
+    assert "a did not answer in time, b cannot be reached" in said
+
+
+def test_an_update_that_may_be_done_is_never_told_as_one_that_is_not() -> None:
+    unknown = Unavailable("nobody said whether it is done", reason="AMBIGUOUS")
+    assert told({"a": unknown, "b": gone("b"), "c": gone("c")}).startswith("AMBIGUOUS")
+
+
+def test_the_only_supernode_is_named_with_why_it_cannot_be_reached() -> None:
+    said = told({"a:1": gone("a:1")}, 1)
+    assert "its one supernode, a:1, cannot be reached (Connection refused); start it again" in said
+    assert told({"a:1": DeadlineExceeded("a:1 did not answer in time")}, 1).startswith("DEADLINE_EXCEEDED")

@@ -1,0 +1,74 @@
+"""What a front-end writes into its log about supernodes: each change once."""
+
+from __future__ import annotations
+
+from stampede_rt_frontend.journal import START_SECONDS, Journal
+from stampede_rt_frontend.roster import Answer, Roster
+
+LATER_S = 100.0 + START_SECONDS
+
+
+def answer(*, ready: bool) -> Answer:
+    return Answer(supernode_id="s", cluster_id="c1", ready=ready, round_trip_nanos=10)
+
+
+def started() -> tuple[Roster, Journal]:
+    """A front-end that has just begun, and a moment at which it has begun long ago."""
+    roster, journal = Roster(("a:1", "b:1")), Journal()
+    assert list(journal.changes(roster, 100.0)) == []
+    return roster, journal
+
+
+def test_while_all_parts_start_nothing_is_told_until_one_can_serve() -> None:
+    roster, journal = started()
+    for target in roster.targets():
+        roster.failed(target, "connection refused")
+    assert list(journal.changes(roster, 101.0)) == []
+    assert len(list(journal.changes(roster, LATER_S))) == 3
+
+
+def test_the_loss_of_a_supernode_and_its_return_are_told_once_each() -> None:
+    roster, journal = started()
+    assert list(journal.changes(roster, LATER_S)) == []
+    roster.answered("a:1", answer(ready=True))
+    assert [note.text for note in journal.changes(roster, LATER_S)] == [
+        "a supernode can serve",
+        "the directory can serve: callers can connect",
+    ]
+    for _ in range(3):
+        roster.failed("b:1", "connection refused")
+        said = list(journal.changes(roster, LATER_S))
+    assert said == []
+    roster.answered("b:1", answer(ready=True))
+    assert [(note.text, note.facts) for note in journal.changes(roster, LATER_S)] == [
+        ("a supernode can serve", {"supernode": "b:1"})
+    ]
+
+
+def test_the_loss_of_the_majority_and_its_return_are_told_once_each() -> None:
+    roster, journal = started()
+    for target in roster.targets():
+        roster.answered(target, answer(ready=True))
+    list(journal.changes(roster, LATER_S))
+    told: list[str] = []
+    for _ in range(3):
+        roster.failed("b:1", "connection refused")
+        roster.answered("a:1", answer(ready=False))
+        told += [f"{note.text} {note.facts.get('why', '')}" for note in journal.changes(roster, LATER_S)]
+    assert [line.partition(":")[0] for line in told] == [
+        "a supernode cannot serve it knows no leader with a majority",
+        "a supernode cannot serve connection refused",
+        "no supernode can serve",
+    ]
+    roster.answered("a:1", answer(ready=True))
+    assert [note.is_well for note in journal.changes(roster, LATER_S)] == [True, True]
+
+
+def test_at_the_start_that_none_can_serve_is_told_once_all_were_heard_of() -> None:
+    roster, journal = started()
+    roster.failed("a:1", "connection refused")
+    assert [note.facts for note in journal.changes(roster, LATER_S)] == [
+        {"supernode": "a:1", "why": "connection refused"}
+    ]
+    roster.failed("b:1", "connection refused")
+    assert [note.text.partition(":")[0] for note in journal.changes(roster, LATER_S)][-1] == "no supernode can serve"
