@@ -204,6 +204,12 @@ class NotLeader(StampedeError):
     retryable = True
 
 
+class ForkedProcess(StampedeError, RuntimeError):
+    """The process was forked, and what it inherited does not work in it. The client alone raises it."""
+
+    reason = "FORKED_PROCESS"
+
+
 class VersionMismatch(StampedeError):
     """The two sides speak versions that do not go together."""
 

@@ -60,6 +60,9 @@ class Attaching:
 
     closed = False
 
+    def check_process(self) -> None:
+        return
+
     def __init__(self) -> None:
         self.attached: list[Any] = []
 

@@ -45,6 +45,10 @@ class Place:
     """A session whose channel is always at one place; every stream opened there is kept."""
 
     closed = False
+    inherited = False
+
+    def check_process(self) -> None:
+        return
 
     def __init__(self) -> None:
         self.cache = BindingCache()

@@ -71,6 +71,13 @@ class Host:
     """A session with one host, which keeps the streams and what was given back."""
 
     closed = False
+    inherited = False
+
+    def check_process(self) -> None:
+        return
+
+    def check(self) -> None:
+        return
 
     def __init__(self) -> None:
         self.cache = Staying()

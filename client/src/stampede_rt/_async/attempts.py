@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Protocol, TypeVar
 
 from stampede_rt.binding import Binding
-from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.errors import DeadlineExceeded, StampedeError
 from stampede_rt.retry import Backoff
 from stampede_rt.transports.concurrency_async import sleep
 
@@ -26,6 +26,10 @@ class Place(Protocol):
         """The place turned out to be stale."""
         ...
 
+    def check(self) -> None:
+        """Raises what keeps the connection from being used: it is closed, or was made before a fork."""
+        ...
+
     def explain(self, error: StampedeError) -> None:
         """Name the thing in `error`."""
         ...
@@ -41,8 +45,7 @@ async def attempt(place: Place, operation: Callable[[Binding], Awaitable[Result]
 
     `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met.
     """
-    if place.closed:
-        raise Unavailable("this connection is closed; connect() again")
+    place.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
     while True:
         try:

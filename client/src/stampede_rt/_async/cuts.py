@@ -63,6 +63,7 @@ class CutSubscription:
         begin_now(self._open)
 
     async def __aenter__(self) -> CutSubscription:
+        self._group._session.check_process()
         await self._open()
         return self
 
@@ -75,6 +76,7 @@ class CutSubscription:
         return self
 
     async def __anext__(self) -> Cut[Channel]:
+        self._group._session.check_process()
         while not self._closed:
             try:
                 await self._open()

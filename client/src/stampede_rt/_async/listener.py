@@ -65,6 +65,7 @@ class Listener(Beginning):
 
     async def join(self, timeout: float) -> bool:
         """Block until it has ended, `timeout` seconds at most; whether it has."""
+        self._session.check_process()
         return await self._background.join(timeout)
 
     async def end(self) -> None:

@@ -49,6 +49,7 @@ class MatchSubscription:
         begin_now(self._open)
 
     async def __aenter__(self) -> MatchSubscription:
+        self._group._session.check_process()
         await self._open()
         return self
 
@@ -61,6 +62,7 @@ class MatchSubscription:
         return self
 
     async def __anext__(self) -> Matched[Channel]:
+        self._group._session.check_process()
         while not self._ready and not self._closed:
             await self._open()
             await self._receive()

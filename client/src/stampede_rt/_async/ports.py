@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.credentials import Credentials
 from stampede_rt.errors import Unavailable
+from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_async import Mutex
 from stampede_rt.transports.grpc_async import Port
 
@@ -17,6 +18,8 @@ class Ports:
     """
 
     def __init__(self, credentials: Credentials) -> None:
+        forking.opened(self)
+        self._forks = forking.forks()
         self.credentials = credentials
         self._material = credentials.material()
         self._ports: dict[str, Port] = {}
@@ -26,6 +29,7 @@ class Ports:
 
     def to(self, target: str) -> Port:
         """The port to `target`. Raises Unavailable once these are closed."""
+        self.check_process()
         with self._mutex:
             if self.closed:
                 raise Unavailable("this connection is closed; connect() again")
@@ -35,6 +39,15 @@ class Ports:
             if len(self._ports) > PORTS_MAX:
                 self._ports.pop(next(iter(self._ports)))
             return port
+
+    @property
+    def inherited(self) -> bool:
+        """They were opened before this process was forked, and are of no use in it."""
+        return self._forks != forking.forks()
+
+    def check_process(self) -> None:
+        """Raises ForkedProcess if they are inherited. Locks may be held for good then, so this goes before them."""
+        forking.check(self._forks)
 
     def _look_at_certificates(self) -> None:
         material = self.credentials.material()
@@ -52,3 +65,4 @@ class Ports:
             self._ports.clear()
         for port in ports:
             await port.aclose()
+        forking.closed(self)

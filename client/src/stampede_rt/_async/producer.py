@@ -41,6 +41,7 @@ class Producer:
     """
 
     def __init__(self, session: Session, state: ChannelState) -> None:
+        session.check_process()
         self._session = session
         self._state = state
         self._producer_id = int.from_bytes(request_id()[:8], "little") | 1
@@ -84,6 +85,7 @@ class Producer:
         content_type: str | None = None,
     ) -> None:
         """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged. See `Channel.put` for the arguments."""
+        self._session.check_process()
         if self._finished:
             raise InvalidArgument("this producer is closed; make another with channel.producer()")
         coding = self._state.coding
@@ -105,6 +107,7 @@ class Producer:
 
         Raises DeadlineExceeded, or Unavailable if the host is lost for good.
         """
+        self._session.check_process()
         deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
         await self._send(deadline_s)
         await self._until(lambda: not self._unacked and not len(self._builder), deadline_s)
@@ -114,6 +117,8 @@ class Producer:
 
     async def aclose(self) -> None:
         """Let go of the stream. What is not acked may be lost: flush before."""
+        if self._session.inherited:
+            return
         with self._mutex:
             self._generation += 1
             stream, self._stream = self._stream, None

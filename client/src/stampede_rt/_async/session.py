@@ -81,17 +81,34 @@ class Session:
         await self.supernodes.bind(CONNECT_TIMEOUT_S)
 
     async def aclose(self) -> None:
-        """End everything that is under way, the latest first."""
+        """End everything that is under way, the latest first. In a forked child it is the parent's, and goes on."""
+        if self.inherited:
+            self.closed = True
+            return
         for one in reversed(tuple(self._attached)):
             await one.end()
         self.closed = True
         self.cache.forget_all()
         await self.ports.aclose()
 
-    def attach(self, one: Attached) -> None:
-        """End `one` before the connection is closed."""
+    @property
+    def inherited(self) -> bool:
+        """The connection was made before this process was forked, and is of no use in it."""
+        return self.ports.inherited
+
+    def check_process(self) -> None:
+        """Raises ForkedProcess if the connection is inherited."""
+        self.ports.check_process()
+
+    def check(self) -> None:
+        """Raises ForkedProcess, or Unavailable if the connection is closed."""
+        self.check_process()
         if self.closed:
             raise Unavailable("this connection is closed; connect() again")
+
+    def attach(self, one: Attached) -> None:
+        """End `one` before the connection is closed."""
+        self.check()
         self._attached[one] = None
 
     def detach(self, one: Attached) -> None:
@@ -226,6 +243,10 @@ class ChannelPlace:
     def forget(self) -> None:
         """Forget the channel's place, and its host's endpoint."""
         self.session.cache.forget(self.state.info.channel_id)
+
+    def check(self) -> None:
+        """Raises what keeps the connection from being used."""
+        self.session.check()
 
     def explain(self, error: StampedeError) -> None:
         """Name the channel."""

@@ -79,6 +79,7 @@ class Subscription:
         return self
 
     async def __aenter__(self) -> Subscription:
+        self._session.check_process()
         await self._open()
         return self
 
@@ -91,6 +92,7 @@ class Subscription:
         return self
 
     async def __anext__(self) -> Item:
+        self._session.check_process()
         while not self._ready or self._closed:
             if self._closed:
                 raise StopAsyncIteration

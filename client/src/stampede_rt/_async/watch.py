@@ -35,6 +35,7 @@ class Following(Generic[Told]):
         begin_now(self._open)
 
     async def __aenter__(self) -> Self:
+        self._session.check_process()
         await self._open()
         return self
 
@@ -47,6 +48,7 @@ class Following(Generic[Told]):
         return self
 
     async def __anext__(self) -> Told:
+        self._session.check_process()
         while not self._ready or self._closed:
             if self._closed:
                 raise StopAsyncIteration

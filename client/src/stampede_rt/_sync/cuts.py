@@ -64,6 +64,7 @@ class CutSubscription:
         begin_now(self._open)
 
     def __enter__(self) -> CutSubscription:
+        self._group._session.check_process()
         self._open()
         return self
 
@@ -76,6 +77,7 @@ class CutSubscription:
         return self
 
     def __next__(self) -> Cut[Channel]:
+        self._group._session.check_process()
         while not self._closed:
             try:
                 self._open()

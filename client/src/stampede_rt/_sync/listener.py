@@ -66,6 +66,7 @@ class Listener(Beginning):
 
     def join(self, timeout: float) -> bool:
         """Block until it has ended, `timeout` seconds at most; whether it has."""
+        self._session.check_process()
         return self._background.join(timeout)
 
     def end(self) -> None:

@@ -50,6 +50,7 @@ class MatchSubscription:
         begin_now(self._open)
 
     def __enter__(self) -> MatchSubscription:
+        self._group._session.check_process()
         self._open()
         return self
 
@@ -62,6 +63,7 @@ class MatchSubscription:
         return self
 
     def __next__(self) -> Matched[Channel]:
+        self._group._session.check_process()
         while not self._ready and not self._closed:
             self._open()
             self._receive()

@@ -109,6 +109,10 @@ class QueuePlace:
         self._turn += 1
         self._session.cache.forget(self._state.info.queue_id)
 
+    def check(self) -> None:
+        """Raises what keeps the connection from being used."""
+        self._session.check()
+
     def explain(self, error: StampedeError) -> None:
         """Name the queue."""
         error.concerning(self._state.kind, self._state.name)

@@ -36,6 +36,7 @@ class Sending:
         codec: str | Codec | None,
     ) -> int:
         """Put one message; its seq. See `Connection.send`."""
+        self._session.check()
         coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
         item = Single.parse(coding, payload, None, None, attributes, content_type)
         return (self._way(peer).put(self._numbers, item, Wait.parse(timeout))).first_seq

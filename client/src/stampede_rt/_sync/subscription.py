@@ -80,6 +80,7 @@ class Subscription:
         return self
 
     def __enter__(self) -> Subscription:
+        self._session.check_process()
         self._open()
         return self
 
@@ -92,6 +93,7 @@ class Subscription:
         return self
 
     def __next__(self) -> Item:
+        self._session.check_process()
         while not self._ready or self._closed:
             if self._closed:
                 raise StopIteration

@@ -68,6 +68,7 @@ class Taker:
 
     def get(self, wait: Wait) -> Message | None:
         """The next message, or None when the wait is over or this is closed. Raises what keeps it from coming."""
+        self._session.check_process()
         waiter = Waiter()
         with self._mutex:
             if self._session.closed:
@@ -276,11 +277,15 @@ class Taker:
     def let_go(self) -> None:
         """Nobody has the handle any more: end without making anybody wait."""
         self.closed = True
+        if self._session.inherited:
+            return
         if self._worker is not None or self._ready:
             Background(self.end, f"closing {self._state.name}")
 
     def end(self) -> None:
         """Wake those who wait, take back what was asked for, and give back what nobody was given."""
+        if self._session.inherited:
+            return
         with self._mutex:
             self.closed = True
             waiting, worker = tuple(self._waiting), self._worker

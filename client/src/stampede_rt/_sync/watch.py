@@ -36,6 +36,7 @@ class Following(Generic[Told]):
         begin_now(self._open)
 
     def __enter__(self) -> Self:
+        self._session.check_process()
         self._open()
         return self
 
@@ -48,6 +49,7 @@ class Following(Generic[Told]):
         return self
 
     def __next__(self) -> Told:
+        self._session.check_process()
         while not self._ready or self._closed:
             if self._closed:
                 raise StopIteration

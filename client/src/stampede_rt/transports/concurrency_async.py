@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import os
 import time
 import weakref
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Hashable, Sequence
@@ -140,11 +141,13 @@ def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> Non
 
     Objects are dropped on any thread, with any lock held, and after the loop's end.
     """
-    finalizer = weakref.finalize(owner, _run_soon, asyncio.get_running_loop(), operation)
+    finalizer = weakref.finalize(owner, _run_soon, asyncio.get_running_loop(), os.getpid(), operation)
     finalizer.atexit = False
 
 
-def _run_soon(loop: asyncio.AbstractEventLoop, operation: Callable[[], Awaitable[None]]) -> None:
+def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[], Awaitable[None]]) -> None:
+    if pid != os.getpid():  # in a forked child the loop is the parent's, and what is open there, too
+        return
     with suppress(RuntimeError):  # the loop has ended, and with it all that was open
         loop.call_soon_threadsafe(Background, operation, "closing")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+import os
 import threading
 import time
 import weakref
@@ -124,6 +125,15 @@ class _Dropped:
 
 
 _dropped = _Dropped()
+
+
+def _after_fork() -> None:
+    """The thread is the parent's; what it would have closed is, too."""
+    global _dropped
+    _dropped = _Dropped()
+
+
+os.register_at_fork(after_in_child=_after_fork)
 
 
 def when_dropped(owner: object, operation: Callable[[], object]) -> None:

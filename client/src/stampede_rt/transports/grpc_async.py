@@ -16,6 +16,7 @@ from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
+from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
@@ -133,6 +134,7 @@ class Stream(Generic[Response]):
     def __init__(self, call: Any, target: str) -> None:
         self._call = call
         self._target = target
+        self._forks = forking.forks()
         self._cancelled = False
         when_dropped(self, partial(_give_up, call))
 
@@ -163,7 +165,8 @@ class Stream(Generic[Response]):
     def cancel(self) -> None:
         """Give the stream up."""
         self._cancelled = True
-        self._call.cancel()
+        if self._forks == forking.forks():
+            self._call.cancel()
 
 
 class Conversation(Stream[Response]):
@@ -188,6 +191,7 @@ class _Exchange:
     def __init__(self, call: Any, target: str) -> None:
         self._call = call
         self._target = target
+        self._forks = forking.forks()
         self._writing = asyncio.Lock()
         self._reader = asyncio.create_task(self._read())
         self.broken = False
@@ -223,7 +227,8 @@ class _Exchange:
     def cancel(self) -> None:
         """Give the stream up."""
         self.broken = True
-        self._call.cancel()
+        if self._forks == forking.forks():
+            self._call.cancel()
 
 
 async def _within(future: asyncio.Future[Response], timeout_s: float | None, target: str) -> Response:

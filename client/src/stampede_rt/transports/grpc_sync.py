@@ -16,6 +16,7 @@ from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
+from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
@@ -136,6 +137,7 @@ class Stream(Generic[Response]):
         self._call = call
         self._target = target
         self._watchdog = watchdog
+        self._forks = forking.forks()
         self._cancelled = False
         when_dropped(self, call.cancel)
 
@@ -162,7 +164,8 @@ class Stream(Generic[Response]):
     def cancel(self) -> None:
         """Give the stream up."""
         self._cancelled = True
-        self._call.cancel()
+        if self._forks == forking.forks():
+            self._call.cancel()
 
 
 class Conversation(Stream[Response]):
@@ -191,6 +194,7 @@ class _Exchange:
         self._requests: SimpleQueue[Any] = SimpleQueue()
         self._call: Any = port.begin(method, iter(self._requests.get, None))
         self.broken = False
+        self._forks = forking.forks()
         port.opened(self)
         when_dropped(self, partial(_give_up, self._requests, self._call))  # the thread that owned it is gone
 
@@ -203,7 +207,8 @@ class _Exchange:
     def cancel(self) -> None:
         """Give the stream up."""
         self.broken = True
-        _give_up(self._requests, self._call)
+        if self._forks == forking.forks():
+            _give_up(self._requests, self._call)
 
 
 def _give_up(requests: SimpleQueue[Any], call: Any) -> None:

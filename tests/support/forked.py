@@ -1,0 +1,55 @@
+"""A child that is really forked, and how long it may take."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import select
+import signal
+import sys
+import traceback
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+LIMIT_S = 30
+
+
+def in_a_forked_child(function: Callable[[], Any]) -> Any:
+    """What `function` returns in a forked child of this process; a child that hangs or dies fails the test."""
+    readable, writable = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of threads
+        pid = os.fork()
+    if pid == 0:
+        _be_the_child(function, writable)
+    os.close(writable)
+    try:
+        told = _read(readable)
+    finally:
+        os.close(readable)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    assert told, "the child died without a word"
+    return pickle.loads(told)  # noqa: S301  # of our own child
+
+
+def _be_the_child(function: Callable[[], Any], writable: int) -> None:
+    try:
+        told = pickle.dumps(function())
+        with os.fdopen(writable, "wb") as pipe:
+            pipe.write(told)
+    except BaseException:  # noqa: BLE001  # a child must not go on as pytest
+        traceback.print_exc(file=sys.__stderr__)
+    finally:
+        os._exit(0)
+
+
+def _read(readable: int) -> bytes:
+    told = b""
+    while select.select([readable], [], [], LIMIT_S)[0]:
+        part = os.read(readable, 65536)
+        if not part:
+            return told
+        told += part
+    raise AssertionError(f"the child did not end within {LIMIT_S} s")
