@@ -31,7 +31,7 @@ def in_a_forked_child(function: Callable[[], Any]) -> Any:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
     assert told, "the child died without a word"
-    return pickle.loads(told)  # noqa: S301  # of our own child
+    return pickle.loads(told)
 
 
 def _be_the_child(function: Callable[[], Any], writable: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from stampede_rt.addresses import DEFAULT_URL, parse_addresses
 from stampede_rt.credentials import Credentials, read_secret
@@ -19,7 +19,7 @@ class Target:
     """Where to connect, and as whom."""
 
     frontends: tuple[str, ...]
-    secret: str | None
+    secret: str | None = field(repr=False)
     name: str
     zone: str
     tls: TlsReader | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from stampede_rt.errors import InvalidArgument
 
@@ -74,7 +74,7 @@ class PeerIdentity:
     """What a participant keeps to itself: its id, and the proof that it is the same one when it comes back."""
 
     peer_id: bytes
-    proof: bytes
+    proof: bytes = field(repr=False)
 
     @classmethod
     def parse(cls, name: str, proof: str | None, randomness: bytes) -> PeerIdentity:

@@ -66,6 +66,7 @@ from stampede_rt.model import (
     Reason,
     SupernodeInfo,
 )
+from stampede_rt.passing import Address
 from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
@@ -173,9 +174,10 @@ def connect(
     Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
     """
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
-    session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
+    address = Address.of(target, secret)
+    session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone, reopening=address)
     try:
-        return Connection(session, target.name, proof).open()
+        return Connection(session, target.name, proof)._open()
     except BaseException:
         session.close()
         raise

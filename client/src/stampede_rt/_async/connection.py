@@ -28,6 +28,7 @@ from stampede_rt.grouping import (
     parse_members,
     parse_reference,
 )
+from stampede_rt.handles import Reference
 from stampede_rt.peering import ClockOffset, PeerInfo
 from stampede_rt.policy import parse_name, parse_policy
 from stampede_rt.queueing import QueueStats, parse_prefetch, parse_queue_policy
@@ -37,7 +38,7 @@ from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.wire.groups import group_info, group_spec
 
 
-class Connection(Discovery):
+class Connection(Discovery, Reference):
     """What `connect` gives: the way to channels, queues and the directory. A context manager; close it or leave it."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:
@@ -49,7 +50,19 @@ class Connection(Discovery):
         self._mailbox: Mailbox | None = None
         self._sending = Sending(session)
 
-    async def open(self) -> Connection:
+    def __repr__(self) -> str:
+        name = f", peer {self.name!r}" if self.name else ""
+        return f"<Connection to {','.join(self._session.frontends)}{name}, {self._session.state or 'open'}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.name:
+            raise TypeError(
+                f"the connection of peer {self.name!r} cannot be pickled, since a name belongs to one process: pass a "
+                "channel, or connect there under another name"
+            )
+        return self._session.reopened("connection")
+
+    async def _open(self) -> Connection:
         """Find the cluster and register under the name, within 5 s.
 
         Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cuts import CutSubscription
@@ -36,6 +36,7 @@ from stampede_rt.grouping import (
     parse_tolerance,
     shown_name,
 )
+from stampede_rt.handles import Reference, shown
 from stampede_rt.model import Item, Items
 from stampede_rt.reading import Read, parse_limit
 from stampede_rt.timeline import (
@@ -58,7 +59,7 @@ HOST_TIMEOUT_S = 2.0  # where any of several hosts may answer
 CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already seen may wait to catch up
 
 
-class Group:
+class Group(Reference):
     """A set of channels that are read in step. Handles of one group are equal; any process may hold some."""
 
     def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel]) -> None:
@@ -85,7 +86,13 @@ class Group:
         return hash(self.info.group_id)
 
     def __repr__(self) -> str:
-        return f"<Group {self.name!r} of {', '.join(channel.name for channel in self.channels)}>"
+        members = ", ".join(channel.name for channel in self.channels)
+        state = f", {self._session.state}" if self._session.state else ""
+        return f"{shown('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        codings = [(one.name, one._state.coding) for one in self.channels if one._state.coding is not None]
+        return self._session.reopened("group", self.name, codings)
 
     def __getitem__(self, channel: Named | str) -> GroupChannel:
         """The descriptor of a member, by its handle, whose codec it has, or by its name.
@@ -147,10 +154,10 @@ class Group:
             if self.info.spec_version == version:
                 raise
         except GroupNotFound as error:
-            raise self.explained(error) from None
+            raise self._explained(error) from None
         return await operation()
 
-    def explained(self, error: StampedeError) -> StampedeError:
+    def _explained(self, error: StampedeError) -> StampedeError:
         """The error, which names the group: hosts know groups by their ids."""
         error.concerning("group", self.name)
         return error
@@ -260,7 +267,7 @@ class Group:
         try:
             response = await self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
         except GroupNotFound as error:
-            raise self.explained(error) from None
+            raise self._explained(error) from None
         info = group_info(response.group)
         if info.incarnation != self.incarnation:
             self._view.cut_floor = None
@@ -272,12 +279,12 @@ class Group:
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
         await self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)
 
-    async def targets(self) -> list[str]:
+    async def _targets(self) -> list[str]:
         """The data endpoints of the hosts that own members, each once."""
         bindings = await together([functools.partial(self._session.place, one._state) for one in self.channels])
         return list(dict.fromkeys(binding.target for binding in bindings))
 
-    def forget_places(self) -> None:
+    def _forget_places(self) -> None:
         """Look for the members' hosts anew."""
         for channel in self.channels:
             self._session.cache.forget(channel.info.channel_id)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.session import ChannelState, Session
@@ -29,11 +29,14 @@ class GroupChannel(Reader):
         try:
             items = await super()._read(query)
         except GroupNotFound as error:
-            raise self._group.explained(error) from None
+            raise self._group._explained(error) from None
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
         await self._group.refresh()  # the host is behind what was seen, or the group has begun anew
         return await super()._read(query) if self._group._view.cut_floor is None else items
 
     def __repr__(self) -> str:
-        return f"<GroupChannel {self.name!r} at host {self.host!r}>"
+        return f"{super().__repr__()[:-1]}, through group {self._group.name!r}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._session.reopened("descriptor", self._group, self.name, self._state.coding)

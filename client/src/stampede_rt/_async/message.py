@@ -12,6 +12,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.binding import Binding
 from stampede_rt.codecs import Codec, Coding
 from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.policy import duration_of
 from stampede_rt.queueing import parse_lease
 from stampede_rt.status import from_error_message
@@ -76,7 +77,7 @@ class Settler:
         return response.results
 
 
-class Message:
+class Message(OfOneProcess):
     """An item that a queue or mailbox has leased to this taker. It comes again unless `ack` is called in time.
 
     `deliveries` says which delivery of the item this is, from 1; `time` is when the queue accepted it, in nanoseconds

@@ -13,6 +13,7 @@ from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.binding import Binding
+from stampede_rt.handles import Reference, shown
 from stampede_rt.policy import parse_name
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.reading import Wait
@@ -54,6 +55,10 @@ class Taking:
         """Which life of it this is, as last known; another one means that items may have been lost."""
         return self._state.info.incarnation
 
+    def __repr__(self) -> str:
+        state = self._session.state or ("closed" if self._taker.closed else "")
+        return shown(type(self).__name__, self.name, self.info.queue_id, self.host, state)
+
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and other._state.info.queue_id == self._state.info.queue_id
 
@@ -91,7 +96,7 @@ class Taking:
         await self._taker.end()
 
 
-class Queue(Taking):
+class Queue(Taking, Reference):
     """A named queue. Handles of the same queue are equal; any number may put and take anywhere.
 
     A context manager, which closes the handle. Items come in the order of their acceptance, each to one taker at a
@@ -104,8 +109,11 @@ class Queue(Taking):
         self._puts = Puts(session, place, Port.enqueues)
         self._numbers = Numbers()
 
-    def __repr__(self) -> str:
-        return f"<Queue {self.name!r} at host {self.host!r}>"
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = self._state
+        return self._session.reopened(
+            "queue", self.name, state.stated, state.create, state.coding, self._taker.prefetch
+        )
 
     async def __aenter__(self) -> Queue:
         return self

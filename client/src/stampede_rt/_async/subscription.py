@@ -10,6 +10,7 @@ from typing import Any
 from stampede_rt._async.session import ChannelState, Session
 from stampede_rt.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Item
 from stampede_rt.timeline import Bound
 from stampede_rt.transports.concurrency_async import begin_now
@@ -22,7 +23,7 @@ from stampede_rt.wire.runs import ItemDecoder
 _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_MODE_NEWEST}
 
 
-class Subscription:
+class Subscription(OfOneProcess):
     """An iterator over items (see `Channel.subscribe`), and a context manager.
 
     `skipped` counts what "newest" passed over, `dropped` what retention collected before a slow reader took it.
@@ -77,6 +78,10 @@ class Subscription:
         self = cls(session, state, request)
         begin_now(self._open)
         return self
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("closed" if self._closed else "")
+        return f"<Subscription to channel {self._state.info.name!r}{f', {state}' if state else ''}>"
 
     async def __aenter__(self) -> Subscription:
         self._session.check_process()

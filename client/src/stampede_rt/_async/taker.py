@@ -50,7 +50,7 @@ class Taker:
         self._session = session
         self._place = place
         self._state = state
-        self._prefetch = prefetch
+        self.prefetch = prefetch
         self._taker_id = int.from_bytes(os.urandom(8), "little") | 1
         self._settler = Settler(session, place, self._taker_id)
         self._mutex = Mutex()  # guards everything below
@@ -117,7 +117,7 @@ class Taker:
 
     def _wanted(self) -> int:
         waiting = sum(not waiter.leaving for waiter in self._waiting)
-        ahead = self._prefetch if self._prefetch > 1 and not self.closed else 0
+        ahead = self.prefetch if self.prefetch > 1 and not self.closed else 0
         return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
 
     async def _ask(self) -> None:
@@ -131,7 +131,7 @@ class Taker:
             stream, asking = self._stream, tuple(self._waiting)
             if stream is None or self._draining:  # the next one is opened with what is wanted then
                 return
-            if not asking and more * 2 < self._prefetch:  # prefetched ones are asked for in batches
+            if not asking and more * 2 < self.prefetch:  # prefetched ones are asked for in batches
                 return
             self._credit += max(more, 0)
         if more > 0:
@@ -255,7 +255,7 @@ class Taker:
         with self._mutex:
             self._credit -= 1
             waiter = self._waiting.popleft() if self._waiting else None
-            if waiter is None and self._prefetch > 1 and not self.closed:
+            if waiter is None and self.prefetch > 1 and not self.closed:
                 self._ready.append(message)
                 return True
         if waiter is None:

@@ -10,6 +10,7 @@ from typing import Any, Generic, Self, TypeVar
 from stampede_rt._async.session import Session
 from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Change
 from stampede_rt.peering import PeerChange
 from stampede_rt.retry import Backoff
@@ -22,7 +23,7 @@ from stampede_rt.wire.records import change
 Told = TypeVar("Told")
 
 
-class Following(Generic[Told]):
+class Following(OfOneProcess, Generic[Told]):
     """Changes told by a supernode, one after the other; another one goes on from where the last one was."""
 
     def __init__(self, session: Session, request: Any) -> None:
@@ -33,6 +34,10 @@ class Following(Generic[Told]):
         self._ready: deque[Told] = deque()
         self._closed = False
         begin_now(self._open)
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("closed" if self._closed else "")
+        return f"<{type(self).__name__} of {self._request.name_glob!r}{f', {state}' if state else ''}>"
 
     async def __aenter__(self) -> Self:
         self._session.check_process()

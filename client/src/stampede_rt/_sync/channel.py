@@ -44,8 +44,8 @@ class Channel(Reader):
         self._puts = Puts(session, ChannelPlace(session, state), Port.puts)
         self._numbers = Numbers()
 
-    def __repr__(self) -> str:
-        return f"<Channel {self.name!r} at host {self.host!r}>"
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._session.reopened("channel", self.name, self._state.stated, self._state.create, self._state.coding)
 
     def put(
         self,

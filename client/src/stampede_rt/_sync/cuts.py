@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.grouping import ByChannel, Cut
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.retry import Backoff
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_sync import Conversation
@@ -45,7 +46,7 @@ class _Talk:
                 return boundary
 
 
-class CutSubscription:
+class CutSubscription(OfOneProcess):
     """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. `close` works from anywhere.
 
     One host decides when an event is due, and the others bring theirs up to the same cut. When a host is lost, or the
@@ -62,6 +63,10 @@ class CutSubscription:
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
         begin_now(self._open)
+
+    def __repr__(self) -> str:
+        state = self._group._session.state or ("closed" if self._closed else "")
+        return f"<CutSubscription of group {self._group.name!r}{f', {state}' if state else ''}>"
 
     def __enter__(self) -> CutSubscription:
         self._group._session.check_process()
@@ -92,8 +97,8 @@ class CutSubscription:
                     break
                 if not error.retryable:
                     self._closed = True
-                    raise self._group.explained(error) from None
-                self._group.forget_places()
+                    raise self._group._explained(error) from None
+                self._group._forget_places()
             except BaseException:  # an interrupt: the event that was under way comes again from its beginning
                 self._hang_up()
                 raise
@@ -121,7 +126,7 @@ class CutSubscription:
                     return
                 if not error.retryable or self._group._session.closed:
                     raise
-                self._group.forget_places()
+                self._group._forget_places()
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:
                     raise
@@ -131,7 +136,7 @@ class CutSubscription:
         self._group.refresh()  # others may have let members in or out
         self._keep_members_only()
         try:
-            for target in self._group.targets():
+            for target in self._group._targets():
                 port = self._group._session.ports.to(target)
                 talk = _Talk(port.converse(port.groups.SubscribeCuts))
                 self._beginning.append(talk)

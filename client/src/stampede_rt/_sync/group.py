@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cuts import CutSubscription
@@ -37,6 +37,7 @@ from stampede_rt.grouping import (
     parse_tolerance,
     shown_name,
 )
+from stampede_rt.handles import Reference, shown
 from stampede_rt.model import Item, Items
 from stampede_rt.reading import Read, parse_limit
 from stampede_rt.timeline import (
@@ -59,7 +60,7 @@ HOST_TIMEOUT_S = 2.0  # where any of several hosts may answer
 CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already seen may wait to catch up
 
 
-class Group:
+class Group(Reference):
     """A set of channels that are read in step. Handles of one group are equal; any process may hold some."""
 
     def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel]) -> None:
@@ -86,7 +87,13 @@ class Group:
         return hash(self.info.group_id)
 
     def __repr__(self) -> str:
-        return f"<Group {self.name!r} of {', '.join(channel.name for channel in self.channels)}>"
+        members = ", ".join(channel.name for channel in self.channels)
+        state = f", {self._session.state}" if self._session.state else ""
+        return f"{shown('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        codings = [(one.name, one._state.coding) for one in self.channels if one._state.coding is not None]
+        return self._session.reopened("group", self.name, codings)
 
     def __getitem__(self, channel: Named | str) -> GroupChannel:
         """The descriptor of a member, by its handle, whose codec it has, or by its name.
@@ -148,10 +155,10 @@ class Group:
             if self.info.spec_version == version:
                 raise
         except GroupNotFound as error:
-            raise self.explained(error) from None
+            raise self._explained(error) from None
         return operation()
 
-    def explained(self, error: StampedeError) -> StampedeError:
+    def _explained(self, error: StampedeError) -> StampedeError:
         """The error, which names the group: hosts know groups by their ids."""
         error.concerning("group", self.name)
         return error
@@ -259,7 +266,7 @@ class Group:
         try:
             response = self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
         except GroupNotFound as error:
-            raise self.explained(error) from None
+            raise self._explained(error) from None
         info = group_info(response.group)
         if info.incarnation != self.incarnation:
             self._view.cut_floor = None
@@ -271,12 +278,12 @@ class Group:
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
         self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)
 
-    def targets(self) -> list[str]:
+    def _targets(self) -> list[str]:
         """The data endpoints of the hosts that own members, each once."""
         bindings = together([functools.partial(self._session.place, one._state) for one in self.channels])
         return list(dict.fromkeys(binding.target for binding in bindings))
 
-    def forget_places(self) -> None:
+    def _forget_places(self) -> None:
         """Look for the members' hosts anew."""
         for channel in self.channels:
             self._session.cache.forget(channel.info.channel_id)

@@ -10,6 +10,7 @@ from typing import Any
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.errors import IncarnationLost, StampedeError
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.transports.concurrency_sync import Background, Beginning, Signal, call_back, check_callback
 
 END_TIMEOUT_S = 1.0
@@ -21,7 +22,7 @@ def worth_a_line(count: int) -> bool:
     return count & (count - 1) == 0
 
 
-class Listener(Beginning):
+class Listener(Beginning, OfOneProcess):
     """What calls a function for each item (see `Channel.on_item`), one after the other, until `cancel`.
 
     `delivered` counts finished calls, `failures` those that raised, `last_failure` is what the last of them raised;
@@ -58,6 +59,10 @@ class Listener(Beginning):
     def skipped(self) -> int:
         """Items that mode "newest" passed over."""
         return self._skipped_before + self._subscription.skipped
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("" if self.active else "ended")
+        return f"<Listener of {self._name}{f', {state}' if state else ''}>"
 
     def cancel(self) -> None:
         """Begin no further call. One that is under way goes on; `join` waits for it. Callable from anywhere."""

@@ -13,6 +13,7 @@ from stampede_rt._sync.reads import read
 from stampede_rt.binding import Binding
 from stampede_rt.errors import StampedeError
 from stampede_rt.grouping import Matched
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Item
 from stampede_rt.reading import Read, Wait
 from stampede_rt.timeline import Match, parse_interval
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from stampede_rt._sync.group import Group
 
 
-class MatchSubscription:
+class MatchSubscription(OfOneProcess):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. `close` may be called from anywhere.
 
     `unmatched` counts items that some member had nothing for, `dropped` those that retention took before they could be
@@ -48,6 +49,10 @@ class MatchSubscription:
         self.unmatched = 0
         self.dropped = 0
         begin_now(self._open)
+
+    def __repr__(self) -> str:
+        state = self._group._session.state or ("closed" if self._closed else "")
+        return f"<MatchSubscription of group {self._group.name!r}{f', {state}' if state else ''}>"
 
     def __enter__(self) -> MatchSubscription:
         self._group._session.check_process()
@@ -119,8 +124,8 @@ class MatchSubscription:
             self._resume()
             if not error.retryable or self._group._session.closed:
                 self._closed = True
-                raise self._group.explained(error) from None
-            self._group.forget_places()
+                raise self._group._explained(error) from None
+            self._group._forget_places()
         except BaseException:  # an interrupt: what was being fetched comes again
             self._resume()
             raise

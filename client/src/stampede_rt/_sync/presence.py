@@ -22,6 +22,7 @@ from stampede_rt.errors import (
     StampedeError,
     Unavailable,
 )
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.peering import ClockOffset, PeerIdentity, PeerInfo
 from stampede_rt.queueing import QueuePolicy
 from stampede_rt.transports.concurrency_sync import Background, Signal
@@ -230,12 +231,9 @@ class MailboxPlace(QueuePlace):
             error.retryable = True
 
 
-class Mailbox(Taking):
+class Mailbox(Taking, OfOneProcess):
     """What other participants send to this one (see `Connection.send`): a queue that comes and goes with it."""
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
         super().__init__(session, state, MailboxPlace(session, presence, state), 1)
         presence.on_lost = self._taker.interrupt
-
-    def __repr__(self) -> str:
-        return f"<Mailbox of peer {self.name!r} at host {self.host!r}>"

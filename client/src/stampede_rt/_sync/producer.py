@@ -16,6 +16,7 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, req
 from stampede_rt.batching import NumberedRun, RunBuilder
 from stampede_rt.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.policy import content_type_of
 from stampede_rt.retry import Backoff
@@ -33,7 +34,7 @@ ITEM_OVERHEAD_BYTES = 64
 _in_flight: set[Producer] = set()  # held until their items are acked, even if nobody else holds them any more
 
 
-class Producer:
+class Producer(OfOneProcess):
     """Puts that do not wait for their acks, with bounded bytes in flight (see `Channel.producer`).
 
     Use it as a context manager, from one thread or task; leaving it flushes. One that is dropped without being closed
@@ -62,6 +63,11 @@ class Producer:
         self.rejections = 0
         self.rejected: list[StampedeError] = []
         when_dropped(self, partial(_give_up, self._opened))
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("closed" if self._finished else "")
+        ended = f", {state}" if state else ""
+        return f"<Producer of channel {self._state.info.name!r}, {self.accepted} accepted{ended}>"
 
     def __enter__(self) -> Producer:
         return self

@@ -11,6 +11,7 @@ from stampede_rt._sync.reads import read
 from stampede_rt._sync.session import ChannelState, Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.grouping import GroupView
+from stampede_rt.handles import Reference, shown
 from stampede_rt.model import ChannelInfo, Item, Items
 from stampede_rt.reading import Read, Wait, after_position, parse_limit
 from stampede_rt.timeline import (
@@ -26,7 +27,7 @@ from stampede_rt.timeline import (
 )
 
 
-class Reader:
+class Reader(Reference):
     """What can be read by time. `view` is the group that it is read through, None for the whole channel."""
 
     def __init__(self, session: Session, state: ChannelState, view: GroupView | None = None) -> None:
@@ -59,6 +60,9 @@ class Reader:
 
     def __hash__(self) -> int:
         return hash(self._identity())
+
+    def __repr__(self) -> str:
+        return shown(type(self).__name__, self.name, self.info.channel_id, self.host, self._session.state)
 
     def _identity(self) -> tuple[bytes, bytes]:
         return self._state.info.channel_id, self._view.group_id if self._view else b""

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from stampede_rt._sync.listener import END_TIMEOUT_S, worth_a_line
 from stampede_rt._sync.session import Session
 from stampede_rt.errors import ChannelNotFound, StampedeError
+from stampede_rt.handles import OfOneProcess
 from stampede_rt.periods import Periods
 from stampede_rt.transports.concurrency_sync import (
     Background,
@@ -47,7 +48,7 @@ class MonotonicClock:
         return stop.wait(timeout_nanos / 1e9)
 
 
-class Sampler(Beginning):
+class Sampler(Beginning, OfOneProcess):
     """What asks a function for an item every so often (see `Channel.sample`), until `cancel`.
 
     `samples` counts items put, `missed` periods that passed while the function or a put took too long. `failures`
@@ -83,6 +84,10 @@ class Sampler(Beginning):
     def missed(self) -> int:
         """Periods that passed without a sample."""
         return self._periods.missed
+
+    def __repr__(self) -> str:
+        state = self._session.state or ("" if self.active else "ended")
+        return f"<Sampler of {self._name}{f', {state}' if state else ''}>"
 
     def cancel(self) -> None:
         """Begin no further call. One that is under way goes on; `join` waits for it. Callable from any thread."""

@@ -65,8 +65,18 @@ class ChannelState:
 class Session:
     """The caches and the retries behind every handle of one connection."""
 
-    def __init__(self, frontends: tuple[str, ...], credentials: Credentials, *, peer_name: str, zone: str) -> None:
+    def __init__(
+        self,
+        frontends: tuple[str, ...],
+        credentials: Credentials,
+        *,
+        peer_name: str,
+        zone: str,
+        reopening: object | None = None,
+    ) -> None:
+        self.frontends = frontends
         self.zone = zone
+        self._reopening = reopening
         self.ports = Ports(credentials)
         self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
@@ -96,6 +106,20 @@ class Session:
     def inherited(self) -> bool:
         """The connection was made before this process was forked, and is of no use in it."""
         return self.ports.inherited
+
+    @property
+    def state(self) -> str:
+        """What keeps the connection from being used, for people; "" if nothing does."""
+        return "of the parent process" if self.inherited else "connection closed" if self.closed else ""
+
+    def reopened(self, kind: str, *arguments: object) -> tuple[Callable[..., object], tuple[object, ...]]:
+        """What pickle writes for a handle of this connection: how another process opens it. Raises TypeError."""
+        if self._reopening is None:
+            raise TypeError(
+                f"a {kind} of stampede_rt.aio belongs to its event loop and cannot be pickled: pass its name, and open "
+                "it there with await"
+            )
+        return getattr(self._reopening, kind), arguments
 
     def check_process(self) -> None:
         """Raises ForkedProcess if the connection is inherited."""

@@ -57,7 +57,7 @@ class _Connecting:
         target = self._target
         session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
         try:
-            self._connection = await Connection(session, target.name, self._proof).open()
+            self._connection = await Connection(session, target.name, self._proof)._open()
         except BaseException:
             await session.aclose()
             raise
