@@ -51,6 +51,17 @@ def test_the_awaited_program_prints_what_it_put(cluster: LocalCluster) -> None:
     assert "b'live'" in run_program(PROGRAMS[1], cluster)
 
 
+@pytest.mark.timeout(300)  # mypy reads all that gRPC and protobuf say of themselves
+def test_the_programs_pass_a_strict_type_check(tmp_path: Path) -> None:
+    for number, program in enumerate(PROGRAMS):
+        (tmp_path / f"program_{number}.py").write_text(program)
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", "--follow-imports=silent", "."],
+        cwd=tmp_path, capture_output=True, text=True, timeout=280, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def run_program(program: str, cluster: LocalCluster) -> str:
     text = program.replace("localhost:7580", cluster.address)
     done = subprocess.run(

@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 from stampede_rt.errors import CodecError, InvalidArgument
 from stampede_rt.model import Item
@@ -37,6 +37,10 @@ class Codec(Protocol):
     def decode(self, payload: bytes) -> Any:
         """The value that `payload` was made of."""
         ...
+
+
+CodecLike = Literal["bytes", "json", "numpy"] | Codec
+"""A codec by name, or an own one."""
 
 
 class JsonCodec:

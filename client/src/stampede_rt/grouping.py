@@ -7,14 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, Literal, Protocol, TypeVar, get_args
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import ChannelInfo, Item, Items
 from stampede_rt.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64
-BOUNDS = ("start", "end")
+GroupBound = Literal["start", "end"]
+"""Where a channel's newest item is cut: at its time, or where its duration ends."""
+Over = Literal["start", "span"]
+"""What a cross-section is taken at: a moment, or all of an item's span."""
+BOUNDS: tuple[GroupBound, ...] = get_args(GroupBound)
 OLDEST_REFERENCE = "oldest"
 MAX_LEAD_DEFAULT = "5s"
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, overload
 
 from stampede_rt.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32
+OnFull = Literal["drop_oldest", "block", "reject"]
+"""What becomes of a put on a full channel or queue."""
+ChangeKind = Literal["added", "updated", "removed"]
 
 
 class Item(NamedTuple):
@@ -138,7 +141,7 @@ class Policy:
     max_items: int | None = None
     max_bytes: int | None = None
     consumers: int | None = None
-    on_full: str | None = None
+    on_full: OnFull | None = None
     max_future_nanos: int | None = None
     content_type: str | None = None
     max_item_bytes: int | None = None
@@ -230,5 +233,5 @@ class Change:
     """One change of the directory: `kind` is "added", "updated" or "removed"; `subject` is as it is after it."""
 
     index: int
-    kind: str
+    kind: ChangeKind
     subject: ChannelInfo | HostInfo

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import ChangeKind
 
 PROOF_CHARACTERS_MIN = 16
 
@@ -65,7 +66,7 @@ class PeerChange:
     """One change among the peers: `kind` is "added", "updated" or "removed"; `peer` is as it is after it."""
 
     index: int
-    kind: str
+    kind: ChangeKind
     peer: PeerInfo
 
 

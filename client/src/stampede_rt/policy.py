@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import operator
 import re
+from typing import get_args
 
 from stampede_rt.errors import InvalidArgument, InvalidName
-from stampede_rt.model import Policy
+from stampede_rt.model import OnFull, Policy
 from stampede_rt.timeline import DurationLike, parse_duration
 
 NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
 """Of channels, groups, queues, peers and hosts. Names that differ only in case are different names."""
 _NAME = re.compile(NAME_GRAMMAR)
-ON_FULL = ("drop_oldest", "block", "reject")
+ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
 
 
 def parse_name(name: str, what: str = "channel") -> str:
@@ -31,7 +32,7 @@ def parse_policy(
     max_items: int | None = None,
     max_bytes: int | None = None,
     consumers: int | None = None,
-    on_full: str | None = None,
+    on_full: OnFull | None = None,
     max_future: DurationLike | None = None,
     content_type: str | None = None,
     max_age_unconsumed: DurationLike | None = None,

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.model import OnFull
 from stampede_rt.policy import content_type_of, count_of, duration_of
 from stampede_rt.timeline import DurationLike
 
@@ -25,7 +26,7 @@ class QueuePolicy:
 
     max_items: int | None = None
     max_bytes: int | None = None
-    on_full: str | None = None
+    on_full: OnFull | None = None
     copies: int | None = None
     lease_nanos: int | None = None
     max_deliveries: int | None = None
@@ -85,7 +86,7 @@ def parse_queue_policy(
     max_items: int | None = None,
     max_bytes: int | None = None,
     copies: int | None = None,
-    on_full: str | None = None,
+    on_full: OnFull | None = None,
     lease: DurationLike | None = None,
     max_deliveries: int | None = None,
     dead_letter_queue_id: bytes | None = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Item
@@ -11,6 +12,8 @@ from stampede_rt.policy import flag_of, whole_number_of
 from stampede_rt.timeline import InstantLike, Interval, Match, parse_instant
 
 TIMEOUT_S_MAX = 10**9
+SubscribeMode = Literal["all", "newest"]
+"""What a subscription delivers: every item, or the latest one, never going back."""
 RENEW_S = 30.0  # a wait without limit asks again so often
 
 

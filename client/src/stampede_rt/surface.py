@@ -19,7 +19,7 @@ from stampede_rt._sync.sampler import Sampler
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.watch import PeerWatch, Watch
-from stampede_rt.codecs import Codec
+from stampede_rt.codecs import Codec, CodecLike
 from stampede_rt.connecting import parse_target
 from stampede_rt.errors import (
     ChannelExists,
@@ -62,6 +62,7 @@ from stampede_rt.model import (
     HostInfo,
     Item,
     Items,
+    OnFull,
     Policy,
     Reason,
     SupernodeInfo,
@@ -69,7 +70,20 @@ from stampede_rt.model import (
 from stampede_rt.passing import Address
 from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
-from stampede_rt.timeline import NEWEST, NOW, OLDEST, Bound, ResolvedInterval, last
+from stampede_rt.reading import SubscribeMode
+from stampede_rt.timeline import (
+    NEWEST,
+    NOW,
+    OLDEST,
+    Bound,
+    BoundLike,
+    Bounds,
+    DurationLike,
+    InstantLike,
+    MatchLike,
+    ResolvedInterval,
+    last,
+)
 from stampede_rt.tls import TlsFiles
 from stampede_rt.version import VERSION as __version__  # noqa: N811
 
@@ -78,6 +92,8 @@ __all__ = [
     "NOW",
     "OLDEST",
     "Bound",
+    "BoundLike",
+    "Bounds",
     "ByChannel",
     "Change",
     "Channel",
@@ -89,12 +105,14 @@ __all__ = [
     "ClockOffset",
     "Codec",
     "CodecError",
+    "CodecLike",
     "Connection",
     "ConsumerStats",
     "CrossSection",
     "Cut",
     "CutSubscription",
     "DeadlineExceeded",
+    "DurationLike",
     "ForkedProcess",
     "Full",
     "Group",
@@ -108,6 +126,7 @@ __all__ = [
     "HostNotFound",
     "InFuture",
     "IncarnationLost",
+    "InstantLike",
     "InvalidArgument",
     "InvalidInterval",
     "InvalidName",
@@ -117,10 +136,12 @@ __all__ = [
     "LeaseExpired",
     "Listener",
     "Mailbox",
+    "MatchLike",
     "MatchSubscription",
     "Matched",
     "MemberStatus",
     "Message",
+    "OnFull",
     "Overloaded",
     "PeerChange",
     "PeerExists",
@@ -141,6 +162,7 @@ __all__ = [
     "ResolvedInterval",
     "Sampler",
     "StampedeError",
+    "SubscribeMode",
     "Subscription",
     "SupernodeInfo",
     "TlsFiles",

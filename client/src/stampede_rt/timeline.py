@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from enum import Enum
 from itertools import pairwise
+from typing import Literal
 
 from stampede_rt.errors import InvalidArgument, InvalidInterval
 
@@ -32,7 +33,11 @@ _DURATION = re.compile(r"([+-]?\d+(?:\.\d+)?) ?(ns|us|ms|s|m|h|d)")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 DurationLike = str | timedelta
+"""A length of time: "30ms", "1.5 s" or a timedelta."""
 InstantLike = int | datetime
+"""A moment: int nanoseconds since the epoch, or a datetime with a timezone."""
+Bounds = Literal["[]", "[)", "(]", "()"]
+"""Which ends of an interval belong to it."""
 
 
 def parse_duration(value: DurationLike, what: str = "a duration") -> int:
@@ -141,6 +146,7 @@ NEWEST = Bound(MetaTime.NEWEST)
 OLDEST = Bound(MetaTime.OLDEST)
 
 BoundLike = Bound | InstantLike
+"""An end of an interval: a moment, or NOW, NEWEST or OLDEST, with an offset if wanted."""
 
 
 def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
@@ -237,6 +243,10 @@ class Match(Enum):
     SPAN = "span"
     WHOLE = "whole"
     START = "start"
+
+
+MatchLike = Literal["span", "whole", "start"] | Match
+"""Which items an interval selects, by name."""
 
 
 def parse_match(value: str | Match) -> Match:

@@ -21,7 +21,7 @@ from stampede_rt._async.session import (
 )
 from stampede_rt.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
-from stampede_rt.model import ChannelStats, Item, Policy
+from stampede_rt.model import ChannelStats, Item, OnFull, Policy
 from stampede_rt.policy import parse_policy
 from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
@@ -136,7 +136,7 @@ class Channel(Reader):
         max_items: int | None = None,
         max_bytes: int | None = None,
         consumers: int | None = None,
-        on_full: str | None = None,
+        on_full: OnFull | None = None,
         max_future: DurationLike | None = None,
         max_age_unconsumed: DurationLike | None = None,
     ) -> Policy:

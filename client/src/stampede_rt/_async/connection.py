@@ -18,17 +18,20 @@ from stampede_rt._async.queue_place import QueueState, open_queue
 from stampede_rt._async.sending import Sending
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, left_s, request_id
 from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S
-from stampede_rt.codecs import Codec, Coding
+from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.grouping import (
     MAX_LEAD_DEFAULT,
     OLDEST_REFERENCE,
     CrossSection,
+    GroupBound,
+    Over,
     parse_group_bound,
     parse_members,
     parse_reference,
 )
 from stampede_rt.handles import Reference
+from stampede_rt.model import OnFull
 from stampede_rt.peering import ClockOffset, PeerInfo
 from stampede_rt.policy import parse_name, parse_policy
 from stampede_rt.queueing import QueueStats, parse_prefetch, parse_queue_policy
@@ -107,11 +110,11 @@ class Connection(Discovery, Reference):
         max_items: int | None = None,
         max_bytes: int | None = None,
         consumers: int | None = None,
-        on_full: str | None = None,
+        on_full: OnFull | None = None,
         max_future: DurationLike | None = None,
         max_age_unconsumed: DurationLike | None = None,
         content_type: str | None = None,
-        codec: str | Codec | None = None,
+        codec: CodecLike | None = None,
         host: str | None = None,
         create: bool = True,
     ) -> Channel:
@@ -147,7 +150,7 @@ class Connection(Discovery, Reference):
         channels: Sequence[Channel] | None = None,
         *,
         reference: Channel | str = OLDEST_REFERENCE,
-        bound: str = "start",
+        bound: GroupBound = "start",
         idle_after: DurationLike | None = None,
         max_lead: DurationLike = MAX_LEAD_DEFAULT,
     ) -> Group:
@@ -181,7 +184,7 @@ class Connection(Discovery, Reference):
         others: Sequence[Channel | GroupChannel],
         at: BoundLike = NOW,
         *,
-        over: str = "start",
+        over: Over = "start",
         complete: bool = False,
         payloads: bool = True,
         timeout: float | None = 0,
@@ -203,12 +206,12 @@ class Connection(Discovery, Reference):
         max_items: int | None = None,
         max_bytes: int | None = None,
         copies: int | None = None,
-        on_full: str | None = None,
+        on_full: OnFull | None = None,
         lease: DurationLike | None = None,
         max_deliveries: int | None = None,
         dead_letter: Queue | str | None = None,
         content_type: str | None = None,
-        codec: str | Codec | None = None,
+        codec: CodecLike | None = None,
         prefetch: int = 1,
         host: str | None = None,
         create: bool = True,
@@ -252,7 +255,7 @@ class Connection(Discovery, Reference):
         *,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
-        codec: str | Codec | None = None,
+        codec: CodecLike | None = None,
     ) -> int:
         """Put a message into the mailbox of a participant, named or as `peers` gave it; its seq there is returned.
 

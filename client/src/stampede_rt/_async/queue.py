@@ -14,6 +14,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.binding import Binding
 from stampede_rt.handles import Reference, shown
+from stampede_rt.model import OnFull
 from stampede_rt.policy import parse_name
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.reading import Wait
@@ -148,7 +149,7 @@ class Queue(Taking, Reference):
         max_items: int | None = None,
         max_bytes: int | None = None,
         copies: int | None = None,
-        on_full: str | None = None,
+        on_full: OnFull | None = None,
         lease: DurationLike | None = None,
         max_deliveries: int | None = None,
         dead_letter: Queue | str | None = None,

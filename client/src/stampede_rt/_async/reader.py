@@ -12,14 +12,16 @@ from stampede_rt._async.subscription import Subscription
 from stampede_rt.grouping import GroupView
 from stampede_rt.handles import Reference, shown
 from stampede_rt.model import ChannelInfo, Item, Items
-from stampede_rt.reading import Read, Wait, after_position, parse_limit
+from stampede_rt.reading import Read, SubscribeMode, Wait, after_position, parse_limit
 from stampede_rt.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     OLDEST,
     BoundLike,
+    Bounds,
     InstantLike,
     Match,
+    MatchLike,
     parse_bound,
     parse_interval,
     parse_match,
@@ -71,8 +73,8 @@ class Reader(Reference):
         start: BoundLike,
         end: BoundLike,
         *,
-        bounds: str = "[]",
-        match: str | Match = "span",
+        bounds: Bounds = "[]",
+        match: MatchLike = "span",
         limit: int | None = None,
         newest_first: bool = False,
         after: Item | InstantLike | None = None,
@@ -128,7 +130,7 @@ class Reader(Reference):
         self,
         start: BoundLike,
         end: BoundLike,
-        bounds: str,
+        bounds: Bounds,
         newest_first: bool,
         newer_than: Item | InstantLike | None,
         payloads: bool,
@@ -153,7 +155,7 @@ class Reader(Reference):
     def subscribe(
         self,
         start: BoundLike | None = None,
-        mode: str = "all",
+        mode: SubscribeMode = "all",
         after: Item | None = None,
         *,
         payloads: bool = True,
@@ -180,7 +182,7 @@ class Reader(Reference):
         self,
         fn: Callable[[Item], Any],
         start: BoundLike | None = None,
-        mode: str = "all",
+        mode: SubscribeMode = "all",
         after: Item | None = None,
         *,
         payloads: bool = True,

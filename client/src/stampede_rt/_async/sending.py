@@ -8,7 +8,7 @@ from typing import Any
 from stampede_rt._async.peer_place import PeerPlace
 from stampede_rt._async.puts import Numbers, Puts, Single
 from stampede_rt._async.session import Session
-from stampede_rt.codecs import Codec, Coding
+from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_async import Mutex
 from stampede_rt.transports.grpc_async import Port
@@ -32,7 +32,7 @@ class Sending:
         timeout: float | None,
         attributes: Mapping[str, str] | None,
         content_type: str | None,
-        codec: str | Codec | None,
+        codec: CodecLike | None,
     ) -> int:
         """Put one message; its seq. See `Connection.send`."""
         self._session.check()

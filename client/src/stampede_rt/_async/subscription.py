@@ -12,6 +12,7 @@ from stampede_rt.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Item
+from stampede_rt.reading import SubscribeMode
 from stampede_rt.timeline import Bound
 from stampede_rt.transports.concurrency_async import begin_now
 from stampede_rt.transports.grpc_async import Stream
@@ -56,7 +57,7 @@ class Subscription(OfOneProcess):
         state: ChannelState,
         *,
         start: Bound | None,
-        mode: str,
+        mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
         group_id: bytes | None = None,

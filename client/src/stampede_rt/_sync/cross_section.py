@@ -9,10 +9,10 @@ from typing import TypeVar
 
 from stampede_rt._sync.reader import Reader
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.grouping import ByChannel, CrossSection
+from stampede_rt.grouping import ByChannel, CrossSection, Over
 from stampede_rt.model import Item, Items
 from stampede_rt.reading import Wait
-from stampede_rt.timeline import NOW, BoundLike
+from stampede_rt.timeline import NOW, BoundLike, Bounds
 from stampede_rt.transports.concurrency_sync import monotonic_s, together
 
 Key = TypeVar("Key", bound=Reader)
@@ -23,7 +23,7 @@ def cross_section(
     others: Sequence[Key],
     at: BoundLike,
     *,
-    over: str,
+    over: Over,
     complete: bool,
     payloads: bool,
     timeout: float | None,
@@ -51,10 +51,10 @@ def cross_section(
     return CrossSection(time=held[-1].time if held else None, items=ByChannel([reference, *others], found))
 
 
-def _beside(other: Reader, item: Item, over: str, *, complete: bool, payloads: bool, timeout: float | None) -> Items:
+def _beside(other: Reader, item: Item, over: Over, *, complete: bool, payloads: bool, timeout: float | None) -> Items:
     """What `other` holds at the item's time, or over its span; an open span reaches to now."""
     end: BoundLike = item.time
-    bounds = "[]"
+    bounds: Bounds = "[]"
     if over == "span" and item.end != item.time:
         end, bounds = (NOW, "[]") if item.end is None else (item.end, "[)")
     return other.get(item.time, end, bounds=bounds, payloads=payloads, timeout=timeout, complete=complete)

@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt._sync.attempts import Place, attempt
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.binding import Binding
-from stampede_rt.codecs import Codec, Coding
+from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.policy import duration_of
@@ -110,7 +110,7 @@ class Message(OfOneProcess):
             return self.payload
         return self._coding.decode(self.payload, self.content_type, f"item #{self.seq}")
 
-    def decode(self, codec: str | Codec) -> Any:
+    def decode(self, codec: CodecLike) -> Any:
         """The payload as `codec` decodes it: for a mailbox, to whose senders each its own codec may be right.
 
         Raises CodecError, also if the message's content type is not the codec's.

@@ -13,14 +13,16 @@ from stampede_rt._sync.subscription import Subscription
 from stampede_rt.grouping import GroupView
 from stampede_rt.handles import Reference, shown
 from stampede_rt.model import ChannelInfo, Item, Items
-from stampede_rt.reading import Read, Wait, after_position, parse_limit
+from stampede_rt.reading import Read, SubscribeMode, Wait, after_position, parse_limit
 from stampede_rt.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     OLDEST,
     BoundLike,
+    Bounds,
     InstantLike,
     Match,
+    MatchLike,
     parse_bound,
     parse_interval,
     parse_match,
@@ -72,8 +74,8 @@ class Reader(Reference):
         start: BoundLike,
         end: BoundLike,
         *,
-        bounds: str = "[]",
-        match: str | Match = "span",
+        bounds: Bounds = "[]",
+        match: MatchLike = "span",
         limit: int | None = None,
         newest_first: bool = False,
         after: Item | InstantLike | None = None,
@@ -129,7 +131,7 @@ class Reader(Reference):
         self,
         start: BoundLike,
         end: BoundLike,
-        bounds: str,
+        bounds: Bounds,
         newest_first: bool,
         newer_than: Item | InstantLike | None,
         payloads: bool,
@@ -154,7 +156,7 @@ class Reader(Reference):
     def subscribe(
         self,
         start: BoundLike | None = None,
-        mode: str = "all",
+        mode: SubscribeMode = "all",
         after: Item | None = None,
         *,
         payloads: bool = True,
@@ -181,7 +183,7 @@ class Reader(Reference):
         self,
         fn: Callable[[Item], Any],
         start: BoundLike | None = None,
-        mode: str = "all",
+        mode: SubscribeMode = "all",
         after: Item | None = None,
         *,
         payloads: bool = True,

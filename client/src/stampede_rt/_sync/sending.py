@@ -9,7 +9,7 @@ from typing import Any
 from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.puts import Numbers, Puts, Single
 from stampede_rt._sync.session import Session
-from stampede_rt.codecs import Codec, Coding
+from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_sync import Mutex
 from stampede_rt.transports.grpc_sync import Port
@@ -33,7 +33,7 @@ class Sending:
         timeout: float | None,
         attributes: Mapping[str, str] | None,
         content_type: str | None,
-        codec: str | Codec | None,
+        codec: CodecLike | None,
     ) -> int:
         """Put one message; its seq. See `Connection.send`."""
         self._session.check()

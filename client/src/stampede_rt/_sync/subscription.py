@@ -13,6 +13,7 @@ from stampede_rt.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Item
+from stampede_rt.reading import SubscribeMode
 from stampede_rt.timeline import Bound
 from stampede_rt.transports.concurrency_sync import begin_now
 from stampede_rt.transports.grpc_sync import Stream
@@ -57,7 +58,7 @@ class Subscription(OfOneProcess):
         state: ChannelState,
         *,
         start: Bound | None,
-        mode: str,
+        mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
         group_id: bytes | None = None,

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
+from stampede_rt.model import OnFull
 from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.v1 import directory_pb2, queue_pb2
 
-_ON_FULL = {
+_ON_FULL: dict[OnFull, queue_pb2.QueueOnFull] = {
     "block": queue_pb2.QUEUE_ON_FULL_BLOCK,
     "reject": queue_pb2.QUEUE_ON_FULL_REJECT,
     "drop_oldest": queue_pb2.QUEUE_ON_FULL_DROP_OLDEST,

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt.model import Change, ChannelInfo, ChannelStats, ConsumerStats, HostInfo, Policy, SupernodeInfo
+from stampede_rt.model import (
+    Change,
+    ChangeKind,
+    ChannelInfo,
+    ChannelStats,
+    ConsumerStats,
+    HostInfo,
+    OnFull,
+    Policy,
+    SupernodeInfo,
+)
 from stampede_rt.v1 import channel_pb2, directory_pb2
 
-_ON_FULL = {
+_ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
     "block": channel_pb2.ON_FULL_BLOCK,
     "reject": channel_pb2.ON_FULL_REJECT,
 }
 _FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
-CHANGE_KINDS = {
+CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
     directory_pb2.CHANGE_KIND_ADDED: "added",
     directory_pb2.CHANGE_KIND_UPDATED: "updated",
     directory_pb2.CHANGE_KIND_REMOVED: "removed",

@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import Policy
+from stampede_rt.model import OnFull, Policy
 from stampede_rt.v1 import channel_pb2, directory_pb2, peer_pb2
 from stampede_rt_supernode.codecs.group_codec import group_record
 from stampede_rt_supernode.codecs.host_codec import host_record
@@ -14,7 +14,7 @@ from stampede_rt_supernode.codecs.peer_codec import peer_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Peer, Queue
 
-_ON_FULL_TO_WIRE = {
+_ON_FULL_TO_WIRE: dict[OnFull | None, channel_pb2.OnFull] = {
     None: channel_pb2.ON_FULL_UNSPECIFIED,
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,
     "block": channel_pb2.ON_FULL_BLOCK,

@@ -1,0 +1,61 @@
+"""What the surface says to type checkers: the kinds of arguments have names, and words are those that are accepted."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import codecs, grouping, model, policy, queueing, reading, timeline
+from stampede_rt.errors import InvalidArgument
+
+WORDS = [
+    (timeline.Bounds, lambda word: timeline.parse_interval(0, 1, word)),
+    (typing.get_args(timeline.MatchLike)[0], timeline.parse_match),
+    (model.OnFull, lambda word: policy.parse_policy(on_full=word)),
+    (model.OnFull, lambda word: queueing.parse_queue_policy(on_full=word)),
+    (grouping.GroupBound, grouping.parse_group_bound),
+    (typing.get_args(codecs.CodecLike)[0], lambda word: codecs.Coding.parse(word, "a channel")),
+]
+TYPED = [
+    (st.Connection.channel, "on_full", "OnFull | None"), (st.Connection.channel, "codec", "CodecLike | None"),
+    (st.Connection.queue, "on_full", "OnFull | None"), (st.Connection.group, "bound", "GroupBound"),
+    (st.Connection.cross_section, "over", "Over"), (st.Channel.get, "bounds", "Bounds"),
+    (st.Channel.get, "match", "MatchLike"), (st.Channel.subscribe, "mode", "SubscribeMode"),
+    (st.Channel.on_item, "mode", "SubscribeMode"), (st.Group.get, "match", "MatchLike"),
+    (st.Group.get, "bounds", "Bounds"), (st.Channel.configure, "on_full", "OnFull | None"),
+]  # fmt: skip
+
+
+def test_the_kinds_of_arguments_can_be_named() -> None:
+    named = ("BoundLike", "Bounds", "CodecLike", "DurationLike", "InstantLike", "MatchLike", "OnFull", "SubscribeMode")
+    assert set(named) <= set(st.__all__)
+    assert all(getattr(st, name) is not None for name in named)
+
+
+@pytest.mark.parametrize(("words", "parse"), WORDS)
+def test_every_word_of_a_type_is_accepted_and_no_other(words: object, parse: typing.Callable[[str], object]) -> None:
+    for word in typing.get_args(words):
+        parse(word)
+    with pytest.raises(InvalidArgument):
+        parse("another word")
+
+
+def test_both_modes_of_subscriptions_have_a_type() -> None:
+    from stampede_rt._sync import subscription
+
+    assert set(typing.get_args(reading.SubscribeMode)) == set(subscription._MODES)
+
+
+@pytest.mark.parametrize(("function", "argument", "annotation"), TYPED)
+def test_arguments_that_take_words_say_which(function: object, argument: str, annotation: str) -> None:
+    assert inspect.signature(function).parameters[argument].annotation == annotation  # type: ignore[arg-type]
+
+
+def test_a_group_shows_only_what_is_meant_for_its_users() -> None:
+    shown = {name for name in dir(st.Group) if not name.startswith("_")}
+    assert shown == {
+        "add", "delete", "get", "incarnation", "match", "name", "newest", "refresh", "remove", "status", "subscribe",
+    }  # fmt: skip
