@@ -19,7 +19,7 @@ RUNS_MAX = 100
 
 Figure = Callable[[Effort, Path], Table]
 FIGURES: dict[str, tuple[str, Figure]] = {
-    "get": ("cost of a get by time as a channel grows (Figure 4)", get_cost.measure),
+    "get": ("cost of a get by time as a channel grows, in the core and over gRPC (Figure 4)", get_cost.measure),
     "interval": ("cost of an interval get as it returns more (section 6)", interval_cost.measure),
     "visibility": ("what a group of text and audio shows (Figure 3)", visibility.measure),
     "skew": ("skew between consumers with a group and without (Figure 7)", skew.measure),

@@ -1,10 +1,11 @@
-"""Channels that hold many items, without a cluster: the pure core, as a host has it in its memory."""
+"""Channels that hold many items: the pure core, as a host has it in its memory, and channels of a cluster."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import repeat
 
+import stampede_rt as st
 from stampede_rt.model import Policy
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.measuring import PAYLOAD_BYTES
@@ -12,7 +13,9 @@ from stampede_rt_channel_host.core.channel import Channel, Offer
 
 PERIOD_NANOS = 1_000_000
 FIRST_NANOS = 1_700_000_000_000_000_000
+REMOTE_PERIOD_NANOS = 1000
 BYTES_MAX = 1 << 40
+REMOTE_BYTES_MAX = 1 << 33
 
 
 def time_of(index: int) -> int:
@@ -25,6 +28,17 @@ def filled_channel(items: int, *, run_items: int = 1) -> Channel:
     channel = Channel(Policy(max_items=items, max_bytes=BYTES_MAX), incarnation=1, name="bench")
     for first in range(0, items, run_items):
         put_run(channel, range(first, min(first + run_items, items)))
+    return channel
+
+
+def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
+    """A channel of a cluster with so many items of 64 B, REMOTE_PERIOD_NANOS apart, the newest at about now."""
+    channel = rt.channel(f"bench/{items}", max_items=items, max_bytes=REMOTE_BYTES_MAX)
+    first = st.now() - items * REMOTE_PERIOD_NANOS
+    payload = bytes(PAYLOAD_BYTES)
+    with channel.producer() as producer:
+        for place in range(items):
+            producer.put(payload, time=first + place * REMOTE_PERIOD_NANOS)
     return channel
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt_bench.app import main
-from stampede_rt_bench.matching import message_filters, ours
+from stampede_rt_bench.matching import approximate_time, message_filters, ours
 from stampede_rt_bench.matching.recording import NANOS_PER_MS, SCENARIOS, Arrival, nearest_sets, record, times_of
 from stampede_rt_bench.matching.sets import FoundSet, Replay, judge
 
@@ -50,9 +50,10 @@ def test_our_match_gives_no_wrong_set_and_tells_of_every_item_without_one(condit
     assert 0 <= judgement.unmatched - judgement.told <= 2  # the last ones are not settled when the recording ends
 
 
-def test_the_table_names_both_or_says_how_to_get_the_other(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_has_every_synchroniser_or_says_how_to_get_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["matching", "--seconds", "15"]) == 0
     printed = capsys.readouterr().out
     assert printed.count("g.match") == len(SCENARIOS)
-    assert "message_filters" in printed
-    assert (message_filters.PACKAGE in printed) != message_filters.is_installed()
+    for name, peer in (("filters, Python", message_filters), ("filters, C++", approximate_time)):
+        assert printed.count(f"{name}  ") == (len(SCENARIOS) if peer.is_installed() else 0)
+        assert (f"Debian has it as {peer.PACKAGE}" in printed) != peer.is_installed()

@@ -1,8 +1,8 @@
-"""The table: every scenario, both synchronisers."""
+"""The table: every scenario, our match and both synchronisers of ROS message_filters."""
 
 from __future__ import annotations
 
-from stampede_rt_bench.matching import message_filters, ours
+from stampede_rt_bench.matching import approximate_time, message_filters, ours
 from stampede_rt_bench.matching.recording import NANOS_PER_MS, SCENARIOS, record
 from stampede_rt_bench.matching.sets import Judgement, judge
 from stampede_rt_bench.tables import Table
@@ -13,8 +13,8 @@ COLUMNS = ("inputs", "synchroniser", "possible", "right", "wrong", "unmatched", 
 def compare(seconds: int, seed: int) -> Table:
     """Replay every scenario. `seconds` is the length of each recording."""
     synchronisers = {"g.match": ours.replay}
-    if message_filters.is_installed():
-        synchronisers["message_filters"] = message_filters.replay
+    peers = {"filters, Python": message_filters, "filters, C++": approximate_time}
+    synchronisers |= {name: peer.replay for name, peer in peers.items() if peer.is_installed()}
     table = Table(COLUMNS)
     for conditions in SCENARIOS:
         arrivals = record(conditions, seconds, seed)
@@ -23,13 +23,17 @@ def compare(seconds: int, seed: int) -> Table:
             judgement = judge(replay(arrivals, tolerance), arrivals, tolerance)
             table.rows.append((conditions.name, name, *_cells(judgement)))
     table.notes = [
+        "filters: ROS message_filters, the Python ApproximateTimeSynchronizer and the C++ ApproximateTime policy.",
         f"{seconds} s, seed {seed}; lidar 10 Hz (the reference), camera 30 Hz, radar 20 Hz; tolerance 20 ms.",
         "possible: sets that a complete view has, each of the nearest items; right: of the given ones, those;",
         "wrong: other ones. unmatched: lidar items without a set; told of: how many of them the user hears of",
-        "('-': there is no such word). delay: from the arrival of a set's last item until it is given out.",
+        "('-': the program cannot tell). delay: from the arrival of a set's last item until it is given out.",
     ]
-    if len(synchronisers) == 1:
-        table.notes.append(f"ROS message_filters is not here; Debian has it as {message_filters.PACKAGE}.")
+    table.notes += [
+        f"{name}: not here; Debian has it as {peer.PACKAGE}."
+        for name, peer in peers.items()
+        if name not in synchronisers
+    ]
     return table
 
 

@@ -1,5 +1,8 @@
 """Figure 4 of the paper: what one get by time costs, by how many items a channel holds and where the item is.
 
+The figure times the host's core, as the paper's does: a get by reference. A line beside it times the same get as a
+client makes it over gRPC, from a host that is a process of its own.
+
 The peer is what a user would write by hand: a SortedDict from time to payload, searched for the newest time not later.
 It knows no spans, no seqs, no reasons; it says what the search alone costs in Python.
 """
@@ -7,13 +10,21 @@ It knows no spans, no seqs, no reasons; it says what the search alone costs in P
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from sortedcontainers import SortedDict
 
 from stampede_rt.timeline import parse_interval
 from stampede_rt_bench.charts import Axes, draw_lines
-from stampede_rt_bench.filling import PERIOD_NANOS, filled_channel, time_of
+from stampede_rt_bench.clusters import connected
+from stampede_rt_bench.filling import (
+    PERIOD_NANOS,
+    REMOTE_PERIOD_NANOS,
+    filled_channel,
+    filled_remote_channel,
+    time_of,
+)
 from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, microseconds
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_channel_host.core.channel import Channel, Query
@@ -21,6 +32,8 @@ from stampede_rt_channel_host.core.channel import Channel, Query
 GETS_PER_RUN = 20_000
 POSITIONS = {"early": 0.01, "middle": 0.5, "late": 0.99}
 BY_HAND = "by hand, middle"
+OVER_GRPC = "over gRPC, middle"
+REMOTE_GETS = 500
 
 
 def measure(effort: Effort, chart: Path) -> Table:
@@ -30,6 +43,7 @@ def measure(effort: Effort, chart: Path) -> Table:
         for name, value in _of_channel(items, effort.runs).items():
             lines[name].append((items, value))
         lines[BY_HAND].append((items, _of_sorted_dict(items, effort.runs)))
+    lines[OVER_GRPC] = _over_grpc(effort)
     title = f"One get by time, items of {PAYLOAD_BYTES} B, put one by one"
     draw_lines(chart, Axes(title=title, x="items in the channel", y="microseconds"), lines)
     return _table(lines)
@@ -64,6 +78,20 @@ def _of_sorted_dict(items: int, runs: int) -> Spread:
     return microseconds(get, times=GETS_PER_RUN, runs=runs)
 
 
+def _over_grpc(effort: Effort) -> list[tuple[float, Spread]]:
+    points: list[tuple[float, Spread]] = []
+    with connected() as rt:
+        for items in effort.sizes():
+            channel = filled_remote_channel(rt, items)
+            newest = channel.newest()
+            assert newest is not None
+            instant = newest.time - items // 2 * REMOTE_PERIOD_NANOS + REMOTE_PERIOD_NANOS // 2
+            if len(channel.at(instant)) != 1:
+                raise AssertionError(f"the item in the middle of {items} is not there")
+            points.append((items, microseconds(partial(channel.at, instant), times=REMOTE_GETS, runs=effort.runs)))
+    return points
+
+
 def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
     table = Table(["items", *(f"{name}, us" for name in lines)])
     for place, (items, _) in enumerate(lines["early"]):
@@ -75,6 +103,7 @@ def _table(lines: dict[str, list[tuple[float, Spread]]]) -> Table:
     growth = max(last / first for first, last in zip(means[0], means[-1], strict=True))
     between = max(max(row) / min(row) for row in means)
     table.notes = [
+        "early, middle, late: the host's core alone, as in the paper; over gRPC: from a client to a host process.",
         f"From the smallest to the largest channel the cost grows {growth:.2f} times at the most (goal: 3);",
         f"no position costs more than {between:.2f} times another (goal: 2). Medians (least to most) of the runs.",
     ]

@@ -5,15 +5,13 @@ The paper (section 6) finds it about linear in the number of items returned.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import stampede_rt as st
 from stampede_rt.timeline import parse_interval
 from stampede_rt_bench.charts import Axes, draw_lines
 from stampede_rt_bench.clusters import connected
-from stampede_rt_bench.filling import filled_channel, time_of
+from stampede_rt_bench.filling import filled_channel, filled_remote_channel, time_of
 from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, microseconds
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_channel_host.core.channel import Query
@@ -60,7 +58,8 @@ def _at_host(held: int, returned: list[int], runs: int, *, run_items: int) -> Po
 
 def _over_grpc(held: int, returned: list[int], runs: int) -> Points:
     points: Points = []
-    with _remote_channel(held) as channel:
+    with connected() as rt:
+        channel = filled_remote_channel(rt, held)
         oldest = channel.oldest()
         assert oldest is not None
         for count in returned:
@@ -71,16 +70,6 @@ def _over_grpc(held: int, returned: list[int], runs: int) -> Points:
 
             points.append((count, microseconds(get, times=max(1, _gets(count) // 10), runs=runs)))
     return points
-
-
-@contextmanager
-def _remote_channel(held: int) -> Iterator[st.Channel]:
-    with connected() as rt:
-        channel = rt.channel("bench/interval", max_items=held, max_bytes=1 << 33)
-        with channel.producer() as producer:
-            for _ in range(held):
-                producer.put(bytes(PAYLOAD_BYTES))
-        yield channel
 
 
 def _table(lines: dict[str, Points]) -> Table:

@@ -1,0 +1,58 @@
+"""The C++ ApproximateTime policy of ROS message_filters on a recording: built here, fed in recorded order.
+
+Debian has it as libmessage-filters-dev; no ROS installation is needed, and nothing is sent.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+from stampede_rt_bench.matching.message_filters import QUEUE_ITEMS, RUN_SECONDS_MAX
+from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
+from stampede_rt_bench.matching.sets import FoundSet, Replay
+
+PACKAGE = "libmessage-filters-dev"
+COMPILER = "g++"
+HEADER = Path("/usr/include/message_filters/sync_policies/approximate_time.h")
+SOURCE = Path(__file__).with_name("approximate_time.cpp")
+LIBRARIES = ("message_filters", "roscpp", "rosconsole", "rostime", "boost_thread", "boost_system", "pthread")
+
+
+def is_installed() -> bool:
+    """Whether the headers and a compiler are there."""
+    return HEADER.exists() and shutil.which(COMPILER) is not None
+
+
+@cache
+def _program() -> Path:
+    """The program, built once for each process; its folder goes when the interpreter ends."""
+    folder = tempfile.TemporaryDirectory(prefix="stampede-bench-")
+    program = Path(folder.name) / "approximate_time"
+    flags = ["-O2", "-w", "-o", str(program), str(SOURCE), *(f"-l{library}" for library in LIBRARIES)]
+    subprocess.run([COMPILER, *flags], capture_output=True, timeout=RUN_SECONDS_MAX, check=True)
+    _folders.append(folder)
+    return program
+
+
+_folders: list[tempfile.TemporaryDirectory[str]] = []
+
+
+def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
+    """What its callback got, and when, had the items come as recorded; the tolerance is its maximum interval."""
+    streams = list(RATES_HZ)
+    lines = [f"{tolerance_nanos} {QUEUE_ITEMS}"]
+    lines += [f"{arrival.arrived} {streams.index(arrival.stream)} {arrival.time}" for arrival in arrivals]
+    ran = subprocess.run(
+        [_program()], input="\n".join(lines), capture_output=True, text=True, timeout=RUN_SECONDS_MAX, check=True
+    )
+    sets = []
+    for line in ran.stdout.splitlines():
+        given, *times = map(int, line.split())
+        by_stream = dict(zip(streams, times, strict=True))
+        sets.append(FoundSet(given=given, reference=by_stream.pop(REFERENCE), times=by_stream))
+    return Replay(sets=sets, told_unmatched=None)
