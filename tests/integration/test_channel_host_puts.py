@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
-from tests.unit.channel_host.rig import MS, Rig, S, run_of, running_host
+from tests.unit.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
 
 
 @pytest.fixture
@@ -254,10 +254,8 @@ async def test_a_retried_put_is_recognised_while_others_wait_for_room(rig: Rig) 
     waiting.cancel()
 
 
-async def test_a_run_that_was_accepted_in_part_is_not_doubled_when_its_stream_broke_while_the_rest_waited(
-    rig: Rig,
-) -> None:
-    """What had been accepted was put a second time."""
+async def test_a_run_that_was_accepted_in_part_goes_on_where_it_was_when_its_stream_broke(rig: Rig) -> None:
+    """The rest was remembered as refused: a retry was refused, too, though there was room by then."""
     channel = await rig.open(spec=blocking(600 * S))
     waiting = rig.channels.Put()
     head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
@@ -265,10 +263,37 @@ async def test_a_run_that_was_accepted_in_part_is_not_doubled_when_its_stream_br
     await channel.until(lambda status: status.waiting_puts == 1)
     waiting.cancel()
     await channel.until(lambda status: status.waiting_puts == 0)
+    await make_room(rig, channel)
+    (other,) = await channel.put(run_of(b"z"))
     (again,) = await channel.put(run_of(b"x", b"y"), producer_id=77)
-    assert (again.first_seq, [one.index for one in again.rejections]) == (1, [1])
-    assert again.rejections[0].error.reason == error_pb2.ERROR_REASON_CHANNEL_FULL
-    assert (await channel.status()).counters.accepted == 1
+    assert (again.first_seq, other.first_seq, list(again.rejections)) == (1, 2, [])
+    assert [(one.index, one.first_seq) for one in again.later_parts] == [(1, 3)]
+    assert (await channel.put(run_of(b"x", b"y"), producer_id=77)) == [again]
+    assert (await channel.status()).counters.accepted == 3
+
+
+async def test_a_run_that_was_accepted_in_part_goes_on_when_the_lease_was_lost_meanwhile(rig: Rig) -> None:
+    """The rest was refused for good, with "resolve the channel again", and so was the retry that did as told."""
+    channel = await rig.open(spec=blocking(600 * S))
+    waiting = rig.channels.Put()
+    head = {"channel_id": channel.channel_id, "epoch": channel.epoch, "producer_id": 77}
+    await waiting.write(pb.PutRequest(**head, puts=[run_of(b"x", b"y", b"z")]))
+    await channel.until(lambda status: status.waiting_puts == 1)
+    rig.host.store.fence()
+    (told,) = (await waiting.read()).acks
+    assert told.error.reason == error_pb2.ERROR_REASON_NOT_HERE, "the whole run is to be sent again"
+    waiting.cancel()
+    await make_room(rig, channel)
+    (again,) = await channel.put(run_of(b"x", b"y", b"z"), producer_id=77)
+    assert (again.first_seq, list(again.rejections), again.items) == (1, [], 3)
+    assert (await channel.status()).counters.accepted == 3
+
+
+async def make_room(rig: Rig, channel: Opened) -> None:
+    """The channel gets another limit, and whatever waits has come in."""
+    request = blocking(600 * S)
+    request.retention.max_items = 9
+    await rig.host.store.configure(channel.channel_id, channel.epoch, request, b"0123456789abcdef")
 
 
 async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:

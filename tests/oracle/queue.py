@@ -46,7 +46,8 @@ class Item:
 
 @dataclass(eq=False)
 class Run:
-    """A run to enqueue; `left` are the places that are not settled. `outcome`: first seq, stamp, refused places."""
+    """A run to enqueue; `left` are the places that are not settled. `outcome`: the accepted places with their seqs, the
+    stamp, the refused places."""
 
     lengths: list[int]
     producer_id: int = 0
@@ -56,7 +57,8 @@ class Run:
     first_seq: int | None = None
     stamp: int | None = None
     refused: list[tuple[int, str]] = field(default_factory=list)
-    outcome: tuple[int | None, int | None, tuple[tuple[int, str], ...]] | None = None
+    seqs: list[tuple[int, int]] = field(default_factory=list)
+    outcome: tuple[tuple[tuple[int, int], ...], int | None, tuple[tuple[int, str], ...]] | None = None
     gives_up_at: int | None = None
     error: str | None = None
 
@@ -113,8 +115,7 @@ class OracleQueue:
         self.tick(now)
         if run in self.line:
             self.line.remove(run)
-            if len(run.left) < len(run.lengths):
-                self._refuse_rest(run)
+            self._remember(run)
         self._follow_up()
 
     def grant(self, taker: Taker, credit: int, now: int) -> None:
@@ -243,7 +244,7 @@ class OracleQueue:
     def _follow_up(self) -> None:
         while self.line:
             run = self.line[0]
-            known = self._known(run) if len(run.left) == len(run.lengths) else None
+            known = self._known(run)
             if known == "overlap":
                 run.error = "INVALID_ARGUMENT"
             elif known is None and not self._offer(run):
@@ -252,14 +253,18 @@ class OracleQueue:
         self._deal()
 
     def _known(self, run: Run) -> str | None:
-        """ "known" and the run has its answer, "overlap", or None."""
+        """ "known" and the run has its answer, "overlap", or None. One whose front is known goes on behind it."""
         first, end = run.first_number, run.first_number + len(run.lengths)
-        for producer_id, begin, stop, when, outcome in reversed(self.answered):
+        for producer_id, begin, stop, when, judged in reversed(self.answered):
             if not run.producer_id or producer_id != run.producer_id or when <= self.now - REMEMBERED:
                 continue
             if (begin, stop) == (first, end):
-                run.outcome = outcome  # type: ignore[assignment]
-                return "known"
+                first_seq, stamp, seqs, refused, left = judged
+                if len(left) < len(run.left):
+                    run.first_seq, run.stamp, run.left = first_seq, stamp, list(left)
+                    run.seqs, run.refused = list(seqs), list(refused)
+                run.outcome = None if left else (tuple(seqs), stamp, tuple(refused))
+                return None if left else "known"
             if begin < end and first < stop:
                 return "overlap"
         return None
@@ -296,6 +301,7 @@ class OracleQueue:
     def _accept(self, run: Run, length: int) -> None:
         if run.first_seq is None:
             run.first_seq, run.stamp = self.next_seq, self.now
+        run.seqs.append((run.left[0], self.next_seq))
         self.items.append(Item(self.next_seq, length, self.now))
         self.next_seq += 1
         self.counts["accepted"] += 1
@@ -312,9 +318,15 @@ class OracleQueue:
         self._answer(run)
 
     def _answer(self, run: Run) -> None:
-        run.outcome = (run.first_seq, run.stamp, tuple(run.refused))
-        end = run.first_number + len(run.lengths)
-        self.answered.append((run.producer_id, run.first_number, end, self.now, run.outcome))
+        run.outcome = (tuple(run.seqs), run.stamp, tuple(run.refused))
+        self._remember(run)
+
+    def _remember(self, run: Run) -> None:
+        """One of which nothing came in is judged anew when it comes again."""
+        if run.first_seq is not None:
+            end = run.first_number + len(run.lengths)
+            judged = (run.first_seq, run.stamp, tuple(run.seqs), tuple(run.refused), tuple(run.left))
+            self.answered.append((run.producer_id, run.first_number, end, self.now, judged))
 
     def _leased(self, taker_id: int, delivery_id: int) -> tuple[Item, Lease] | None:
         for item in self.items:

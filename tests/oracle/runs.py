@@ -41,39 +41,56 @@ def put_run(channel: OracleChannel, offer: Offer, clock: int) -> Taken:
 
 @dataclass(frozen=True)
 class Ack:
-    """What a producer is told of a run: `refused` are reasons by place, `judged_at` is the host's clock at the end."""
+    """What a producer is told of a run: by place, the seq and the stamp of each accepted item and the reason of each
+    refused one; `judged_at` is the host's clock at the end."""
 
-    first_seq: int | None
-    stamped: int | None
+    accepted: Mapping[int, tuple[int, int | None]]
     refused: Mapping[int, str]
     judged_at: int
 
+    @property
+    def first(self) -> tuple[int, int | None]:
+        """Seq and stamp of the first accepted item."""
+        return self.accepted[min(self.accepted)]
+
 
 @dataclass(frozen=True)
-class _Answered:
+class Judged:
+    """What was known of a run when it was last dealt with: the verdicts up to the first item that had none."""
+
     producer_id: int
     numbers: range
-    ack: Ack
+    verdicts: Sequence[Item | Refused]
+    judged_at: int
+
+    @property
+    def is_whole(self) -> bool:
+        return len(self.verdicts) == len(self.numbers)
 
 
 @dataclass
 class OracleRetries:
-    """A run that is sent again under its numbers is answered as before, and nothing of it is put a second time. One
-    that shares only some numbers with a former run is refused whole. A producer without an id is never recognised."""
+    """A run that is sent again under its numbers is answered as before, and nothing of it is put a second time: one of
+    which only the front was judged goes on behind it. One that shares only some numbers with a former run is refused
+    whole. One of which nothing came in is judged anew. A producer without an id is never recognised."""
 
-    answered: list[_Answered] = field(default_factory=list)
+    judged: list[Judged] = field(default_factory=list)
 
-    def find(self, producer_id: int, first_number: int, items: int, clock: int) -> Ack | Refused | None:
-        """The answer to a run that is known; None: it is new, or was forgotten."""
+    def find(self, producer_id: int, first_number: int, items: int, clock: int) -> Judged | Refused | None:
+        """What became of a run that is known; None: it is new, or was forgotten."""
         numbers = range(first_number, first_number + items)
-        for one in reversed(self.answered):
-            known = one.producer_id == producer_id != 0 and one.ack.judged_at > clock - KEPT_NANOS
+        for one in reversed(self.judged):
+            known = one.producer_id == producer_id != 0 and one.judged_at > clock - KEPT_NANOS
             if known and one.numbers == numbers:
-                return one.ack
+                return one
             if known and set(one.numbers) & set(numbers):
                 return Refused("INVALID_ARGUMENT")
         return None
 
-    def record(self, producer_id: int, first_number: int, items: int, ack: Ack) -> None:
-        """The run is answered."""
-        self.answered.append(_Answered(producer_id, range(first_number, first_number + items), ack))
+    def record(
+        self, producer_id: int, first_number: int, items: int, verdicts: Sequence[Item | Refused], clock: int
+    ) -> None:
+        """The run was dealt with, or nobody waits for it any more."""
+        if any(isinstance(one, Item) for one in verdicts):
+            numbers = range(first_number, first_number + items)
+            self.judged.append(Judged(producer_id, numbers, tuple(verdicts), clock))

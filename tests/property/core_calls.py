@@ -7,6 +7,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt_channel_host.core.channel import PutOutcome
+from stampede_rt_channel_host.core.judging import Judged, Judging
 from tests.oracle import Ack
 from tests.property.path_values import Run
 
@@ -51,36 +52,45 @@ class WaitingPut:
         self.run, self.call = run, call
         self.offer = run.offer
         self.retry_at: int | None = None
-        self._settled = 0
-        self._first_seq: int | None = None
-        self._stamped: int | None = None
-        self._refused: dict[int, str] = {}
+        self.judging = Judging(len(run.payloads))
 
     @property
     def payloads(self) -> Sequence[bytes]:
-        return self.run.payloads[self._settled :]
+        return self.run.payloads[self.judging.settled :]
 
     def settle(self, outcome: PutOutcome, now: int) -> bool:
         """True if none of its items has to wait."""
-        if outcome.run is not None and self._first_seq is None:
-            self._first_seq, self._stamped = outcome.run.first_seq, outcome.stamped_time
-        self._refused |= {self._settled + one.index: one.error.reason for one in outcome.rejections}
+        settled = self.judging.settled
+        for one in outcome.rejections:
+            self.judging.refuse(settled + one.index, one.error)
+        self.judging.settled = len(self.run.payloads)
         if outcome.waiting is not None:
             self.offer, self.retry_at = self.offer.rest(outcome.waiting, now), outcome.retry_at
-            self._settled += outcome.waiting
+            self.judging.settled = settled + outcome.waiting
         return outcome.waiting is None
+
+    def resume(self, known: Judged, now: int) -> None:
+        """The run came before, and its front was judged then."""
+        settled = self.judging.settled
+        if self.judging.resume(known) and not known.is_whole:
+            self.offer = self.offer.rest(known.settled - settled, now)
 
     def fail(self, error: st.StampedeError, now: int) -> None:
         """The rest is not taken; if nothing was, the run is refused as a whole."""
-        if not self.is_partly_accepted:
+        if not self.judging.accepted_any:
             self.call.finish(error)
         else:
-            self._refused |= dict.fromkeys(range(self._settled, len(self.run.payloads)), error.reason)
-            self.call.finish(self.ack(now))
+            for place in range(self.judging.settled, len(self.run.payloads)):
+                self.judging.refuse(place, error)
+            self.call.finish(ack_of(self.judging.outcome(now)))
 
-    @property
-    def is_partly_accepted(self) -> bool:
-        return self._first_seq is not None
 
-    def ack(self, now: int) -> Ack:
-        return Ack(self._first_seq, self._stamped, self._refused, now)
+def ack_of(judged: Judged) -> Ack:
+    """What the run's producer is told."""
+    refused = {one.place: one.error.reason for one in judged.refusals}
+    bounds = [*(part.place for part in judged.parts[1:]), judged.items]
+    accepted = {}
+    for part, bound in zip(judged.parts, bounds, strict=False):
+        places = (place for place in range(part.place, bound) if place not in refused)
+        accepted |= {place: (seq, part.stamped_time) for seq, place in enumerate(places, part.first_seq)}
+    return Ack(accepted, refused, judged.time)

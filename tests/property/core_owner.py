@@ -17,9 +17,8 @@ from stampede_rt_channel_host.core.channel import (
     WakeAt,
 )
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from tests.oracle import Ack
 from tests.property.channel_pair import INCARNATION, ends_as_read, items_of
-from tests.property.core_calls import Call, WaitingPut
+from tests.property.core_calls import Call, WaitingPut, ack_of
 from tests.property.path_values import Followed, Run
 
 DELIVERED_BYTES_MAX = 300
@@ -36,7 +35,7 @@ class CoreOwner:
         self.followers: list[CoreSubscription] = []
         self._now = now
         self._payloads: dict[int, bytes] = {}
-        self._retries: RetryWindow[Ack] = RetryWindow()
+        self._retries = RetryWindow()
 
     # --- puts
 
@@ -55,14 +54,19 @@ class CoreOwner:
     def _is_known(self, put: WaitingPut) -> bool:
         run = put.run
         known = self._retries.find(run.producer_id, run.first_number, len(run.payloads), self._now())
-        if known is not None:
-            put.call.finish(known)
-        return known is not None
+        if known is None:
+            return False
+        put.resume(known, self._now())
+        if known.is_whole:
+            put.call.finish(ack_of(known))
+        return known.is_whole
 
     def _offer(self, put: WaitingPut) -> bool:
         def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-            for seq, place in enumerate(range(len(put.payloads)) if kept is None else kept, first_seq):
+            places = range(len(put.payloads)) if kept is None else kept
+            for seq, place in enumerate(places, first_seq):
                 self._payloads[seq] = put.payloads[place]
+            put.judging.accept(put.judging.settled + places[0], first_seq, len(places), stamped_time)
             return b""
 
         outcome = self.channel.put(put.offer, self._now(), seal)
@@ -74,9 +78,11 @@ class CoreOwner:
         return is_through
 
     def _finish(self, put: WaitingPut) -> None:
-        ack, run = put.ack(self._now()), put.run
-        self._retries.record(run.producer_id, run.first_number, len(run.payloads), ack, self._now())
-        put.call.finish(ack)
+        self._remember(put)
+        put.call.finish(ack_of(put.judging.outcome(self._now())))
+
+    def _remember(self, put: WaitingPut) -> None:
+        self._retries.record(put.run.producer_id, put.run.first_number, put.judging.outcome(self._now()))
 
     def _give_up_put(self, put: WaitingPut) -> None:
         self.line.remove(put)
@@ -91,8 +97,7 @@ class CoreOwner:
         """Nobody waits for the run any more; what is in of it is remembered, since it may be sent again."""
         (put,) = [one for one in self.line if one.run is run][:1]
         self.line.remove(put)
-        if put.is_partly_accepted:
-            self._refuse_rest(put)
+        self._remember(put)
         self._advance_line()
 
     def _advance_line(self) -> None:

@@ -212,11 +212,11 @@ def core_surface(items_per_block: int) -> Iterator[tuple[CoreSurface, CoreHost]]
 def _accepted(ack: Ack, run: Run) -> st.Item | st.StampedeError:
     for reason in ack.refused.values():
         return error_for(reason, "the item was refused")
-    assert ack.first_seq is not None
+    seq, stamped = ack.first
     times, durations = run.offer.times, run.offer.durations
-    time, duration = ack.stamped if times is None else times[0], None if durations is None else durations[0]
+    time, duration = stamped if times is None else times[0], None if durations is None else durations[0]
     assert time is not None
-    return st.Item(time, None, duration, ack.first_seq, run.payloads[0], {}, "", run.offer.lengths[0], INCARNATION)
+    return st.Item(time, None, duration, seq, run.payloads[0], {}, "", run.offer.lengths[0], INCARNATION)
 
 
 def _position(after: st.Item | int | None) -> Position | None:

@@ -64,8 +64,7 @@ class PathPuts(PathReads):
         """The stream of a run in line breaks: what is in stays in, and is known when the run comes again."""
         self.surface.hang_up(entry.run)
         self.line.remove(entry)
-        if entry.is_partly_accepted:
-            self._refuse_rest(entry)
+        self._remember(entry)
         self.until(lambda stats: bool(stats.waiting_puts <= len(self.line)))
         self.advance_line()
         self.settle()
@@ -94,7 +93,7 @@ class PathPuts(PathReads):
 
     def _judge(self, entry: RunInBook) -> Ack | Refused | None:
         """What the run's producer is told; None: it has to wait."""
-        known = self._known(entry.run)
+        known = self._known(entry)
         if known is not None:
             return known
         if not self.line and self._offer(entry):
@@ -107,8 +106,14 @@ class PathPuts(PathReads):
         self.oracle.rejected[FULL] += entry.refuse_rest(FULL)
         return self._answer(entry)
 
-    def _known(self, run: Run) -> Ack | Refused | None:
-        return self._retries.find(run.producer_id, run.first_number, len(run.payloads), self.clock)
+    def _known(self, entry: RunInBook) -> Ack | Refused | None:
+        """The answer that the run had before. One of which only the front is known goes on behind it."""
+        run = entry.run
+        known = self._retries.find(run.producer_id, run.first_number, len(run.payloads), self.clock)
+        if known is None or isinstance(known, Refused):
+            return known
+        entry.resume(known.verdicts, self.clock)
+        return entry.ack(known.judged_at) if known.is_whole else None
 
     def _offer(self, entry: RunInBook) -> bool:
         """What is left of the run, up to the first item that has to wait; True: none has to."""
@@ -124,15 +129,18 @@ class PathPuts(PathReads):
         return taken.waits is None
 
     def _answer(self, entry: RunInBook) -> Ack:
-        ack, run = entry.ack(self.clock), entry.run
-        self._retries.record(run.producer_id, run.first_number, len(run.payloads), ack)
-        return ack
+        self._remember(entry)
+        return entry.ack(self.clock)
+
+    def _remember(self, entry: RunInBook) -> None:
+        run = entry.run
+        self._retries.record(run.producer_id, run.first_number, len(run.payloads), entry.verdicts, self.clock)
 
     def advance_line(self) -> None:
         """Room may have been made: those in line are offered again, the first one first."""
         while self.line:
             head = self.line[0]
-            expected = self._known(head.run)
+            expected = self._known(head)
             if expected is None:
                 if not self._offer(head):
                     return
@@ -153,8 +161,9 @@ def _same(outcome: Any, expected: Ack | Refused, run: Run) -> None:
         assert isinstance(outcome, st.StampedeError), outcome
         assert {0: outcome.reason} == expected.refused
     else:
-        time = expected.stamped if run.offer.times is None else run.offer.times[0]
+        seq, stamped = expected.first
+        time = stamped if run.offer.times is None else run.offer.times[0]
         duration = None if run.offer.durations is None else run.offer.durations[0]
         assert isinstance(outcome, st.Item), outcome
         facts = (outcome.time, outcome.seq, outcome.duration, outcome.payload)
-        assert facts == (time, expected.first_seq, duration, run.payloads[0])
+        assert facts == (time, seq, duration, run.payloads[0])

@@ -71,12 +71,19 @@ class RunInBook:
     def payloads_left(self) -> Sequence[bytes]:
         return self.run.payloads[len(self.verdicts) :]
 
+    def resume(self, verdicts: Sequence[Item | Refused], clock: int) -> None:
+        """The run came before, and its front has its verdicts."""
+        if len(verdicts) > len(self.verdicts):
+            if len(verdicts) < len(self.run.payloads):
+                self.rest = self.rest.rest(len(verdicts) - len(self.verdicts), clock)
+            self.verdicts = list(verdicts)
+
     def ack(self, clock: int) -> Ack:
         """What its producer is told once every item has its verdict."""
-        accepted = [one for one in self.verdicts if isinstance(one, Item)][:1]
+        stamped = self.run.offer.times is None
+        accepted = [(at, one) for at, one in enumerate(self.verdicts) if isinstance(one, Item)]
         return Ack(
-            first_seq=accepted[0].seq if accepted else None,
-            stamped=accepted[0].time if accepted and self.run.offer.times is None else None,
+            accepted={at: (one.seq, one.time if stamped else None) for at, one in accepted},
             refused={at: one.reason for at, one in enumerate(self.verdicts) if isinstance(one, Refused)},
             judged_at=clock,
         )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.core.judging import Judged
 from stampede_rt_channel_host.core.queue import (
     Acknowledge,
     Batch,
@@ -198,8 +199,8 @@ class QueuePair:
             assert mine.error is not None
             assert mine.error.reason == other.error
         elif mine.outcome is not None:
-            refused = tuple((one.index, one.error.reason) for one in mine.outcome.rejections)
-            assert (mine.outcome.first_seq, mine.outcome.stamped_time, refused) == other.outcome
+            refused = tuple((one.place, one.error.reason) for one in mine.outcome.refusals)
+            assert (_seqs(mine.outcome), mine.outcome.stamped_time, refused) == other.outcome
 
 
 def _raises(step: object) -> bool:
@@ -208,6 +209,17 @@ def _raises(step: object) -> bool:
     except InvalidArgument:
         return True
     return False
+
+
+def _seqs(judged: Judged) -> tuple[tuple[int, int], ...]:
+    """The accepted places with their seqs."""
+    refused = {one.place for one in judged.refusals}
+    bounds = [*(part.place for part in judged.parts[1:]), judged.items]
+    found: list[tuple[int, int]] = []
+    for part, bound in zip(judged.parts, bounds, strict=False):
+        places = (place for place in range(part.place, bound) if place not in refused)
+        found += [(place, seq) for seq, place in enumerate(places, part.first_seq)]
+    return tuple(found)
 
 
 def _flat(batch: Batch) -> list[tuple[int, int, int]]:

@@ -213,12 +213,16 @@ def ack_of(ack: pb.PutAck) -> Ack:
     """The ack as a value. Raises what refused the run as a whole."""
     if ack.HasField("error"):
         raise from_error_message(ack.error)
-    return Ack(
-        first_seq=ack.first_seq if ack.HasField("first_seq") else None,
-        stamped=ack.stamped_unix_nano if ack.HasField("stamped_unix_nano") else None,
-        refused={one.index: from_error_message(one.error).reason for one in ack.rejections},
-        judged_at=ack.host_time_unix_nano,
-    )
+    refused = {one.index: from_error_message(one.error).reason for one in ack.rejections}
+    stamp = ack.stamped_unix_nano if ack.HasField("stamped_unix_nano") else None
+    parts = [(0, ack.first_seq, stamp)] if ack.HasField("first_seq") else []
+    for one in ack.later_parts:
+        parts.append((one.index, one.first_seq, one.stamped_unix_nano if one.HasField("stamped_unix_nano") else None))
+    accepted: dict[int, tuple[int, int | None]] = {}
+    for (index, first_seq, stamp), end in zip(parts, [*(one[0] for one in parts[1:]), ack.items], strict=False):
+        places = (place for place in range(index, end) if place not in refused)
+        accepted |= {place: (seq, stamp) for seq, place in enumerate(places, first_seq)}
+    return Ack(accepted, refused, ack.host_time_unix_nano)
 
 
 def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> pb.ConsumeRequest:

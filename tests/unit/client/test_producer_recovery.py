@@ -16,6 +16,7 @@ from stampede_rt.model import ChannelInfo, Policy
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.judging import Judged, Part
 
 LIMIT_S = 5.0
 
@@ -163,7 +164,11 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
     from stampede_rt._async.producer import IN_FLIGHT_RUNS_MAX
     from stampede_rt.wire.runs import RUN_ITEMS_MAX
 
-    window: RetryWindow[int] = RetryWindow()
+    window = RetryWindow()
     for run in range(IN_FLIGHT_RUNS_MAX):
-        window.record(7, 1 + run * RUN_ITEMS_MAX, RUN_ITEMS_MAX, run, now=0)
-    assert window.find(7, 1, RUN_ITEMS_MAX, now=1) == 0
+        first = 1 + run * RUN_ITEMS_MAX
+        part = Part(0, first, RUN_ITEMS_MAX, None)
+        window.record(7, first, Judged(RUN_ITEMS_MAX, RUN_ITEMS_MAX, (part,), (), 0))
+    known = window.find(7, 1, RUN_ITEMS_MAX, now=1)
+    assert known is not None
+    assert known.first_seq == 1

@@ -1,107 +1,207 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import pytest
 
-from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.dedup import KEPT_NANOS, RUNS_MAX, RetryWindow
+from stampede_rt.errors import ChannelFull, InvalidArgument
+from stampede_rt_channel_host.core.dedup import (
+    KEPT_NANOS,
+    PRODUCER_BYTES_MAX,
+    RUNS_MAX,
+    RetryWindow,
+)
+from stampede_rt_channel_host.core.judging import Judged, Judging, Part, Refusal
 
 PRODUCER = 0xABC
 
 
+def accepted(items: int, first_seq: int, now: int = 0, stamped: int | None = None) -> Judged:
+    return Judged(items, items, (Part(0, first_seq, items, stamped),), (), now)
+
+
+def half(items: int, settled: int, first_seq: int, now: int = 0) -> Judged:
+    return Judged(items, settled, (Part(0, first_seq, settled, None),), (), now)
+
+
 def test_a_retried_run_is_answered_as_before() -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(PRODUCER, 1, 3, "first", now=0)
-    window.record(PRODUCER, 4, 1, "second", now=1)
-    assert window.find(PRODUCER, 1, 3, now=2) == "first"
-    assert window.find(PRODUCER, 4, 1, now=2) == "second"
+    window = RetryWindow()
+    window.record(PRODUCER, 1, accepted(3, 1))
+    window.record(PRODUCER, 4, accepted(1, 4, now=1, stamped=-7))
+    assert window.find(PRODUCER, 1, 3, now=2) == accepted(3, 1)
+    assert window.find(PRODUCER, 4, 1, now=2) == accepted(1, 4, now=1, stamped=-7)
     assert window.find(PRODUCER, 5, 1, now=2) is None
     assert window.find(PRODUCER + 1, 1, 3, now=2) is None
 
 
+def test_the_greatest_numbers_are_told_apart() -> None:
+    window = RetryWindow()
+    last = 2**64 - 1
+    window.record(2**64 - 1, last, accepted(1, 9))
+    assert window.find(2**64 - 1, last, 1, now=0) == accepted(1, 9)
+    assert window.find(2**64 - 1, last - 1, 1, now=0) is None
+
+
+def test_a_run_that_was_accepted_in_part_is_recognised_with_what_is_settled_of_it() -> None:
+    window = RetryWindow()
+    window.record(PRODUCER, 1, half(4, 3, first_seq=1))
+    assert window.find(PRODUCER, 1, 4, now=1) == half(4, 3, first_seq=1)
+    with pytest.raises(InvalidArgument):
+        window.find(PRODUCER, 1, 3, now=1)
+    window.record(PRODUCER, 1, accepted(4, 1, now=2))
+    assert window.find(PRODUCER, 1, 4, now=3) == accepted(4, 1, now=2)
+    assert [kept.outcome for kept in window.kept(3)] == [accepted(4, 1, now=2)]
+
+
+def test_refusals_of_a_run_that_was_accepted_in_part_are_kept_with_their_reasons() -> None:
+    window = RetryWindow()
+    refused = Judged(2, 2, (Part(0, 1, 1, None),), (Refusal(1, ChannelFull("full")),), 0)
+    window.record(PRODUCER, 1, refused)
+    assert window.find(PRODUCER, 1, 2, now=0) == refused
+
+
+def test_a_run_of_which_nothing_was_accepted_is_not_kept() -> None:
+    window = RetryWindow()
+    window.record(PRODUCER, 1, Judged(1, 1, (), (Refusal(0, ChannelFull("full")),), 0))
+    assert window.find(PRODUCER, 1, 1, now=0) is None
+    assert window.footprint_bytes == 0
+
+
 def test_a_number_that_was_left_out_is_new_when_it_comes_late() -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(PRODUCER, 1, 2, "first", now=0)
-    window.record(PRODUCER, 5, 2, "third", now=0)
+    window = RetryWindow()
+    window.record(PRODUCER, 1, accepted(2, 1))
+    window.record(PRODUCER, 5, accepted(2, 3))
     assert window.find(PRODUCER, 3, 2, now=0) is None
 
 
 @pytest.mark.parametrize(("first_number", "items"), [(1, 2), (2, 2), (1, 5), (3, 4), (2, 1)])
 def test_numbers_of_a_known_run_in_another_run_are_refused(first_number: int, items: int) -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(PRODUCER, 1, 3, "first", now=0)
+    window = RetryWindow()
+    window.record(PRODUCER, 1, accepted(3, 1))
     with pytest.raises(InvalidArgument, match="producer abc overlap the run 1 to 3"):
         window.find(PRODUCER, first_number, items, now=0)
 
 
 def test_only_the_last_runs_of_a_producer_are_kept() -> None:
-    window: RetryWindow[int] = RetryWindow()
+    window = RetryWindow()
     for number in range(1, 2 * RUNS_MAX + 1):
-        window.record(PRODUCER, number, 1, number, now=0)
+        window.record(PRODUCER, number, accepted(1, number))
     assert window.find(PRODUCER, RUNS_MAX, 1, now=0) is None
-    assert window.find(PRODUCER, RUNS_MAX + 1, 1, now=0) == RUNS_MAX + 1
+    found = [window.find(PRODUCER, number, 1, now=0) for number in range(RUNS_MAX + 1, 2 * RUNS_MAX + 1)]
+    assert [one.first_seq for one in found if one is not None] == list(range(RUNS_MAX + 1, 2 * RUNS_MAX + 1))
 
 
 def test_all_that_a_producer_has_in_flight_is_recognised_however_long_its_runs_are() -> None:
     """A producer whose connection broke sends up to 64 runs of 256 items again: they were doubled once, all but the
     last four, because the window was counted in numbers."""
-    window: RetryWindow[int] = RetryWindow()
+    window = RetryWindow()
     for run in range(64):
-        window.record(PRODUCER, 1 + run * 256, 256, run, now=0)
-    assert [window.find(PRODUCER, 1 + run * 256, 256, now=1) for run in range(64)] == list(range(64))
+        window.record(PRODUCER, 1 + run * 256, accepted(256, 1 + run * 256))
+    for run in range(64):
+        assert window.find(PRODUCER, 1 + run * 256, 256, now=1) == accepted(256, 1 + run * 256)
 
 
 def test_runs_are_forgotten_after_ten_minutes() -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(PRODUCER, 1, 1, "first", now=0)
-    assert window.find(PRODUCER, 1, 1, now=KEPT_NANOS - 1) == "first"
+    window = RetryWindow()
+    window.record(PRODUCER, 1, accepted(1, 1))
+    assert window.find(PRODUCER, 1, 1, now=KEPT_NANOS - 1) is not None
     assert window.find(PRODUCER, 1, 1, now=KEPT_NANOS) is None
 
 
 def test_the_longest_silent_producer_makes_room_for_another() -> None:
-    window: RetryWindow[str] = RetryWindow(producers_max=2)
-    window.record(1, 1, 1, "one", now=0)
-    window.record(2, 1, 1, "two", now=1)
-    window.record(1, 2, 1, "one again", now=2)
-    window.record(3, 1, 1, "three", now=3)
+    window = RetryWindow(producers_max=2)
+    window.record(1, 1, accepted(1, 1))
+    window.record(2, 1, accepted(1, 2, now=1))
+    window.record(1, 2, accepted(1, 3, now=2))
+    window.record(3, 1, accepted(1, 4, now=3))
     assert len(window) == 2
     assert window.find(2, 1, 1, now=3) is None
-    assert window.find(1, 1, 1, now=3) == "one"
+    assert window.find(1, 1, 1, now=3) == accepted(1, 1)
 
 
-def test_producers_that_were_silent_for_ten_minutes_are_forgotten() -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(1, 1, 1, "one", now=0)
-    window.record(2, 1, 1, "two", now=KEPT_NANOS)
-    assert len(window) == 1
+def test_producers_that_were_silent_for_ten_minutes_are_forgotten_without_another_put() -> None:
+    window = RetryWindow()
+    assert window.next_expiry() is None
+    window.record(1, 1, accepted(1, 1))
+    window.record(2, 1, accepted(1, 2, now=5))
+    assert window.next_expiry() == KEPT_NANOS
+    window.expire(KEPT_NANOS)
+    assert (len(window), window.next_expiry()) == (1, KEPT_NANOS + 5)
+    window.expire(KEPT_NANOS + 5)
+    assert (len(window), window.footprint_bytes) == (0, 0)
+
+
+def test_the_window_has_a_bound_in_bytes_for_which_the_longest_silent_producers_go() -> None:
+    window = RetryWindow(bytes_max=100_000)
+    for producer_id in range(1, 1001):
+        window.record(producer_id, 1, accepted(1, producer_id))
+    assert 90_000 < window.footprint_bytes <= 100_000
+    assert window.find(1000, 1, 1, now=0) is not None
+    assert window.find(1, 1, 1, now=0) is None
+
+
+def test_what_is_kept_of_one_producer_has_a_bound_however_many_refusals_it_is_told() -> None:
+    window = RetryWindow()
+    refusals = [Refusal(place, ChannelFull("full " * 100)) for place in range(1, 256)]
+    for run in range(50):
+        window.record(PRODUCER, 1 + run * 256, Judged(256, 256, (Part(0, 1 + run, 1, None),), refusals, 0))
+    assert window.footprint_bytes <= 2 * PRODUCER_BYTES_MAX
+    assert window.find(PRODUCER, 1 + 49 * 256, 256, now=0) is not None
+
+
+def test_a_thousand_puts_of_one_item_cost_tens_of_bytes_each_and_the_window_knows_it() -> None:
+    """They cost 607 kB, and no budget saw it."""
+    window = RetryWindow()
+    tracemalloc.start()
+    try:
+        for number in range(1, RUNS_MAX + 1):
+            window.record(PRODUCER, number, accepted(1, number, stamped=10**18 + number))
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size < 64 * RUNS_MAX
+    assert size <= window.footprint_bytes <= 64 * RUNS_MAX
+
+
+def test_many_producers_cost_what_the_window_says() -> None:
+    window = RetryWindow()
+    tracemalloc.start()
+    try:
+        for producer_id in range(1, 4097):
+            window.record(2**40 + producer_id, 1, accepted(1, producer_id))
+        size, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert size <= window.footprint_bytes <= 1.5 * size
 
 
 def test_producer_zero_asks_for_nothing_to_be_recognised() -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(0, 1, 1, "first", now=0)
+    window = RetryWindow()
+    window.record(0, 1, accepted(1, 1))
     assert window.find(0, 1, 1, now=0) is None
     assert len(window) == 0
 
 
 def test_what_is_remembered_goes_to_another_owner_as_values() -> None:
-    window: RetryWindow[str] = RetryWindow()
-    window.record(2, 1, 1, "of another", now=KEPT_NANOS)
-    window.record(PRODUCER, 1, 3, "forgotten", now=10)
-    window.record(PRODUCER, 4, 2, "first", now=KEPT_NANOS)
-    window.record(PRODUCER, 6, 1, "second", now=KEPT_NANOS + 5)
-    heir: RetryWindow[str] = RetryWindow()
-    heir.restore(window.known(KEPT_NANOS + 10), now=7 * KEPT_NANOS)
-    assert heir.known(7 * KEPT_NANOS) == window.known(KEPT_NANOS + 10)
-    assert heir.find(PRODUCER, 4, 2, now=7 * KEPT_NANOS) == "first"
-    assert heir.find(PRODUCER, 1, 3, now=7 * KEPT_NANOS) is None
-    assert heir.find(PRODUCER, 4, 2, now=8 * KEPT_NANOS - 10) is None, "it is as old as it was"
-    assert heir.find(PRODUCER, 6, 1, now=8 * KEPT_NANOS - 10) == "second"
+    window = RetryWindow()
+    window.record(2, 1, accepted(1, 1, now=KEPT_NANOS))
+    window.record(PRODUCER, 1, accepted(3, 2, now=10))
+    window.record(PRODUCER, 4, half(2, 1, 5, now=KEPT_NANOS))
+    window.record(PRODUCER, 6, accepted(1, 6, now=KEPT_NANOS + 5))
+    heir = RetryWindow()
+    for kept in window.kept(KEPT_NANOS + 10):
+        heir.record(kept.producer_id, kept.first_number, kept.outcome)
+    assert [*heir.kept(KEPT_NANOS + 10)] == [*window.kept(KEPT_NANOS + 10)]
+    assert heir.find(PRODUCER, 4, 2, KEPT_NANOS + 10) == half(2, 1, 5, now=KEPT_NANOS)
+    assert heir.find(PRODUCER, 1, 3, KEPT_NANOS + 10) is None
     with pytest.raises(InvalidArgument):
-        heir.find(PRODUCER, 5, 1, now=7 * KEPT_NANOS)
+        heir.find(PRODUCER, 5, 1, KEPT_NANOS + 10)
 
 
-def test_the_last_1024_numbers_are_known_even_if_each_is_a_run() -> None:
-    window: RetryWindow[int] = RetryWindow()
-    for number in range(1, 3001):
-        window.record(PRODUCER, number, 1, number, now=0)
-    assert [window.find(PRODUCER, number, 1, now=0) for number in range(1977, 3001)] == list(range(1977, 3001))
-    assert sum(run.items for producer in window.known(0) for run in producer.runs) == RUNS_MAX
+def test_parts_whose_seqs_follow_each_other_are_one() -> None:
+    judging = Judging(5)
+    judging.accept(0, 1, 2, None)
+    judging.accept(2, 3, 1, None)
+    judging.accept(3, 9, 2, None)
+    judging.settled = 5
+    assert judging.outcome(0).parts == (Part(0, 1, 3, None), Part(3, 9, 2, None))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument, Overloaded
+from stampede_rt.errors import InvalidArgument, Overloaded, QueueNotFound, Unavailable
 from stampede_rt_channel_host.core.queue import (
     BATCH_BYTES_MAX,
     BLOCK,
@@ -174,10 +174,10 @@ def test_a_full_queue_lets_runs_wait_in_the_order_of_their_coming() -> None:
     core.taker(1, credit=10)
     core.dealt()
     core.ack(1, 1)
-    assert (first.first_seq, first.is_through, second.first_seq) == (3, False, None)
+    assert (first.judging.first_seq, first.is_through, second.judging.first_seq) == (3, False, None)
     core.ack(1, 2)
     assert core.queue.take_finished() == [first]
-    assert (first.first_seq, core.queue.waiting_enqueues) == (3, 1)
+    assert (first.judging.first_seq, core.queue.waiting_enqueues) == (3, 1)
 
 
 def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:
@@ -187,18 +187,65 @@ def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:
     core.queue.tick(core.now)
     assert core.queue.take_finished() == [run]
     assert run.outcome is not None
-    assert (run.outcome.first_seq, [one.index for one in run.outcome.rejections]) == (1, [1, 2])
+    assert (run.outcome.first_seq, [one.place for one in run.outcome.refusals]) == (1, [1, 2])
     assert core.counted("accepted", "rejected_full") == (1, 2)
 
 
-def test_a_retry_of_a_run_that_was_cut_short_hears_what_became_of_it_and_doubles_nothing() -> None:
+def test_a_retry_of_a_run_that_was_cut_short_goes_on_where_it_was() -> None:
+    """The rest was remembered as refused, so that a retry was refused, too, though there was room by then."""
+    core = Core(max_items=1)
+    run = core.put(1, 1, 1, producer_id=5, first_number=1)
+    core.queue.withdraw(run, core.now)
+    assert core.counted("accepted", "rejected_full") == (1, 0)
+    core.now += 5
+    again = core.put(1, 1, 1, producer_id=5, first_number=1)
+    core.taker(1, credit=3)
+    core.dealt()
+    core.ack(1, 1)
+    core.dealt()
+    core.ack(1, 2)
+    assert core.queue.take_finished() == [again]
+    assert again.outcome is not None
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 3, 1000)], "the seqs follow, under one stamp"
+    assert not again.outcome.refusals
+    assert core.counted("accepted") == (3,)
+
+
+def test_seqs_that_others_got_meanwhile_are_not_told_as_those_of_a_run_that_went_on() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
     core.queue.withdraw(run, core.now)
+    other = core.put(1)
+    again = core.put(1, 1, producer_id=5, first_number=1)
+    core.taker(1, credit=3)
+    for delivery_id in (1, 2):
+        core.dealt()
+        core.ack(1, delivery_id)
+    assert core.queue.take_finished() == [other, again]
+    assert again.outcome is not None
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 1, 1000), (1, 3, 1, 1000)]
+
+
+def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent_again() -> None:
+    core = Core(max_items=1)
+    run = core.put(1, 1, producer_id=5, first_number=1)
+    core.queue.fail(run, Unavailable("the lease is lost", reason="NOT_HERE"), core.now)
+    assert run.error is not None
+    assert run.error.retryable
+    state = core.queue.export(core.now)
+    core.queue = Queue.restore(core.queue.limits, state, core.now, incarnation=1)
+    core.queue.configure(QueueLimits(max_items=2), core.now)
     again = core.put(1, 1, producer_id=5, first_number=1)
     assert again.outcome is not None
-    assert (again.outcome.first_seq, [one.index for one in again.outcome.rejections]) == (1, [1])
-    assert core.counted("accepted") == (1,)
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 2, 1000)]
+
+
+def test_of_a_run_that_will_not_come_again_the_rest_is_refused_when_its_queue_goes() -> None:
+    core = Core(max_items=1)
+    run = core.put(1, 1, producer_id=5, first_number=1)
+    core.queue.fail(run, QueueNotFound("deleted"), core.now)
+    assert run.outcome is not None
+    assert [(one.place, one.error.reason) for one in run.outcome.refusals] == [(1, "QUEUE_NOT_FOUND")]
 
 
 def test_a_run_that_waits_twice_since_it_was_retried_comes_in_once() -> None:
@@ -218,7 +265,7 @@ def test_a_queue_that_rejects_says_what_it_holds_and_the_way_out() -> None:
     core = Core(max_bytes=200, on_full=REJECT)
     run = core.put(100, 100)
     assert run.outcome is not None
-    (rejection,) = run.outcome.rejections
+    (rejection,) = run.outcome.refusals
     assert rejection.error.reason == "QUEUE_FULL"
     assert "'q'" in rejection.error.message
     assert "200 bytes" in rejection.error.message
@@ -235,7 +282,7 @@ def test_the_oldest_items_that_nobody_has_make_room() -> None:
     assert core.dealt() == {2: [4, 5]}
     run = core.put(1)
     assert run.outcome is not None
-    assert [one.error.reason for one in run.outcome.rejections] == ["QUEUE_FULL"]
+    assert [one.error.reason for one in run.outcome.refusals] == ["QUEUE_FULL"]
 
 
 def test_an_item_that_was_delivered_too_often_is_expelled_with_its_other_leases() -> None:
@@ -382,10 +429,14 @@ def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
     core.now = 10**6
     assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
     assert core.ack(1, 1) == core.ack(2, 3) == [""]
-    assert core.put(1, 2, 3, producer_id=5, first_number=1).first_seq is None  # recognised: nothing new came in
+    again = core.put(1, 2, 3, producer_id=5, first_number=1)
+    assert again.outcome is not None
+    assert again.outcome.first_seq == 1, "recognised: nothing new came in"
     core.taker(3, credit=5)
     assert core.dealt() == {3: [3]}
     core.now += 30
     core.queue.tick(core.now)
     assert core.dealt() == {3: [2]}
-    assert core.put(1).first_seq == 4
+    last = core.put(1)
+    assert last.outcome is not None
+    assert last.outcome.first_seq == 4

@@ -49,7 +49,7 @@ class PutResponse(_message.Message):
     def __init__(self, acks: _Optional[_Iterable[_Union[PutAck, _Mapping]]] = ...) -> None: ...
 
 class PutAck(_message.Message):
-    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "rejections", "error", "host_time_unix_nano", "incarnation")
+    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "rejections", "error", "host_time_unix_nano", "incarnation", "later_parts")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     ITEMS_FIELD_NUMBER: _ClassVar[int]
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
@@ -58,6 +58,7 @@ class PutAck(_message.Message):
     ERROR_FIELD_NUMBER: _ClassVar[int]
     HOST_TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    LATER_PARTS_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     items: int
     first_seq: int
@@ -66,7 +67,18 @@ class PutAck(_message.Message):
     error: _error_pb2.Error
     host_time_unix_nano: int
     incarnation: int
-    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., rejections: _Optional[_Iterable[_Union[PutRejection, _Mapping]]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., host_time_unix_nano: _Optional[int] = ..., incarnation: _Optional[int] = ...) -> None: ...
+    later_parts: _containers.RepeatedCompositeFieldContainer[PutPart]
+    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., rejections: _Optional[_Iterable[_Union[PutRejection, _Mapping]]] = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., host_time_unix_nano: _Optional[int] = ..., incarnation: _Optional[int] = ..., later_parts: _Optional[_Iterable[_Union[PutPart, _Mapping]]] = ...) -> None: ...
+
+class PutPart(_message.Message):
+    __slots__ = ("index", "first_seq", "stamped_unix_nano")
+    INDEX_FIELD_NUMBER: _ClassVar[int]
+    FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
+    STAMPED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    index: int
+    first_seq: int
+    stamped_unix_nano: int
+    def __init__(self, index: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ...) -> None: ...
 
 class PutRejection(_message.Message):
     __slots__ = ("index", "error")

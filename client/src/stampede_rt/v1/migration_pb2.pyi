@@ -88,7 +88,7 @@ class ProducerWindow(_message.Message):
     def __init__(self, producer_id: _Optional[int] = ..., ranges: _Optional[_Iterable[_Union[NumberRange, _Mapping]]] = ..., idle_nanos: _Optional[int] = ...) -> None: ...
 
 class NumberRange(_message.Message):
-    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "continues_run", "error", "answered_ago_nanos")
+    __slots__ = ("first_number", "items", "first_seq", "stamped_unix_nano", "continues_run", "error", "answered_ago_nanos", "unjudged_items")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     ITEMS_FIELD_NUMBER: _ClassVar[int]
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
@@ -96,6 +96,7 @@ class NumberRange(_message.Message):
     CONTINUES_RUN_FIELD_NUMBER: _ClassVar[int]
     ERROR_FIELD_NUMBER: _ClassVar[int]
     ANSWERED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    UNJUDGED_ITEMS_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     items: int
     first_seq: int
@@ -103,7 +104,8 @@ class NumberRange(_message.Message):
     continues_run: bool
     error: _error_pb2.Error
     answered_ago_nanos: int
-    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., continues_run: bool = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., answered_ago_nanos: _Optional[int] = ...) -> None: ...
+    unjudged_items: int
+    def __init__(self, first_number: _Optional[int] = ..., items: _Optional[int] = ..., first_seq: _Optional[int] = ..., stamped_unix_nano: _Optional[int] = ..., continues_run: bool = ..., error: _Optional[_Union[_error_pb2.Error, _Mapping]] = ..., answered_ago_nanos: _Optional[int] = ..., unjudged_items: _Optional[int] = ...) -> None: ...
 
 class ConsumerSlot(_message.Message):
     __slots__ = ("consumer_id", "lease_nanos", "consumed_below_seq", "consumed")

@@ -109,16 +109,18 @@ class FeedGap(_message.Message):
     def __init__(self, first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ...) -> None: ...
 
 class FeedOrigin(_message.Message):
-    __slots__ = ("producer_id", "first_number", "first_seq", "items")
+    __slots__ = ("producer_id", "first_number", "first_seq", "items", "unjudged_items")
     PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     FIRST_SEQ_FIELD_NUMBER: _ClassVar[int]
     ITEMS_FIELD_NUMBER: _ClassVar[int]
+    UNJUDGED_ITEMS_FIELD_NUMBER: _ClassVar[int]
     producer_id: int
     first_number: int
     first_seq: int
     items: int
-    def __init__(self, producer_id: _Optional[int] = ..., first_number: _Optional[int] = ..., first_seq: _Optional[int] = ..., items: _Optional[int] = ...) -> None: ...
+    unjudged_items: int
+    def __init__(self, producer_id: _Optional[int] = ..., first_number: _Optional[int] = ..., first_seq: _Optional[int] = ..., items: _Optional[int] = ..., unjudged_items: _Optional[int] = ...) -> None: ...
 
 class FeedConsumption(_message.Message):
     __slots__ = ("consumer_id", "seqs")

@@ -10,7 +10,8 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2
-from stampede_rt_channel_host.channels.puts import IncomingRun, check_number, refused
+from stampede_rt_channel_host.channels.acks import refused
+from stampede_rt_channel_host.channels.puts import IncomingRun, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore

@@ -7,12 +7,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from stampede_rt.errors import InvalidArgument, ItemTooLarge, Overloaded, StampedeError
-from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.core.channel import Channel, Offer, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.judging import Judged, Judging
 
 WAITING_PUTS_MAX = 10_000
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
@@ -22,8 +23,7 @@ class IncomingRun:
     """One run on its way into a channel. `wait_nanos` None: it may wait without limit."""
 
     __slots__ = (
-        "_done", "_encoded", "_first_seq", "_offered", "_rejections", "_stamped", "_timer", "ack", "first_number",
-        "items", "offer", "producer_id", "wait_nanos",
+        "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "producer_id", "wait_nanos",
     )  # fmt: skip
 
     def __init__(self, encoded: bytes, *, producer_id: int, first_number: int, wait_nanos: int | None) -> None:
@@ -31,58 +31,46 @@ class IncomingRun:
         columns = parse_run(encoded)
         self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
         self.items = len(columns.lengths)
+        self.judging = Judging(self.items)
         self.producer_id = producer_id
         self.first_number = first_number
         self.wait_nanos = wait_nanos
         self.ack: pb.PutAck | None = None
         self._encoded = encoded
-        self._offered = 0  # the place in the run of the present offer's first item: those before it are settled
-        self._first_seq: int | None = None
-        self._stamped: int | None = None
-        self._rejections: list[pb.PutRejection] = []
         self._done: asyncio.Future[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """The bytes to store, of the items that were accepted (see `core.Seal`)."""
-        rest = range(self._offered, self.items)
+        rest = range(self.judging.settled, self.items)
         places = rest if kept is None else [rest[place] for place in kept]
+        self.judging.accept(places[0], first_seq, len(places), stamped_time)
         encoded = self._encoded if len(places) == self.items else select_items(self._encoded, places)
         return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
 
     def settle(self, outcome: PutOutcome, now: int) -> bool:
         """Take in what became of the offer; True if none of its items has to wait."""
-        if outcome.run is not None and self._first_seq is None:
-            self._first_seq = outcome.run.first_seq
-            self._stamped = outcome.stamped_time
+        offered = self.judging.settled
         for one in outcome.rejections:
-            self._rejections.append(pb.PutRejection(index=self._offered + one.index, error=to_error_message(one.error)))
-        if outcome.waiting is not None:
-            self._offered += outcome.waiting
-            self.offer = self.offer.rest(outcome.waiting, now)
-        return outcome.waiting is None
+            self.judging.refuse(offered + one.index, one.error)
+        if outcome.waiting is None:
+            self.judging.settled = self.items
+            return True
+        self.judging.settled += outcome.waiting
+        self.offer = self.offer.rest(outcome.waiting, now)
+        return False
 
-    @property
-    def is_partly_accepted(self) -> bool:
-        """Some of its items are in, and must not come in again."""
-        return self._first_seq is not None
+    def resume(self, known: Judged, now: int) -> None:
+        """The run came before: only the items behind those that were judged then are still to be put."""
+        offered = self.judging.settled
+        if self.judging.resume(known) and not known.is_whole:
+            self.offer = self.offer.rest(known.settled - offered, now)
 
     def refuse_rest(self, error: StampedeError) -> None:
         """What has not been settled never will be."""
-        refusal = to_error_message(error)
-        self._rejections += (pb.PutRejection(index=at, error=refusal) for at in range(self._offered, self.items))
-
-    def answer(self, now: int, incarnation: int) -> pb.PutAck:
-        """The ack of the settled run."""
-        return pb.PutAck(
-            first_number=self.first_number,
-            items=self.items,
-            first_seq=self._first_seq,
-            stamped_unix_nano=self._stamped,
-            rejections=self._rejections,
-            host_time_unix_nano=now,
-            incarnation=incarnation,
-        )
+        for index in range(self.judging.settled, self.items):
+            self.judging.refuse(index, error)
+        self.judging.settled = self.items
 
     def finish(self, ack: pb.PutAck) -> None:
         """The run is through: whoever waits for it goes on."""
@@ -121,7 +109,7 @@ class ChannelPuts:
         self._memory = memory
         self._now = now
         self._on_accepted = on_accepted
-        self._retries: RetryWindow[pb.PutAck] = RetryWindow()
+        self._retries = RetryWindow()
         self._line: deque[IncomingRun] = deque()
         self._timer: asyncio.TimerHandle | None = None
 
@@ -171,14 +159,13 @@ class ChannelPuts:
     def withdraw(self, run: IncomingRun) -> None:
         """Nobody waits for the run any more: what is not accepted yet never will be.
 
-        One that was accepted in part is remembered as answered so: it may be sent again.
+        What is in of it is remembered: when the run is sent again, it goes on from there.
         """
         run.forget_time()
         if run in self._line:
             now = self._now()
             self._line.remove(run)
-            if run.is_partly_accepted:
-                self._refuse_rest(run, now)
+            self._remember(run, now)
             self.changed(now)
 
     def end_all(self, error: StampedeError) -> None:
@@ -197,19 +184,29 @@ class ChannelPuts:
             return True
 
     def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
-        """A run that waits is not taken. If some of its items are in, only the others are refused."""
-        if run.is_partly_accepted:
+        """A run that waits is not taken.
+
+        If some of its items are in and it will be sent again, it goes on from there; else only the others are refused.
+        """
+        if run.judging.accepted_any and not (error.retryable and run.producer_id):
             run.refuse_rest(error)
             self._finish(run, now)
         else:
+            self._remember(run, now)
             run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
 
     def _recognise(self, run: IncomingRun, now: int) -> bool:
-        """True if the run came before: it is through, with the ack of then, whoever waits in line."""
+        """True if the run came before and was answered: it is through, with the ack of then, whoever waits in line.
+
+        One of which only the front was judged goes on behind it.
+        """
         known = self._retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
-        if known is not None:
-            run.finish(known)
-        return known is not None
+        if known is None:
+            return False
+        run.resume(known, now)
+        if known.is_whole:
+            run.finish(ack_of(run.first_number, known, self._channel.incarnation))
+        return known.is_whole
 
     def _offer(self, run: IncomingRun, now: int) -> bool:
         """Offer what is left of the run; True if it is through, with its ack."""
@@ -229,10 +226,15 @@ class ChannelPuts:
         return self._finish(run, now)
 
     def _finish(self, run: IncomingRun, now: int) -> pb.PutAck:
-        ack = run.answer(now, self._channel.incarnation)
-        self._retries.record(run.producer_id, run.first_number, run.items, ack, now)
+        judged = self._remember(run, now)
+        ack = ack_of(run.first_number, judged, self._channel.incarnation)
         run.finish(ack)
         return ack
+
+    def _remember(self, run: IncomingRun, now: int) -> Judged:
+        judged = run.judging.outcome(now)
+        self._retries.record(run.producer_id, run.first_number, judged)
+        return judged
 
     def _arm(self, retry_at: int | None, now: int) -> None:
         if self._timer is not None:
@@ -241,17 +243,6 @@ class ChannelPuts:
         if retry_at is not None:
             delay_s = max((retry_at - now) / 1e9, _TIMER_SECONDS_MIN)
             self._timer = asyncio.get_running_loop().call_later(delay_s, lambda: self.changed(self._now()))
-
-
-def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:
-    """The ack of a run that was refused as a whole."""
-    return pb.PutAck(
-        first_number=first_number,
-        items=items,
-        error=to_error_message(error),
-        host_time_unix_nano=now,
-        incarnation=incarnation,
-    )
 
 
 def check_number(producer_id: int, first_number: int) -> None:

@@ -1,90 +1,155 @@
-"""Recognising retried puts: the last runs of each producer with what became of them. Pure."""
+"""Recognising retried puts: the last runs of each producer with what became of them. Pure.
+
+A run that was taken in whole at one stroke, as nearly all are, is five numbers in a column. What is kept has a bound in
+bytes and counts against the host's memory.
+"""
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from array import array
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_channel_host.core.judging import Judged, Part
 
 RUNS_MAX = 1024  # far above the runs that a producer has in flight, whatever their length
 KEPT_NANOS = 600_000_000_000
 PRODUCERS_MAX = 4096
+WINDOW_BYTES_MAX = 16 * 2**20
+PRODUCER_BYTES_MAX = 256 * 2**10
 
-Outcome = TypeVar("Outcome")
+RUN_BYTES = 48  # five numbers of 8 bytes, and the room that a growing array keeps free
+PRODUCER_BYTES = 400  # what is kept of a producer beside its runs, as measured
+_PART_BYTES = 200
+_REFUSAL_BYTES = 900  # an error, with a sentence of its own
+
+_FIELDS = 5  # of a run: first number, items, first seq (0: see `odd`), stamp (_NO_STAMP: none), time
+_NO_STAMP = -(2**63)
+_SLACK_RUNS = 256
 
 
-class _Put(NamedTuple, Generic[Outcome]):
-    """One run as it was answered; its numbers are `first` up to, not including, `end`."""
-
-    first: int
-    end: int
-    time: int
-    outcome: Outcome
-
-
-class KeptRun(NamedTuple, Generic[Outcome]):
-    """A run as the window knows it, for the host that takes over; `time` is when it was recorded."""
+class KeptRun(NamedTuple):
+    """A run as the window knows it, for the host that takes over."""
 
     producer_id: int
     first_number: int
-    items: int
-    outcome: Outcome
-    time: int
+    outcome: Judged
 
 
-class _Producer(Generic[Outcome]):
-    """One producer's latest runs in the order in which they were recorded; `end` is above all its numbers."""
+class _Producer:
+    """One producer's latest runs in the order in which they were recorded; `end` is above all their numbers.
 
-    __slots__ = ("end", "puts")
-
-    def __init__(self) -> None:
-        self.puts: deque[_Put[Outcome]] = deque(maxlen=RUNS_MAX)
-        self.end = 0
-
-
-class KnownRun(NamedTuple, Generic[Outcome]):
-    """A run that is remembered, as a value: how long ago it was answered, and how."""
-
-    first_number: int
-    items: int
-    answered_ago_nanos: int
-    outcome: Outcome
-
-
-class KnownProducer(NamedTuple, Generic[Outcome]):
-    """What is remembered of one producer, as a value: its runs in the order in which they were answered."""
-
-    producer_id: int
-    runs: Sequence[KnownRun[Outcome]]
-
-
-class RetryWindow(Generic[Outcome]):
-    """Outcomes of each producer's latest runs, so that a retried run is answered as before and not doubled.
-
-    The time model asks for the last 1024 numbers of each producer for 10 minutes; kept are its last 1024 runs, which
-    are these numbers and, where runs hold several items, more. At most `producers_max` producers are known, of which
-    the longest silent is forgotten first. Producer id 0 asks for nothing to be recognised. `now` is the host's clock
-    in nanoseconds and never runs backwards.
+    `odd` holds what columns cannot, by first number; `latest` is when a run was last recorded.
     """
 
-    def __init__(self, *, producers_max: int = PRODUCERS_MAX) -> None:
+    __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd")
+
+    def __init__(self) -> None:
+        self._columns = array("q")
+        self._begin = 0
+        self._odd_bytes = 0
+        self.odd: dict[int, Judged] = {}
+        self.end = 0
+        self.latest = 0
+
+    def __len__(self) -> int:
+        return len(self._columns) // _FIELDS - self._begin
+
+    @property
+    def footprint_bytes(self) -> int:
+        return PRODUCER_BYTES + len(self._columns) // _FIELDS * RUN_BYTES + self._odd_bytes
+
+    def add(self, first_number: int, outcome: Judged) -> None:
+        self._forget_odd(first_number)
+        part = outcome.parts[0]
+        if len(outcome.parts) > 1 or part.items < outcome.items:
+            self.odd[first_number] = outcome
+            self._odd_bytes += _odd_bytes(outcome)
+            part = Part(0, 0, 0, None)
+        stamp = _NO_STAMP if part.stamped_time is None else part.stamped_time
+        self._columns.extend((_signed(first_number), outcome.items, part.first_seq, stamp, outcome.time))
+        self.end = max(self.end, first_number + outcome.items)
+        self.latest = outcome.time
+
+    def runs(self) -> Iterator[tuple[int, Judged]]:
+        """First numbers and outcomes, the latest first. A run that was judged on is there twice."""
+        columns = self._columns
+        for at in range(len(columns) - _FIELDS, self._begin * _FIELDS - 1, -_FIELDS):
+            first, items, first_seq, stamp, time = columns[at : at + _FIELDS]
+            first %= 2**64
+            if first_seq:
+                part = Part(0, first_seq, items, None if stamp == _NO_STAMP else stamp)
+                yield first, Judged(items, items, (part,), (), time)
+            elif first in self.odd:
+                yield first, self.odd[first]
+
+    def find(self, producer_id: int, first_number: int, end: int, since: int) -> Judged | None:
+        """Raises InvalidArgument for numbers of several runs, or of a part of one. Looks at runs later than `since`."""
+        for first, outcome in self.runs():
+            if outcome.time <= since:
+                return None
+            if (first, first + outcome.items) == (first_number, end):
+                return outcome
+            if first < end and first_number < first + outcome.items:
+                raise InvalidArgument(
+                    f"the numbers {first_number} to {end - 1} of producer {producer_id:x} overlap the run {first} to "
+                    f"{first + outcome.items - 1}, which was put before; retry a run as it was, and give new items new "
+                    "numbers"
+                )
+        return None
+
+    def drop_oldest(self) -> None:
+        """Forget the run that was recorded first."""
+        at = self._begin * _FIELDS
+        first, first_seq, time = self._columns[at] % 2**64, self._columns[at + 2], self._columns[at + 4]
+        if not first_seq and first in self.odd and self.odd[first].time == time:
+            self._forget_odd(first)
+        self._begin += 1
+        if self._begin > _SLACK_RUNS:
+            del self._columns[: self._begin * _FIELDS]
+            self._begin = 0
+
+    def oldest_time(self) -> int:
+        """When the run was recorded that was recorded first. There must be one."""
+        return self._columns[self._begin * _FIELDS + 4]
+
+    def _forget_odd(self, first_number: int) -> None:
+        known = self.odd.pop(first_number, None)
+        self._odd_bytes -= 0 if known is None else _odd_bytes(known)
+
+
+class RetryWindow:
+    """What became of each producer's latest runs, so that a retried run is answered as before and not doubled, and one
+    that was judged in part goes on where it was.
+
+    The time model asks for the last 1024 numbers of each producer for 10 minutes; kept are its last 1024 runs, which
+    are these numbers and, where runs hold several items, more. At most `producers_max` producers are known, in at most
+    `bytes_max`, of which the longest silent is forgotten first, and of each at most PRODUCER_BYTES_MAX. A run of which
+    nothing was accepted is not kept: it is judged anew. Producer id 0 asks for nothing to be recognised. `now` is the
+    host's clock in nanoseconds and never runs backwards.
+    """
+
+    def __init__(self, *, producers_max: int = PRODUCERS_MAX, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._producers_max = producers_max
-        self._producers: OrderedDict[int, _Producer[Outcome]] = OrderedDict()  # in the order of their latest put
+        self._bytes_max = bytes_max
+        self._producers: OrderedDict[int, _Producer] = OrderedDict()  # in the order of their latest put
+        self.footprint_bytes = 0
 
     def __len__(self) -> int:
         """How many producers are known."""
         return len(self._producers)
 
-    def kept(self, now: int) -> Iterator[KeptRun[Outcome]]:
+    def kept(self, now: int) -> Iterator[KeptRun]:
         """Every run that is known, each producer's in the order of their coming: `record` them elsewhere, in order."""
         for producer_id, producer in self._producers.items():
-            for put in producer.puts:
-                if put.time > now - KEPT_NANOS:
-                    yield KeptRun(producer_id, put.first, put.end - put.first, put.outcome, put.time)
+            latest = dict(reversed(list(producer.runs())))
+            for first_number, outcome in latest.items():
+                if outcome.time > now - KEPT_NANOS:
+                    yield KeptRun(producer_id, first_number, outcome)
 
-    def find(self, producer_id: int, first_number: int, items: int, now: int) -> Outcome | None:
+    def find(self, producer_id: int, first_number: int, items: int, now: int) -> Judged | None:
         """What became of this run when it came before; None if it is new, or older than what is kept.
 
         Raises InvalidArgument if only some of its numbers, or more than these, were put before as one run.
@@ -92,57 +157,46 @@ class RetryWindow(Generic[Outcome]):
         producer = self._producers.get(producer_id)
         if producer is None or first_number >= producer.end:
             return None
-        end = first_number + items
-        for put in reversed(producer.puts):
-            if put.time <= now - KEPT_NANOS:
-                continue
-            if (put.first, put.end) == (first_number, end):
-                return put.outcome
-            if put.first < end and first_number < put.end:
-                raise InvalidArgument(
-                    f"the numbers {first_number} to {end - 1} of producer {producer_id:x} overlap the run {put.first} "
-                    f"to {put.end - 1}, which was put before; retry a run as it was, and give new items new numbers"
-                )
-        return None
+        return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
 
-    def record(self, producer_id: int, first_number: int, items: int, outcome: Outcome, now: int) -> None:
-        """Keep what became of a run. Nothing is kept for producer id 0."""
-        if not producer_id:
+    def record(self, producer_id: int, first_number: int, outcome: Judged) -> None:
+        """Keep what became of a run, or of its front, at `outcome.time`. Nothing is kept for producer id 0."""
+        if not producer_id or not outcome.parts:
             return
         producer = self._producers.get(producer_id)
         if producer is None:
             producer = self._producers[producer_id] = _Producer()
+            self.footprint_bytes += producer.footprint_bytes
         self._producers.move_to_end(producer_id)
-        producer.puts.append(_Put(first_number, first_number + items, now, outcome))
-        producer.end = max(producer.end, first_number + items)
-        while producer.puts and producer.puts[0].time <= now - KEPT_NANOS:
-            producer.puts.popleft()
-        self._forget_producers(now)
+        before = producer.footprint_bytes
+        producer.add(first_number, outcome)
+        while len(producer) > RUNS_MAX or producer.oldest_time() <= outcome.time - KEPT_NANOS:
+            producer.drop_oldest()
+        while len(producer) > 1 and producer.footprint_bytes > PRODUCER_BYTES_MAX:
+            producer.drop_oldest()
+        self.footprint_bytes += producer.footprint_bytes - before
+        self.expire(outcome.time)
 
-    def known(self, now: int) -> list[KnownProducer[Outcome]]:
-        """Everything that is remembered, as values: it moves with the channel. The longest silent producer first."""
-        return [
-            KnownProducer(producer_id, [_known_run(put, now) for put in producer.puts if put.time > now - KEPT_NANOS])
-            for producer_id, producer in self._producers.items()
-        ]
-
-    def restore(self, producers: Iterable[KnownProducer[Outcome]], now: int) -> None:
-        """Remember what `known` told elsewhere, as if it had been recorded here as long ago. For an empty window."""
-        for one in producers:
-            for run in one.runs:
-                self.record(one.producer_id, run.first_number, run.items, run.outcome, now - run.answered_ago_nanos)
-
-    def _forget_producers(self, now: int) -> None:
+    def expire(self, now: int) -> None:
+        """Forget producers that have put nothing for ten minutes, and the longest silent ones above the bounds."""
         while self._producers:
             producer = next(iter(self._producers.values()))
-            if (
-                len(self._producers) <= self._producers_max
-                and producer.puts
-                and producer.puts[-1].time > now - KEPT_NANOS
-            ):
+            within = len(self._producers) <= self._producers_max and self.footprint_bytes <= self._bytes_max
+            if (within or len(self._producers) == 1) and producer.latest > now - KEPT_NANOS:
                 return
+            self.footprint_bytes -= producer.footprint_bytes
             self._producers.popitem(last=False)
 
+    def next_expiry(self) -> int | None:
+        """When `expire` next forgets somebody, if nothing is put; None: there is nobody."""
+        longest_silent = next(iter(self._producers.values()), None)
+        return None if longest_silent is None else longest_silent.latest + KEPT_NANOS
 
-def _known_run(put: _Put[Outcome], now: int) -> KnownRun[Outcome]:
-    return KnownRun(put.first, put.end - put.first, now - put.time, put.outcome)
+
+def _odd_bytes(outcome: Judged) -> int:
+    texts = sum(len(one.error.message) + 100 * len(one.error.metadata) for one in outcome.refusals)
+    return _PART_BYTES * (1 + len(outcome.parts)) + _REFUSAL_BYTES * len(outcome.refusals) + texts
+
+
+def _signed(number: int) -> int:
+    return number - 2**64 if number >= 2**63 else number

@@ -10,11 +10,12 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.incoming import ack_of, check_number, enqueue_of, refused
+from stampede_rt_channel_host.queues.incoming import answer, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
 
@@ -107,7 +108,7 @@ class EnqueueStream:
                 raise
             return refused(message.first_number, 0, error, self._store.now())
         await hosted.enqueue(run, self._waits)
-        return ack_of(run, self._store.now(), hosted.queue.incarnation)
+        return answer(run, self._store.now(), hosted.queue.incarnation)
 
     def _waits(self) -> None:
         """A run has to wait for room. The acks before it do not."""

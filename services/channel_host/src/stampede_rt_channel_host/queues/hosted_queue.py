@@ -149,8 +149,7 @@ class HostedQueue:
             stream.end(error)
         waiting, self._waiting = self._waiting, {}
         for run, done in waiting.items():
-            self.queue.withdraw(run, self._now())
-            run.error = None if run.is_through else error  # of one that is partly in, the rest was refused
+            self.queue.fail(run, error, self._now())
             _finish(done)
         self._follow_up()
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.status import to_error_message
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.read_ahead import left_nanos
 from stampede_rt_channel_host.core.queue import Enqueue
 
@@ -39,30 +39,9 @@ def check_number(producer_id: int, first_number: int) -> None:
         raise InvalidArgument("first_number is 0; a producer with an id numbers its items from 1, or leaves its id out")
 
 
-def ack_of(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
+def answer(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
     """What became of a run that is through."""
     if run.error is not None:
         return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
     assert run.outcome is not None, "a run that is through has an outcome"
-    return pb.PutAck(
-        first_number=run.first_number,
-        items=len(run.lengths),
-        first_seq=run.outcome.first_seq,
-        stamped_unix_nano=run.outcome.stamped_time,
-        rejections=[
-            pb.PutRejection(index=one.index, error=to_error_message(one.error)) for one in run.outcome.rejections
-        ],
-        host_time_unix_nano=now,
-        incarnation=incarnation,
-    )
-
-
-def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:
-    """The ack of a run that was refused as a whole."""
-    return pb.PutAck(
-        first_number=first_number,
-        items=items,
-        error=to_error_message(error),
-        host_time_unix_nano=now,
-        incarnation=incarnation,
-    )
+    return ack_of(run.first_number, run.outcome, incarnation)

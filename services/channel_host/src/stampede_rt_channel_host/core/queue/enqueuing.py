@@ -10,11 +10,12 @@ from collections.abc import Sequence
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.judging import Judged, Judging
 from stampede_rt_channel_host.core.queue.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.queue.shelf import Shelf
-from stampede_rt_channel_host.core.queue.values import EnqueueOutcome, Rejection, SealRun
+from stampede_rt_channel_host.core.queue.values import SealRun
 
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
@@ -29,8 +30,8 @@ class Enqueue:
     """
 
     __slots__ = (
-        "due", "error", "first_number", "first_seq", "is_stamped", "lengths", "order", "outcome", "place",
-        "producer_id", "rejections", "seal", "stamped_time", "wait_nanos",
+        "due", "error", "first_number", "is_stamped", "judging", "lengths", "order", "outcome", "producer_id", "seal",
+        "wait_nanos",
     )  # fmt: skip
 
     def __init__(
@@ -49,11 +50,8 @@ class Enqueue:
         self.producer_id = producer_id
         self.first_number = first_number
         self.wait_nanos = wait_nanos
-        self.place = 0  # of the first item that is not settled
-        self.first_seq: int | None = None
-        self.stamped_time: int | None = None
-        self.rejections: list[Rejection] = []
-        self.outcome: EnqueueOutcome | None = None
+        self.judging = Judging(len(lengths))
+        self.outcome: Judged | None = None
         self.error: StampedeError | None = None
         self.due: int | None = None
         self.order = 0
@@ -79,7 +77,7 @@ class Enqueuing:
         self._line: OrderedDict[Enqueue, None] = OrderedDict()
         self._deadlines: Deadlines[Enqueue] = Deadlines()
         self._arrivals = 0
-        self.retries: RetryWindow[EnqueueOutcome] = RetryWindow()
+        self.retries = RetryWindow()
         self.waiting_bytes = 0
         self.finished: list[Enqueue] = []
 
@@ -94,7 +92,7 @@ class Enqueuing:
         if not self._line and self._offer(run, now):
             return
         if run.wait_nanos is not None and run.wait_nanos <= 0:
-            self._refuse_rest(run, now)
+            self._refuse_rest(run, self._full(), now)
             return
         self._stand_in_line(run, now)
 
@@ -113,34 +111,48 @@ class Enqueuing:
         if run is None:
             return False
         self._leave_line(run)
-        self._refuse_rest(run, now)
+        self._refuse_rest(run, self._full(), now)
         self.finished.append(run)
         return True
 
     def withdraw(self, run: Enqueue, now: int) -> None:
-        """Nobody waits for it any more. What of it is in stays, and a retry hears that the rest was refused: it could
-        not get the seqs that follow. Of what is not in at all nothing is remembered, so that a retry begins anew."""
+        """Nobody waits for it any more. What of it is in stays, and is remembered: a retry goes on from there."""
         if run in self._line:
             self._leave_line(run)
-            if run.place:
-                self._refuse_rest(run, now)
+            self._remember(run, now)
+
+    def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
+        """The run, which is not in line, is not taken.
+
+        If some of its items are in and it will be sent again, it goes on from there; else only the others are refused.
+        """
+        if run.judging.accepted_any and not (error.retryable and run.producer_id):
+            self._refuse_rest(run, error, now)
+        else:
+            self._remember(run, now)
+            run.error = error
 
     def next_deadline(self) -> int | None:
         """When the next wait is over."""
         return self._deadlines.next()
 
     def _recognise(self, run: Enqueue, now: int) -> bool:
-        if not run.producer_id:
+        """True if the run came before and was answered; one of which only the front was judged goes on behind it."""
+        known = None
+        if run.producer_id:
+            known = self.retries.find(run.producer_id, run.first_number, len(run.lengths), now)
+        if known is None:
             return False
-        run.outcome = self.retries.find(run.producer_id, run.first_number, len(run.lengths), now)
-        return run.outcome is not None
+        run.judging.resume(known)
+        run.outcome = known if known.is_whole else None
+        return known.is_whole
 
     def _judge_again(self, run: Enqueue, now: int) -> bool:
         """Also whether the same run came in meanwhile, by another stream. True if the run is through."""
         try:
-            return (not run.place and self._recognise(run, now)) or self._offer(run, now)
+            return self._recognise(run, now) or self._offer(run, now)
         except StampedeError as error:
-            run.error = error
+            self.fail(run, error, now)
             return True
 
     def _stand_in_line(self, run: Enqueue, now: int) -> None:
@@ -164,23 +176,23 @@ class Enqueuing:
 
     def _offer(self, run: Enqueue, now: int) -> bool:
         """Take in what there is room for; True if the run is through."""
-        shelf, taken = self._shelf, QueuedRun(self._shelf.next_seq, [], now)
+        shelf, taken, judging = self._shelf, QueuedRun(self._shelf.next_seq, [], now), run.judging
         places: list[int] = []
-        while run.place < len(run.lengths):
-            length = run.lengths[run.place]
+        while judging.settled < len(run.lengths):
+            length = run.lengths[judging.settled]
             if length > shelf.limits.payload_bytes_max:
                 self._refuse(run, self._too_large(length))
             elif self._make_room(length):
                 shelf.add(taken, length)
-                places.append(run.place)
+                places.append(judging.settled)
             elif shelf.limits.on_full == BLOCK:
                 break
             else:
                 self._refuse(run, self._full())
-            run.place += 1
+            judging.settled += 1
         if places:
             self._seal(run, taken, places, now)
-        if run.place < len(run.lengths):
+        if judging.settled < len(run.lengths):
             return False
         self._settle(run, now)
         return True
@@ -192,28 +204,30 @@ class Enqueuing:
         return True
 
     def _seal(self, run: Enqueue, taken: QueuedRun, places: list[int], now: int) -> None:
-        if run.first_seq is None:
-            run.first_seq = taken.first_seq
-            run.stamped_time = now if run.is_stamped else None
-        self._shelf.seal(taken, run.seal(taken.first_seq, places, run.stamped_time))
+        stamped = run.judging.stamped_time if run.judging.accepted_any else now if run.is_stamped else None
+        run.judging.accept(places[0], taken.first_seq, len(places), stamped)
+        self._shelf.seal(taken, run.seal(taken.first_seq, places, stamped))
 
     def _settle(self, run: Enqueue, now: int) -> None:
-        run.outcome = EnqueueOutcome(run.first_seq, run.stamped_time, tuple(run.rejections))
-        self.retries.record(run.producer_id, run.first_number, len(run.lengths), run.outcome, now)
+        run.outcome = self._remember(run, now)
 
-    def _refuse_rest(self, run: Enqueue, now: int) -> None:
-        full = self._full()
-        while run.place < len(run.lengths):
-            self._refuse(run, full)
-            run.place += 1
+    def _remember(self, run: Enqueue, now: int) -> Judged:
+        judged = run.judging.outcome(now)
+        self.retries.record(run.producer_id, run.first_number, judged)
+        return judged
+
+    def _refuse_rest(self, run: Enqueue, error: StampedeError, now: int) -> None:
+        while run.judging.settled < len(run.lengths):
+            self._refuse(run, error)
+            run.judging.settled += 1
         self._settle(run, now)
 
     def _refuse(self, run: Enqueue, error: StampedeError) -> None:
         if isinstance(error, ItemTooLarge):
             self._shelf.tally.rejected_too_large += 1
-        else:
+        elif isinstance(error, QueueFull):
             self._shelf.tally.rejected_full += 1
-        run.rejections.append(Rejection(run.place, error))
+        run.judging.refuse(run.judging.settled, error)
 
     def _too_large(self, length: int) -> ItemTooLarge:
         return ItemTooLarge(

@@ -16,7 +16,6 @@ from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
 from stampede_rt_channel_host.core.queue.shelf import Shelf, Tally
-from stampede_rt_channel_host.core.queue.values import EnqueueOutcome
 
 
 class LeaseState(NamedTuple):
@@ -61,10 +60,10 @@ class QueueState:
     held: Sequence[SeqRange]
     items: Sequence[ItemState]
     acknowledged: Sequence[Acknowledged]
-    producers: Sequence[KeptRun[EnqueueOutcome]]
+    producers: Sequence[KeptRun]
 
 
-def export(shelf: Shelf, leasing: Leasing, retries: RetryWindow[EnqueueOutcome], now: int) -> QueueState:
+def export(shelf: Shelf, leasing: Leasing, retries: RetryWindow, now: int) -> QueueState:
     """The queue as it is at `now`; it shares nothing that changes."""
     held = [item.seq for item in shelf.touched.values()]
     fresh = [seq for run, place in shelf.fresh() for seq in range(run.first_seq + place, run.end_seq)]
@@ -76,11 +75,11 @@ def export(shelf: Shelf, leasing: Leasing, retries: RetryWindow[EnqueueOutcome],
         held=_ranges(chain(held, fresh)),
         items=[_state(item, leasing, now) for item in chain(_not_leaving(shelf), shelf.leaving.values())],
         acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now)],
-        producers=[kept._replace(time=now - kept.time) for kept in retries.kept(now)],
+        producers=[_aged(kept, now) for kept in retries.kept(now)],
     )
 
 
-def restore(state: QueueState, shelf: Shelf, leasing: Leasing, retries: RetryWindow[EnqueueOutcome], now: int) -> None:
+def restore(state: QueueState, shelf: Shelf, leasing: Leasing, retries: RetryWindow, now: int) -> None:
     """Fill an empty queue. Times that are over by now are looked after at the next tick."""
     shelf.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
@@ -104,7 +103,12 @@ def restore(state: QueueState, shelf: Shelf, leasing: Leasing, retries: RetryWin
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
-        retries.record(kept.producer_id, kept.first_number, kept.items, kept.outcome, now - kept.time)
+        retries.record(kept.producer_id, kept.first_number, _aged(kept, now).outcome)
+
+
+def _aged(kept: KeptRun, now: int) -> KeptRun:
+    """With its age instead of its time, or the other way round."""
+    return kept._replace(outcome=kept.outcome._replace(time=now - kept.outcome.time))
 
 
 def _fresh_from(state: QueueState) -> int:

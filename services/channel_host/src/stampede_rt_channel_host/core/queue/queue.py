@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from itertools import islice
 
+from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dealing import Dealing, Taker
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
@@ -74,6 +75,14 @@ class Queue:
         """Nobody waits for the run any more. Idempotent."""
         clock = self._tick(now)
         self._enqueuing.withdraw(run, clock)
+        self._follow_up(clock)
+
+    def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
+        """A run that waits is not taken, since the queue is not served any more: it is through."""
+        clock = self._tick(now)
+        self._enqueuing.withdraw(run, clock)
+        if not run.is_through:
+            self._enqueuing.fail(run, error, clock)
         self._follow_up(clock)
 
     def reject_malformed(self) -> None:
@@ -208,10 +217,11 @@ class Queue:
     @property
     def footprint_bytes(self) -> int:
         """What the queue takes of the host's memory: stored runs, 64 bytes for each item, runs that wait, and what it
-        knows of acknowledged deliveries."""
+        knows of acknowledged deliveries and of producers' last runs."""
         shelf = self._shelf
         stored = shelf.stored_bytes + shelf.items * 64
-        return stored + self._enqueuing.waiting_bytes + self._leasing.acknowledged.footprint_bytes
+        known = self._leasing.acknowledged.footprint_bytes + self._enqueuing.retries.footprint_bytes
+        return stored + self._enqueuing.waiting_bytes + known
 
     def _tick(self, now: int) -> int:
         clock = self._clock = now if self._clock is None else max(self._clock, now)

@@ -20,22 +20,6 @@ class SealRun(Protocol):
         """`places`: of the accepted items in their run; `stamped_time`: set if the run came without times."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rejection:
-    """An item that was refused: its place in the run, and why (ItemTooLarge, QueueFull)."""
-
-    index: int
-    error: StampedeError
-
-
-class EnqueueOutcome(NamedTuple):
-    """What became of a run. `first_seq` None: no item was accepted; the accepted ones follow by one each."""
-
-    first_seq: int | None
-    stamped_time: int | None
-    rejections: Sequence[Rejection] = ()
-
-
 class LeasedSlice(NamedTuple):
     """Items of a run from place `lo` up to, not including, `hi`, each with its delivery id and number."""
 

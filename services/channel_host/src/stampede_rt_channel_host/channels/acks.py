@@ -1,0 +1,36 @@
+"""What a producer is told of its runs, by channels and queues alike."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import to_error_message
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.core.judging import Judged
+
+
+def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
+    """The ack of a run every item of which is judged."""
+    return pb.PutAck(
+        first_number=first_number,
+        items=judged.items,
+        first_seq=judged.first_seq,
+        stamped_unix_nano=judged.stamped_time,
+        rejections=[pb.PutRejection(index=one.place, error=to_error_message(one.error)) for one in judged.refusals],
+        later_parts=[
+            pb.PutPart(index=one.place, first_seq=one.first_seq, stamped_unix_nano=one.stamped_time)
+            for one in judged.parts[1:]
+        ],
+        host_time_unix_nano=judged.time,
+        incarnation=incarnation,
+    )
+
+
+def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:
+    """The ack of a run that was refused as a whole."""
+    return pb.PutAck(
+        first_number=first_number,
+        items=items,
+        error=to_error_message(error),
+        host_time_unix_nano=now,
+        incarnation=incarnation,
+    )

@@ -1,0 +1,109 @@
+"""What has become of a run on its way into a channel or queue, item by item from its front. Pure.
+
+A run whose last items wait for room is judged in part; when it comes again, it goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from stampede_rt.errors import StampedeError
+
+
+class Part(NamedTuple):
+    """Accepted items of a run, the first of them at `place`, whose seqs follow each other from `first_seq` on.
+
+    `stamped_time`: the time that the host gave them; None: their producer did.
+    """
+
+    place: int
+    first_seq: int
+    items: int
+    stamped_time: int | None
+
+
+class Refusal(NamedTuple):
+    """An item that was refused: its place in the run, and why."""
+
+    place: int
+    error: StampedeError
+
+
+class Judged(NamedTuple):
+    """What is known of a run of `items`: those before place `settled` were accepted or refused, by `time`.
+
+    `parts` and `refusals` ascend. Nearly every run has one part and no refusals.
+    """
+
+    items: int
+    settled: int
+    parts: Sequence[Part]
+    refusals: Sequence[Refusal]
+    time: int
+
+    @property
+    def is_whole(self) -> bool:
+        """Every item is judged."""
+        return self.settled == self.items
+
+    @property
+    def first_seq(self) -> int | None:
+        """The first accepted item's seq; None: none was."""
+        return self.parts[0].first_seq if self.parts else None
+
+    @property
+    def stamped_time(self) -> int | None:
+        """The time that the host gave the first accepted items, if it did."""
+        return self.parts[0].stamped_time if self.parts else None
+
+
+class Judging:
+    """A run that is being judged. `settled`: items before this place are."""
+
+    __slots__ = ("_parts", "_refusals", "items", "settled")
+
+    def __init__(self, items: int) -> None:
+        self.items = items
+        self.settled = 0
+        self._parts: list[Part] = []
+        self._refusals: list[Refusal] = []
+
+    @property
+    def accepted_any(self) -> bool:
+        """Some items are in, and must not come in again."""
+        return bool(self._parts)
+
+    @property
+    def first_seq(self) -> int | None:
+        """The first accepted item's seq; None: none was."""
+        return self._parts[0].first_seq if self._parts else None
+
+    @property
+    def stamped_time(self) -> int | None:
+        """The time that the host gave the first accepted items, if it did."""
+        return self._parts[0].stamped_time if self._parts else None
+
+    def accept(self, place: int, first_seq: int, items: int, stamped_time: int | None) -> None:
+        """So many items, the first at `place`, got seqs from `first_seq` on."""
+        last = self._parts[-1] if self._parts else None
+        if last is not None and (last.first_seq + last.items, last.stamped_time) == (first_seq, stamped_time):
+            self._parts[-1] = last._replace(items=last.items + items)
+        else:
+            self._parts.append(Part(place, first_seq, items, stamped_time))
+
+    def refuse(self, place: int, error: StampedeError) -> None:
+        """The item at `place` is refused."""
+        self._refusals.append(Refusal(place, error))
+
+    def resume(self, known: Judged) -> bool:
+        """Go on where the run was when it came before; False if it is further already."""
+        if known.settled <= self.settled:
+            return False
+        self.settled = known.settled
+        self._parts, self._refusals = list(known.parts), list(known.refusals)
+        return True
+
+    def outcome(self, now: int) -> Judged:
+        """As far as it is judged at `now`."""
+        return Judged(self.items, self.settled, tuple(self._parts), tuple(self._refusals), now)
