@@ -233,7 +233,9 @@ async def test_a_reader_that_does_not_even_take_the_end_keeps_nobody_waiting(
         ({"start": time_pb2.Bound()}, "no anchor"),
         ({"group_id": b"g"}, "no group"),
         ({"after": item_pb2.ItemPosition(time_unix_nano=1, seq=1, incarnation=999)}, "incarnation"),
-        ({"after": item_pb2.ItemPosition(time_unix_nano=1), "start": instant(1)}, "start"),
+        ({"after": item_pb2.ItemPosition(time_unix_nano=1)}, "no seq"),
+        ({"cursor": pb.SubscriptionCursor(next_seq=1, incarnation=999)}, "incarnation"),
+        ({"cursor": pb.SubscriptionCursor(next_seq=1, cut_unix_nano=1)}, "group"),
     ],
 )
 async def test_a_subscription_that_cannot_be_is_refused(rig: Rig, fields: dict[str, Any], words: str) -> None:

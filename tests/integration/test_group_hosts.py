@@ -143,14 +143,14 @@ async def test_matches_reach_over_hosts(pair: Pair) -> None:
     t = pair.start
     await pair.left.put(t + 10, t + 20)
     await pair.right.put(t + 11, t + 30)
-    request = pb.SubscribeMatchesRequest(
+    begun = pb.SubscribeMatchesOpen(
         group_id=pair.group.group_id,
         per_channel_id=pair.left.channel_id,
         epoch=1,
         tolerance_nanos=3,
         after=item_pb2.ItemPosition(time_unix_nano=t),
     )
-    call = pair.left.host.groups.SubscribeMatches(request)
+    call = pair.left.host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40),)))
     found: list[pb.ItemMatch] = []
     async with asyncio.timeout(15):
         while len(found) < 2:

@@ -13,7 +13,7 @@ import pytest
 from stampede_rt.v1 import channel_service_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels import subscription
-from stampede_rt_channel_host.groups import reading, writing
+from stampede_rt_channel_host.groups import writing
 from tests.unit.channel_host.manual_clock import ManualClock
 from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between
 from tests.unit.groups.rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
@@ -43,10 +43,11 @@ async def busy(channel: GroupedChannel, start: int) -> AsyncIterator[None]:
 
 
 def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) -> Any:
-    request = pb.SubscribeMatchesRequest(
+    begun = pb.SubscribeMatchesOpen(
         group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3, **fields
     )
-    return left.host.groups.SubscribeMatches(request)
+    request = pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40)
+    return left.host.groups.SubscribeMatches(iter((request,)))
 
 
 @pytest.mark.parametrize("kind", ["items", "cuts", "matches"])
@@ -77,10 +78,10 @@ async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice
     await left.put(t, t + 2, t + 4)
     await right.put(t + 3)
     begun = left.subscribe(group)
-    place = (await begun.call.read()).resume_after
+    cursor = (await begun.call.read()).cursor
     begun.call.cancel()  # before anything came: what was visible already is not meant for it
-    resumed = left.subscribe(group, after=place)
-    assert (await resumed.call.read()).resume_after == place
+    resumed = left.subscribe(group, cursor=cursor)
+    assert not (await resumed.call.read()).HasField("gap")
     await left.put(t + 1, t + 6)
     await right.put(t + 5)
     assert await resumed.take(2) == [t + 1, t + 4]
@@ -89,7 +90,7 @@ async def test_a_subscription_is_told_where_to_go_on_so_that_nothing_comes_twice
 async def test_what_becomes_visible_at_once_is_gone_on_behind_only_when_all_of_it_was_sent(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reading, "MESSAGE_BYTES_MAX", 1)  # one run in each
+    monkeypatch.setattr(subscription, "MESSAGE_BYTES_MAX", 1)  # one run in each
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])
     for at in (10, 20, 30):
@@ -101,7 +102,7 @@ async def test_what_becomes_visible_at_once_is_gone_on_behind_only_when_all_of_i
     async with asyncio.timeout(WAIT_SECONDS):
         responses = [await call.read() for _ in range(3)]
     assert [len(response.runs) for response in responses] == [1, 1, 0]
-    assert [response.HasField("resume_after") for response in responses] == [False, False, True]
+    assert [response.HasField("cursor") for response in responses] == [False, False, True]
 
 
 async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the_first_item(host: Host) -> None:
@@ -109,9 +110,9 @@ async def test_a_subscription_that_began_before_there_was_a_cut_goes_on_with_the
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
     begun = left.subscribe(group)
-    place = (await begun.call.read()).resume_after
+    cursor = (await begun.call.read()).cursor
     begun.call.cancel()
-    resumed = await left.subscribe(group, after=place).opened()
+    resumed = await left.subscribe(group, cursor=cursor).opened()
     await right.put(t + 1)
     await left.put(t + 2)
     assert await resumed.take(1) == [t]

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.timeline import Bound
-from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, Pending, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, Pending, Position, Query, SavedCursor, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from tests.oracle.channel import Item
 from tests.oracle.group import OracleFollower, OracleView
@@ -130,9 +130,10 @@ class Readers:
         assert answer.reason == reader.reason(pending.query, pending.interval)
 
     def subscribe(
-        self, group: int, channel_id: bytes, start: Bound | None, exclusive: bool, after: Position | None
-    ) -> Subscriber | None:
-        """To what becomes visible from now on, from a bound on, or behind an item."""
+        self, group: int, channel_id: bytes, start: Bound | None, exclusive: bool, after: Position | None,
+        saved: tuple[SavedCursor, SavedCursor] | None = None,
+    ) -> Subscriber | None:  # fmt: skip
+        """To what becomes visible from now on, from a bound on, or behind an item; or from `saved`, at `after`."""
         _, horizon, pair = self.view(group, channel_id)
         clock, core, channel, cut = self.world.clock, pair.core, pair.oracle, horizon.cut
         if after is not None and after.incarnation not in (0, pair.incarnation):
@@ -150,8 +151,12 @@ class Readers:
         elif start is not None:
             begin = cut if cut is None or low is None else min(cut, low + exclusive)
             last = BEFORE_ALL if low is None else (low, 2**65 if exclusive else -1)
-        every = VisibleAll(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
-        newest = VisibleNewest(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
+        if saved is not None:
+            every = VisibleAll(core, horizon, clock, saved=saved[0])
+            newest = VisibleNewest(core, horizon, clock, saved=saved[1])
+        else:
+            every = VisibleAll(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
+            newest = VisibleNewest(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
         oracles = [OracleFollower.begin(channel, begin, None if after is None else after.seq) for _ in range(2)]
         again = after is not None and has_lost_from(pair, begin)
         made = Subscriber(group, channel_id, every, oracles[0], newest, oracles[1], last, again, again)
@@ -179,12 +184,24 @@ class Readers:
         made.last_given = last
 
     def go_on(self, which: int) -> None:
-        """A subscriber is carried on by its place: nothing is left out, and nothing comes twice."""
+        """A subscriber is carried on by its cursor: nothing is left out, and nothing comes twice."""
         if not self.subscribers:
             return
         one = self.subscribers.pop(which % len(self.subscribers))
-        made = self.subscribe(one.group, one.channel_id, None, False, one.every.place)
+        every, newest = one.every.saved, one.newest.saved
+        assert every is not None
+        assert newest is not None
+        assert every.cut is not None
+        made = self.subscribe(
+            one.group,
+            one.channel_id,
+            None,
+            False,
+            Position(every.cut - 1, every.next_seq - 1, every.incarnation),
+            saved=(every, newest),
+        )
         assert made is not None
+        made.last = one.last
         held = {item.seq for item in self.world.pair(one.channel_id).oracle.held}
         assert one.oracle.meant & held == made.oracle.meant & held
         made.last_given = one.last_given

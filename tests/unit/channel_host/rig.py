@@ -85,8 +85,20 @@ class Opened:
         return between(self.rig.now() + 3600 * S, MAX_INSTANT)
 
     def subscribe(self, **fields: Any) -> Any:
+        """A subscription that nothing holds back."""
+        return self.rig.channels.Subscribe(iter((self.subscribe_request(credit_bytes=MAX_INSTANT, **fields),)))
+
+    async def subscribe_slowly(self, **fields: Any) -> Any:
+        """A subscription without credit; `write` grants it."""
+        call = self.rig.channels.Subscribe()
+        await call.write(self.subscribe_request(**fields))
+        return call
+
+    def subscribe_request(self, credit_bytes: int = 0, **fields: Any) -> pb.SubscribeRequest:
         fields = {"epoch": self.epoch, **fields}
-        return self.rig.channels.Subscribe(pb.SubscribeRequest(channel_id=self.channel_id, **fields))
+        return pb.SubscribeRequest(
+            open=pb.SubscribeOpen(channel_id=self.channel_id, **fields), credit_bytes=credit_bytes
+        )
 
     async def status(self) -> channel_pb2.ChannelStatus:
         request = pb.GetChannelStatusRequest(channel_id=self.channel_id)

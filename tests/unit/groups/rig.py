@@ -204,10 +204,11 @@ class GroupedChannel:
         return times, last.summary
 
     def subscribe(self, group: group_pb2.GroupRecord, **fields: Any) -> Reading:
-        request = channel_service_pb2.SubscribeRequest(
+        begun = channel_service_pb2.SubscribeOpen(
             channel_id=self.channel_id, epoch=self.record.epoch, group_id=group.group_id, **fields
         )
-        return Reading(self.host.channels.Subscribe(request))
+        request = channel_service_pb2.SubscribeRequest(open=begun, credit_bytes=2**40)
+        return Reading(self.host.channels.Subscribe(iter((request,))))
 
 
 class Reading:
@@ -236,7 +237,9 @@ class CutReader:
 
     def __init__(self, host: Host, group: group_pb2.GroupRecord, **fields: Any) -> None:
         self.call = host.groups.SubscribeCuts()
-        self._open = pb.SubscribeCutsRequest(open=pb.SubscribeCutsOpen(group_id=group.group_id, **fields))
+        self.decides = fields.get("decides", False)
+        begun = pb.SubscribeCutsOpen(group_id=group.group_id, **fields)
+        self._open = pb.SubscribeCutsRequest(open=begun, credit=1000 if self.decides else 0)
 
     async def opened(self) -> pb.CutCursor:
         await self.call.write(self._open)

@@ -46,7 +46,7 @@ class ChannelServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.GetRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.GetResponse.FromString,
                 _registered_method=True)
-        self.Subscribe = channel.unary_stream(
+        self.Subscribe = channel.stream_stream(
                 '/stampede_rt.v1.ChannelService/Subscribe',
                 request_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeResponse.FromString,
@@ -91,9 +91,10 @@ class ChannelServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
-    def Subscribe(self, request, context):
-        """Be sent items as they are accepted. The first response has `opened`; after it no accepted item is missed without
-        a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    def Subscribe(self, request_iterator, context):
+        """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
+        missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+        A caller that closes its sending side gets what its credit still allows; then the stream ends.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -139,7 +140,7 @@ def add_ChannelServiceServicer_to_server(servicer, server):
                     request_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.GetRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.GetResponse.SerializeToString,
             ),
-            'Subscribe': grpc.unary_stream_rpc_method_handler(
+            'Subscribe': grpc.stream_stream_rpc_method_handler(
                     servicer.Subscribe,
                     request_deserializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeResponse.SerializeToString,
@@ -227,7 +228,7 @@ class ChannelService(object):
             _registered_method=True)
 
     @staticmethod
-    def Subscribe(request,
+    def Subscribe(request_iterator,
             target,
             options=(),
             channel_credentials=None,
@@ -237,8 +238,8 @@ class ChannelService(object):
             wait_for_ready=None,
             timeout=None,
             metadata=None):
-        return grpc.experimental.unary_stream(
-            request,
+        return grpc.experimental.stream_stream(
+            request_iterator,
             target,
             '/stampede_rt.v1.ChannelService/Subscribe',
             stampede__rt_dot_v1_dot_channel__service__pb2.SubscribeRequest.SerializeToString,

@@ -45,9 +45,10 @@ class ChannelServiceStub:
     an error. Requests on one stream are independent: a waiting one holds up no other. Reads change nothing.
     To read once: send one request, close the sending side, read to the end.
     """
-    Subscribe: _grpc.UnaryStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]
-    """Be sent items as they are accepted. The first response has `opened`; after it no accepted item is missed without
-    a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    Subscribe: _grpc.StreamStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]
+    """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
+    missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    A caller that closes its sending side gets what its credit still allows; then the stream ends.
     """
     Advance: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]
     """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
@@ -80,9 +81,10 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     an error. Requests on one stream are independent: a waiting one holds up no other. Reads change nothing.
     To read once: send one request, close the sending side, read to the end.
     """
-    Subscribe: _aio.UnaryStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]  # type: ignore[assignment]
-    """Be sent items as they are accepted. The first response has `opened`; after it no accepted item is missed without
-    a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    Subscribe: _aio.StreamStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]  # type: ignore[assignment]
+    """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
+    missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    A caller that closes its sending side gets what its credit still allows; then the stream ends.
     """
     Advance: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]  # type: ignore[assignment]
     """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
@@ -128,11 +130,12 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
     @_abc_1.abstractmethod
     def Subscribe(
         self,
-        request: _channel_service_pb2.SubscribeRequest,
+        request_iterator: _MaybeAsyncIterator[_channel_service_pb2.SubscribeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.SubscribeResponse], _abc.AsyncIterator[_channel_service_pb2.SubscribeResponse]]:
-        """Be sent items as they are accepted. The first response has `opened`; after it no accepted item is missed without
-        a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+        """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
+        missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+        A caller that closes its sending side gets what its credit still allows; then the stream ends.
         """
 
     @_abc_1.abstractmethod

@@ -27,7 +27,7 @@ from stampede_rt.v1 import group_pb2 as stampede__rt_dot_v1_dot_group__pb2
 from stampede_rt.v1 import item_pb2 as stampede__rt_dot_v1_dot_item__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"stampede_rt/v1/group_service.proto\x12\x0estampede_rt.v1\x1a\x1astampede_rt/v1/error.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x19stampede_rt/v1/item.proto\"q\n\x14\x45xchangeTimesRequest\x12,\n\x05hello\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ExchangeHello\x12+\n\x06update\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.TimesUpdate\"r\n\x15\x45xchangeTimesResponse\x12,\n\x05hello\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ExchangeHello\x12+\n\x06update\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.TimesUpdate\"h\n\rExchangeHello\x12\x12\n\ncluster_id\x18\x01 \x01(\t\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\x12\x18\n\x10protocol_version\x18\x04 \x01(\r\"\x95\x01\n\x0bTimesUpdate\x12/\n\x08interest\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.TimesInterest\x12+\n\x05times\x18\x02 \x03(\x0b\x32\x1c.stampede_rt.v1.ChannelTimes\x12(\n\x06\x66loors\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.CutFloor\"$\n\rTimesInterest\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"\x83\x01\n\rGetCutRequest\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12 \n\x13\x63ut_floor_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x12\x17\n\nwait_nanos\x18\x03 \x01(\x12H\x01\x88\x01\x01\x42\x16\n\x14_cut_floor_unix_nanoB\r\n\x0b_wait_nanos\"j\n\x0eGetCutResponse\x12\'\n\x05\x66loor\x18\x01 \x01(\x0b\x32\x18.stampede_rt.v1.CutFloor\x12\x0f\n\x07stalled\x18\x02 \x01(\x08\x12\x1e\n\x16waiting_on_channel_ids\x18\x03 \x03(\x0c\"v\n\x14SubscribeCutsRequest\x12/\n\x04open\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.SubscribeCutsOpen\x12-\n\x08\x62oundary\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.CutBoundary\"\xc0\x01\n\x11SubscribeCutsOpen\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x0f\n\x07\x64\x65\x63ides\x18\x02 \x01(\x08\x12\x1b\n\x0emax_wait_nanos\x18\x03 \x01(\x03H\x00\x88\x01\x01\x12(\n\x05\x61\x66ter\x18\x04 \x01(\x0b\x32\x19.stampede_rt.v1.CutCursor\x12\x18\n\x10without_payloads\x18\x05 \x01(\x08\x12\x14\n\x0cspec_version\x18\x06 \x01(\x04\x42\x11\n\x0f_max_wait_nanos\"h\n\tCutCursor\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x15\n\rcut_unix_nano\x18\x02 \x01(\x10\x12/\n\x08\x63hannels\x18\x03 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelCursor\"J\n\rChannelCursor\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x10\n\x08next_seq\x18\x03 \x01(\x04\"Y\n\x0b\x43utBoundary\x12\x15\n\rcut_unix_nano\x18\x01 \x01(\x10\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x1e\n\x16incomplete_channel_ids\x18\x03 \x03(\x0c\"\x99\x01\n\x15SubscribeCutsResponse\x12)\n\x06opened\x18\x01 \x01(\x0b\x32\x19.stampede_rt.v1.CutCursor\x12&\n\x05parts\x18\x02 \x03(\x0b\x32\x17.stampede_rt.v1.CutPart\x12-\n\x08\x62oundary\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.CutBoundary\"\xd0\x01\n\x07\x43utPart\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12*\n\x04runs\x18\x02 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12/\n\tlate_runs\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12%\n\x04loss\x18\x04 \x01(\x0b\x32\x17.stampede_rt.v1.CutLoss\x12-\n\x06\x63ursor\x18\x05 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelCursor\"\x80\x01\n\x07\x43utLoss\x12\x18\n\x10\x62\x65\x66ore_unix_nano\x18\x01 \x01(\x10\x12\x12\n\x05items\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12-\n\x06reason\x18\x03 \x01(\x0e\x32\x1d.stampede_rt.v1.AbsenceReason\x12\x0e\n\x06\x64\x65tail\x18\x04 \x01(\tB\x08\n\x06_items\"\xfb\x01\n\x17SubscribeMatchesRequest\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x16\n\x0eper_channel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x1c\n\x0ftolerance_nanos\x18\x04 \x01(\x03H\x00\x88\x01\x01\x12+\n\x05\x61\x66ter\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x18\n\x10without_payloads\x18\x06 \x01(\x08\x12\x1b\n\x0e\x61\x66ter_next_seq\x18\x07 \x01(\x04H\x01\x88\x01\x01\x42\x12\n\x10_tolerance_nanosB\x11\n\x0f_after_next_seq\"\xb7\x01\n\x18SubscribeMatchesResponse\x12*\n\x07matches\x18\x01 \x03(\x0b\x32\x19.stampede_rt.v1.ItemMatch\x12\x11\n\tunmatched\x18\x02 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x03 \x01(\x04\x12\x32\n\x0cresume_after\x18\x04 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x17\n\x0fresume_next_seq\x18\x05 \x01(\x04\"\x84\x01\n\tItemMatch\x12*\n\x04item\x18\x01 \x01(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12,\n\x07matched\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.MatchedItem\x12\x1d\n\x15unmatched_channel_ids\x18\x03 \x03(\x0c\"}\n\x0bMatchedItem\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12.\n\x08position\x18\x02 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12*\n\x04item\x18\x03 \x01(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\")\n\x15GetGroupStatusRequest\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\"E\n\x16GetGroupStatusResponse\x12+\n\x06status\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupStatus2\xe5\x03\n\x0cGroupService\x12`\n\rExchangeTimes\x12$.stampede_rt.v1.ExchangeTimesRequest\x1a%.stampede_rt.v1.ExchangeTimesResponse(\x01\x30\x01\x12G\n\x06GetCut\x12\x1d.stampede_rt.v1.GetCutRequest\x1a\x1e.stampede_rt.v1.GetCutResponse\x12`\n\rSubscribeCuts\x12$.stampede_rt.v1.SubscribeCutsRequest\x1a%.stampede_rt.v1.SubscribeCutsResponse(\x01\x30\x01\x12g\n\x10SubscribeMatches\x12\'.stampede_rt.v1.SubscribeMatchesRequest\x1a(.stampede_rt.v1.SubscribeMatchesResponse0\x01\x12_\n\x0eGetGroupStatus\x12%.stampede_rt.v1.GetGroupStatusRequest\x1a&.stampede_rt.v1.GetGroupStatusResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"stampede_rt/v1/group_service.proto\x12\x0estampede_rt.v1\x1a\x1astampede_rt/v1/error.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x19stampede_rt/v1/item.proto\"q\n\x14\x45xchangeTimesRequest\x12,\n\x05hello\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ExchangeHello\x12+\n\x06update\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.TimesUpdate\"r\n\x15\x45xchangeTimesResponse\x12,\n\x05hello\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ExchangeHello\x12+\n\x06update\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.TimesUpdate\"h\n\rExchangeHello\x12\x12\n\ncluster_id\x18\x01 \x01(\t\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\x12\x18\n\x10protocol_version\x18\x04 \x01(\r\"\x95\x01\n\x0bTimesUpdate\x12/\n\x08interest\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.TimesInterest\x12+\n\x05times\x18\x02 \x03(\x0b\x32\x1c.stampede_rt.v1.ChannelTimes\x12(\n\x06\x66loors\x18\x03 \x03(\x0b\x32\x18.stampede_rt.v1.CutFloor\"$\n\rTimesInterest\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\"\x83\x01\n\rGetCutRequest\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12 \n\x13\x63ut_floor_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x12\x17\n\nwait_nanos\x18\x03 \x01(\x12H\x01\x88\x01\x01\x42\x16\n\x14_cut_floor_unix_nanoB\r\n\x0b_wait_nanos\"j\n\x0eGetCutResponse\x12\'\n\x05\x66loor\x18\x01 \x01(\x0b\x32\x18.stampede_rt.v1.CutFloor\x12\x0f\n\x07stalled\x18\x02 \x01(\x08\x12\x1e\n\x16waiting_on_channel_ids\x18\x03 \x03(\x0c\"\x86\x01\n\x14SubscribeCutsRequest\x12/\n\x04open\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.SubscribeCutsOpen\x12-\n\x08\x62oundary\x18\x02 \x01(\x0b\x32\x1b.stampede_rt.v1.CutBoundary\x12\x0e\n\x06\x63redit\x18\x03 \x01(\r\"\xc0\x01\n\x11SubscribeCutsOpen\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x0f\n\x07\x64\x65\x63ides\x18\x02 \x01(\x08\x12\x1b\n\x0emax_wait_nanos\x18\x03 \x01(\x03H\x00\x88\x01\x01\x12(\n\x05\x61\x66ter\x18\x04 \x01(\x0b\x32\x19.stampede_rt.v1.CutCursor\x12\x18\n\x10without_payloads\x18\x05 \x01(\x08\x12\x14\n\x0cspec_version\x18\x06 \x01(\x04\x42\x11\n\x0f_max_wait_nanos\"h\n\tCutCursor\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x15\n\rcut_unix_nano\x18\x02 \x01(\x10\x12/\n\x08\x63hannels\x18\x03 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelCursor\"J\n\rChannelCursor\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x10\n\x08next_seq\x18\x03 \x01(\x04\"Y\n\x0b\x43utBoundary\x12\x15\n\rcut_unix_nano\x18\x01 \x01(\x10\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x1e\n\x16incomplete_channel_ids\x18\x03 \x03(\x0c\"\x99\x01\n\x15SubscribeCutsResponse\x12)\n\x06opened\x18\x01 \x01(\x0b\x32\x19.stampede_rt.v1.CutCursor\x12&\n\x05parts\x18\x02 \x03(\x0b\x32\x17.stampede_rt.v1.CutPart\x12-\n\x08\x62oundary\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.CutBoundary\"\xd0\x01\n\x07\x43utPart\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12*\n\x04runs\x18\x02 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12/\n\tlate_runs\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12%\n\x04loss\x18\x04 \x01(\x0b\x32\x17.stampede_rt.v1.CutLoss\x12-\n\x06\x63ursor\x18\x05 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelCursor\"\x80\x01\n\x07\x43utLoss\x12\x18\n\x10\x62\x65\x66ore_unix_nano\x18\x01 \x01(\x10\x12\x12\n\x05items\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12-\n\x06reason\x18\x03 \x01(\x0e\x32\x1d.stampede_rt.v1.AbsenceReason\x12\x0e\n\x06\x64\x65tail\x18\x04 \x01(\tB\x08\n\x06_items\"c\n\x17SubscribeMatchesRequest\x12\x32\n\x04open\x18\x01 \x01(\x0b\x32$.stampede_rt.v1.SubscribeMatchesOpen\x12\x14\n\x0c\x63redit_bytes\x18\x02 \x01(\x04\"\xf8\x01\n\x14SubscribeMatchesOpen\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x16\n\x0eper_channel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12\x1c\n\x0ftolerance_nanos\x18\x04 \x01(\x03H\x00\x88\x01\x01\x12+\n\x05\x61\x66ter\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x18\n\x10without_payloads\x18\x06 \x01(\x08\x12\x1b\n\x0e\x61\x66ter_next_seq\x18\x07 \x01(\x04H\x01\x88\x01\x01\x42\x12\n\x10_tolerance_nanosB\x11\n\x0f_after_next_seq\"\xb7\x01\n\x18SubscribeMatchesResponse\x12*\n\x07matches\x18\x01 \x03(\x0b\x32\x19.stampede_rt.v1.ItemMatch\x12\x11\n\tunmatched\x18\x02 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x03 \x01(\x04\x12\x32\n\x0cresume_after\x18\x04 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x17\n\x0fresume_next_seq\x18\x05 \x01(\x04\"\x84\x01\n\tItemMatch\x12*\n\x04item\x18\x01 \x01(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12,\n\x07matched\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.MatchedItem\x12\x1d\n\x15unmatched_channel_ids\x18\x03 \x03(\x0c\"}\n\x0bMatchedItem\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12.\n\x08position\x18\x02 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12*\n\x04item\x18\x03 \x01(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\")\n\x15GetGroupStatusRequest\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\"E\n\x16GetGroupStatusResponse\x12+\n\x06status\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupStatus2\xe7\x03\n\x0cGroupService\x12`\n\rExchangeTimes\x12$.stampede_rt.v1.ExchangeTimesRequest\x1a%.stampede_rt.v1.ExchangeTimesResponse(\x01\x30\x01\x12G\n\x06GetCut\x12\x1d.stampede_rt.v1.GetCutRequest\x1a\x1e.stampede_rt.v1.GetCutResponse\x12`\n\rSubscribeCuts\x12$.stampede_rt.v1.SubscribeCutsRequest\x1a%.stampede_rt.v1.SubscribeCutsResponse(\x01\x30\x01\x12i\n\x10SubscribeMatches\x12\'.stampede_rt.v1.SubscribeMatchesRequest\x1a(.stampede_rt.v1.SubscribeMatchesResponse(\x01\x30\x01\x12_\n\x0eGetGroupStatus\x12%.stampede_rt.v1.GetGroupStatusRequest\x1a&.stampede_rt.v1.GetGroupStatusResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -48,34 +48,36 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_GETCUTREQUEST']._serialized_end=796
   _globals['_GETCUTRESPONSE']._serialized_start=798
   _globals['_GETCUTRESPONSE']._serialized_end=904
-  _globals['_SUBSCRIBECUTSREQUEST']._serialized_start=906
-  _globals['_SUBSCRIBECUTSREQUEST']._serialized_end=1024
-  _globals['_SUBSCRIBECUTSOPEN']._serialized_start=1027
-  _globals['_SUBSCRIBECUTSOPEN']._serialized_end=1219
-  _globals['_CUTCURSOR']._serialized_start=1221
-  _globals['_CUTCURSOR']._serialized_end=1325
-  _globals['_CHANNELCURSOR']._serialized_start=1327
-  _globals['_CHANNELCURSOR']._serialized_end=1401
-  _globals['_CUTBOUNDARY']._serialized_start=1403
-  _globals['_CUTBOUNDARY']._serialized_end=1492
-  _globals['_SUBSCRIBECUTSRESPONSE']._serialized_start=1495
-  _globals['_SUBSCRIBECUTSRESPONSE']._serialized_end=1648
-  _globals['_CUTPART']._serialized_start=1651
-  _globals['_CUTPART']._serialized_end=1859
-  _globals['_CUTLOSS']._serialized_start=1862
-  _globals['_CUTLOSS']._serialized_end=1990
-  _globals['_SUBSCRIBEMATCHESREQUEST']._serialized_start=1993
-  _globals['_SUBSCRIBEMATCHESREQUEST']._serialized_end=2244
-  _globals['_SUBSCRIBEMATCHESRESPONSE']._serialized_start=2247
-  _globals['_SUBSCRIBEMATCHESRESPONSE']._serialized_end=2430
-  _globals['_ITEMMATCH']._serialized_start=2433
-  _globals['_ITEMMATCH']._serialized_end=2565
-  _globals['_MATCHEDITEM']._serialized_start=2567
-  _globals['_MATCHEDITEM']._serialized_end=2692
-  _globals['_GETGROUPSTATUSREQUEST']._serialized_start=2694
-  _globals['_GETGROUPSTATUSREQUEST']._serialized_end=2735
-  _globals['_GETGROUPSTATUSRESPONSE']._serialized_start=2737
-  _globals['_GETGROUPSTATUSRESPONSE']._serialized_end=2806
-  _globals['_GROUPSERVICE']._serialized_start=2809
-  _globals['_GROUPSERVICE']._serialized_end=3294
+  _globals['_SUBSCRIBECUTSREQUEST']._serialized_start=907
+  _globals['_SUBSCRIBECUTSREQUEST']._serialized_end=1041
+  _globals['_SUBSCRIBECUTSOPEN']._serialized_start=1044
+  _globals['_SUBSCRIBECUTSOPEN']._serialized_end=1236
+  _globals['_CUTCURSOR']._serialized_start=1238
+  _globals['_CUTCURSOR']._serialized_end=1342
+  _globals['_CHANNELCURSOR']._serialized_start=1344
+  _globals['_CHANNELCURSOR']._serialized_end=1418
+  _globals['_CUTBOUNDARY']._serialized_start=1420
+  _globals['_CUTBOUNDARY']._serialized_end=1509
+  _globals['_SUBSCRIBECUTSRESPONSE']._serialized_start=1512
+  _globals['_SUBSCRIBECUTSRESPONSE']._serialized_end=1665
+  _globals['_CUTPART']._serialized_start=1668
+  _globals['_CUTPART']._serialized_end=1876
+  _globals['_CUTLOSS']._serialized_start=1879
+  _globals['_CUTLOSS']._serialized_end=2007
+  _globals['_SUBSCRIBEMATCHESREQUEST']._serialized_start=2009
+  _globals['_SUBSCRIBEMATCHESREQUEST']._serialized_end=2108
+  _globals['_SUBSCRIBEMATCHESOPEN']._serialized_start=2111
+  _globals['_SUBSCRIBEMATCHESOPEN']._serialized_end=2359
+  _globals['_SUBSCRIBEMATCHESRESPONSE']._serialized_start=2362
+  _globals['_SUBSCRIBEMATCHESRESPONSE']._serialized_end=2545
+  _globals['_ITEMMATCH']._serialized_start=2548
+  _globals['_ITEMMATCH']._serialized_end=2680
+  _globals['_MATCHEDITEM']._serialized_start=2682
+  _globals['_MATCHEDITEM']._serialized_end=2807
+  _globals['_GETGROUPSTATUSREQUEST']._serialized_start=2809
+  _globals['_GETGROUPSTATUSREQUEST']._serialized_end=2850
+  _globals['_GETGROUPSTATUSRESPONSE']._serialized_start=2852
+  _globals['_GETGROUPSTATUSRESPONSE']._serialized_end=2921
+  _globals['_GROUPSERVICE']._serialized_start=2924
+  _globals['_GROUPSERVICE']._serialized_end=3411
 # @@protoc_insertion_point(module_scope)

@@ -74,12 +74,14 @@ class GetCutResponse(_message.Message):
     def __init__(self, floor: _Optional[_Union[_group_pb2.CutFloor, _Mapping]] = ..., stalled: bool = ..., waiting_on_channel_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class SubscribeCutsRequest(_message.Message):
-    __slots__ = ("open", "boundary")
+    __slots__ = ("open", "boundary", "credit")
     OPEN_FIELD_NUMBER: _ClassVar[int]
     BOUNDARY_FIELD_NUMBER: _ClassVar[int]
+    CREDIT_FIELD_NUMBER: _ClassVar[int]
     open: SubscribeCutsOpen
     boundary: CutBoundary
-    def __init__(self, open: _Optional[_Union[SubscribeCutsOpen, _Mapping]] = ..., boundary: _Optional[_Union[CutBoundary, _Mapping]] = ...) -> None: ...
+    credit: int
+    def __init__(self, open: _Optional[_Union[SubscribeCutsOpen, _Mapping]] = ..., boundary: _Optional[_Union[CutBoundary, _Mapping]] = ..., credit: _Optional[int] = ...) -> None: ...
 
 class SubscribeCutsOpen(_message.Message):
     __slots__ = ("group_id", "decides", "max_wait_nanos", "after", "without_payloads", "spec_version")
@@ -164,6 +166,14 @@ class CutLoss(_message.Message):
     def __init__(self, before_unix_nano: _Optional[int] = ..., items: _Optional[int] = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ...) -> None: ...
 
 class SubscribeMatchesRequest(_message.Message):
+    __slots__ = ("open", "credit_bytes")
+    OPEN_FIELD_NUMBER: _ClassVar[int]
+    CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
+    open: SubscribeMatchesOpen
+    credit_bytes: int
+    def __init__(self, open: _Optional[_Union[SubscribeMatchesOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ...) -> None: ...
+
+class SubscribeMatchesOpen(_message.Message):
     __slots__ = ("group_id", "per_channel_id", "epoch", "tolerance_nanos", "after", "without_payloads", "after_next_seq")
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     PER_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]

@@ -53,7 +53,7 @@ class GroupServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeCutsRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeCutsResponse.FromString,
                 _registered_method=True)
-        self.SubscribeMatches = channel.unary_stream(
+        self.SubscribeMatches = channel.stream_stream(
                 '/stampede_rt.v1.GroupService/SubscribeMatches',
                 request_serializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeMatchesRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeMatchesResponse.FromString,
@@ -94,16 +94,18 @@ class GroupServiceServicer(object):
     def SubscribeCuts(self, request_iterator, context):
         """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
         the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-        items of its own channels. Each item comes in exactly one event.
+        items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
+        credit: a slow reader gets larger events, not more of them.
         Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
-    def SubscribeMatches(self, request, context):
+    def SubscribeMatches(self, request_iterator, context):
         """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-        that one channel, which follows the others without payloads. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+        that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
+        gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -134,7 +136,7 @@ def add_GroupServiceServicer_to_server(servicer, server):
                     request_deserializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeCutsRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeCutsResponse.SerializeToString,
             ),
-            'SubscribeMatches': grpc.unary_stream_rpc_method_handler(
+            'SubscribeMatches': grpc.stream_stream_rpc_method_handler(
                     servicer.SubscribeMatches,
                     request_deserializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeMatchesRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_group__service__pb2.SubscribeMatchesResponse.SerializeToString,
@@ -241,7 +243,7 @@ class GroupService(object):
             _registered_method=True)
 
     @staticmethod
-    def SubscribeMatches(request,
+    def SubscribeMatches(request_iterator,
             target,
             options=(),
             channel_credentials=None,
@@ -251,8 +253,8 @@ class GroupService(object):
             wait_for_ready=None,
             timeout=None,
             metadata=None):
-        return grpc.experimental.unary_stream(
-            request,
+        return grpc.experimental.stream_stream(
+            request_iterator,
             target,
             '/stampede_rt.v1.GroupService/SubscribeMatches',
             stampede__rt_dot_v1_dot_group__service__pb2.SubscribeMatchesRequest.SerializeToString,

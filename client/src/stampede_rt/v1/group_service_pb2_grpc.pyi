@@ -51,12 +51,14 @@ class GroupServiceStub:
     SubscribeCuts: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]
     """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
     the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-    items of its own channels. Each item comes in exactly one event.
+    items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
+    credit: a slow reader gets larger events, not more of them.
     Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
     """
-    SubscribeMatches: _grpc.UnaryStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]
+    SubscribeMatches: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]
     """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-    that one channel, which follows the others without payloads. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+    that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
+    gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
     """
     GetGroupStatus: _grpc.UnaryUnaryMultiCallable[_group_service_pb2.GetGroupStatusRequest, _group_service_pb2.GetGroupStatusResponse]
     """The cut, what holds it back, and each member's place. Changes nothing. Errors: GROUP_NOT_FOUND."""
@@ -84,12 +86,14 @@ class GroupServiceAsyncStub(GroupServiceStub):
     SubscribeCuts: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]  # type: ignore[assignment]
     """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
     the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-    items of its own channels. Each item comes in exactly one event.
+    items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
+    credit: a slow reader gets larger events, not more of them.
     Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
     """
-    SubscribeMatches: _aio.UnaryStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]  # type: ignore[assignment]
+    SubscribeMatches: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]  # type: ignore[assignment]
     """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-    that one channel, which follows the others without payloads. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+    that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
+    gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
     """
     GetGroupStatus: _aio.UnaryUnaryMultiCallable[_group_service_pb2.GetGroupStatusRequest, _group_service_pb2.GetGroupStatusResponse]  # type: ignore[assignment]
     """The cut, what holds it back, and each member's place. Changes nothing. Errors: GROUP_NOT_FOUND."""
@@ -132,18 +136,20 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeCutsResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeCutsResponse]]:
         """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
         the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-        items of its own channels. Each item comes in exactly one event.
+        items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
+        credit: a slow reader gets larger events, not more of them.
         Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
         """
 
     @_abc_1.abstractmethod
     def SubscribeMatches(
         self,
-        request: _group_service_pb2.SubscribeMatchesRequest,
+        request_iterator: _MaybeAsyncIterator[_group_service_pb2.SubscribeMatchesRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeMatchesResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeMatchesResponse]]:
         """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-        that one channel, which follows the others without payloads. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+        that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
+        gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
         """
 
     @_abc_1.abstractmethod

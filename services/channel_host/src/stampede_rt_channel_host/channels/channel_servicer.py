@@ -14,7 +14,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
 from stampede_rt_channel_host.channels.put_stream import PutStream
-from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.subscription import Subscription
@@ -35,7 +35,7 @@ class ChannelServicer:
         handlers = {
             "Put": grpc.stream_stream_rpc_method_handler(self.put),
             "Get": grpc.stream_stream_rpc_method_handler(self.get),
-            "Subscribe": grpc.unary_stream_rpc_method_handler(self.subscribe),
+            "Subscribe": grpc.stream_stream_rpc_method_handler(self.subscribe),
             "Advance": _unary(self.advance, pb.AdvanceRequest, pb.AdvanceResponse),
             "Consume": _unary(self.consume, pb.ConsumeRequest, pb.ConsumeResponse),
             "GetChannelStatus": _unary(
@@ -55,11 +55,11 @@ class ChannelServicer:
         async with self._streams.serve(context) as stream:
             await GetStream(self._store, self._groups, context, stream).run()
 
-    async def subscribe(self, raw: bytes, context: Any) -> None:
+    async def subscribe(self, requests: AsyncIterator[bytes], context: Any) -> None:
         """ChannelService.Subscribe."""
         async with self._streams.serve(context) as stream:
-            request: pb.SubscribeRequest = parse(pb.SubscribeRequest, raw, "SubscribeRequest")
-            hosted = self._store.find(request.channel_id, request.epoch)
+            request: pb.SubscribeRequest = opening_of(await context.read(), pb.SubscribeRequest, "SubscribeRequest")
+            hosted = self._store.find(request.open.channel_id, request.open.epoch)
             await Subscription(hosted, self._store, self._groups, context, stream).run(request)
 
     async def advance(self, request: pb.AdvanceRequest, context: Any) -> pb.AdvanceResponse:

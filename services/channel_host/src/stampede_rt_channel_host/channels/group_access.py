@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
-from stampede_rt_channel_host.core.channel import Answer, Delivery, Position, Query
+from stampede_rt_channel_host.core.channel import Answer, Delivery, Query, SavedCursor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,16 +30,19 @@ class GroupAnswer(NamedTuple):
 class Cursor(Protocol):
     """Where a subscription stands; what differs between its modes."""
 
-    def take(self, now: int) -> Delivery:
-        """The next part; empty if there is nothing new."""
+    def take(self, now: int, limit_bytes: int) -> Delivery:
+        """The next part, about `limit_bytes`; empty if there is nothing new."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """How far the subscription is."""
 
     @property
-    def place(self) -> Position | None:
-        """Behind which position it is to be resumed; None: the one named before or, if none was, behind its last
-        item."""
+    def skipped(self) -> int:
+        """Items that were passed over, as of the last part."""
+
+    @property
+    def saved(self) -> SavedCursor | None:
+        """From where another goes on; None: from the one before this one, and what came since comes again."""
 
 
 class GroupAccess(Protocol):
@@ -54,6 +57,6 @@ class GroupAccess(Protocol):
         """Block until there is an answer, for `wait_nanos` beside what the cut takes; below 0: without limit."""
 
     def subscribe(
-        self, request: pb.SubscribeRequest, hosted: HostedChannel, listener: Listener
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: Listener
     ) -> AbstractAsyncContextManager[Cursor]:
         """Where a subscription begins; as long as it is entered, `listener` hears of changes of the group."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from google.protobuf.message import DecodeError
+from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.timeline import clamp
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
-from stampede_rt.wire.reads import interval_from_message, match_from_message
+from stampede_rt.wire.reads import bound_from_message, interval_from_message, match_from_message
 from stampede_rt_channel_host.channels.group_access import GroupAsk
-from stampede_rt_channel_host.core.channel import Position, Query
+from stampede_rt_channel_host.core.channel import Position, Query, SavedCursor
+
+_SEQ_MAX = 2**64 - 1
 
 M = TypeVar("M", covariant=True)
 
@@ -28,6 +32,14 @@ def parse(kind: _Message[M], raw: bytes, name: str) -> M:
         raise InvalidArgument(
             f"the request is no valid {name} message; encode it from channel_service.proto"
         ) from error
+
+
+def opening_of(raw: Any, kind: _Message[M], name: str) -> M:
+    """The first request of a stream, which has `open`. Raises InvalidArgument."""
+    request: Any = None if raw is EOF else parse(kind, raw, name)
+    if request is None or not request.HasField("open"):
+        raise InvalidArgument(f"the first {name} of the stream has no open; send it before anything else")
+    return request  # type: ignore[no-any-return]
 
 
 def query_of(request: pb.GetRequest) -> Query:
@@ -61,6 +73,47 @@ def position_of(message: item_pb2.ItemPosition) -> Position:
 def position_to(position: Position) -> item_pb2.ItemPosition:
     """The same as a message."""
     return item_pb2.ItemPosition(time_unix_nano=position.time, seq=position.seq, incarnation=position.incarnation)
+
+
+def is_newest(begun: pb.SubscribeOpen) -> bool:
+    """Whether only the newest items are wanted. Raises InvalidArgument for a mode that this host does not know."""
+    if begun.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
+        return False
+    if begun.mode == pb.SUBSCRIBE_MODE_NEWEST:
+        return True
+    raise InvalidArgument(f"mode is {begun.mode}; use a value of stampede_rt.v1.SubscribeMode")
+
+
+def beginning_of(begun: pb.SubscribeOpen) -> dict[str, Any]:
+    """Where a subscription begins, as the core's arguments. Raises InvalidArgument for an unusable bound."""
+    which = begun.WhichOneof("begin")
+    if which == "start":
+        start = bound_from_message(begun.start, "the subscription's start")
+        return {"start": start, "start_exclusive": begun.start.exclusive}
+    if which == "after":
+        return {"after": position_of(begun.after)}
+    return {"saved": saved_of(begun.cursor)} if which == "cursor" else {}
+
+
+def saved_of(cursor: pb.SubscriptionCursor) -> SavedCursor:
+    """Where a subscription goes on."""
+    return SavedCursor(
+        incarnation=cursor.incarnation,
+        next_seq=max(1, cursor.next_seq),
+        low=(cursor.from_unix_nano, cursor.from_seq) if cursor.HasField("from_unix_nano") else None,
+        live_seq=cursor.live_seq,
+        cut=cursor.cut_unix_nano if cursor.HasField("cut_unix_nano") else None,
+    )
+
+
+def saved_to(saved: SavedCursor) -> pb.SubscriptionCursor:
+    """The same as a message."""
+    cursor = pb.SubscriptionCursor(
+        incarnation=saved.incarnation, next_seq=saved.next_seq, live_seq=saved.live_seq, cut_unix_nano=saved.cut
+    )
+    if saved.low is not None:
+        cursor.from_unix_nano, cursor.from_seq = clamp(saved.low[0]), min(saved.low[1], _SEQ_MAX)
+    return cursor
 
 
 def group_of(request: pb.GetRequest) -> GroupAsk | None:

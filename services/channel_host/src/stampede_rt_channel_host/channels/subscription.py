@@ -8,14 +8,15 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.wire.reads import bound_from_message, reason_to_message
+from stampede_rt.wire.reads import reason_to_message
+from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
-from stampede_rt_channel_host.channels.requests import position_of, position_to
+from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, Position
+from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, SavedCursor
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
 WRITE_SECONDS_MAX = 30.0
@@ -24,14 +25,18 @@ WRITE_SECONDS_MAX = 30.0
 class _All:
     """SUBSCRIBE_MODE_ALL."""
 
-    place = None
+    skipped = 0
 
     def __init__(self, channel: Channel, cursor: AllCursor) -> None:
         self._channel = channel
         self._cursor = cursor
 
-    def take(self, now: int) -> Delivery:
-        return self._channel.since(self._cursor, now, MESSAGE_BYTES_MAX)
+    @property
+    def saved(self) -> SavedCursor:
+        return self._cursor.saved(self._channel.incarnation)
+
+    def take(self, now: int, limit_bytes: int) -> Delivery:
+        return self._channel.since(self._cursor, now, limit_bytes)
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, dropped=self._cursor.dropped)
@@ -40,18 +45,24 @@ class _All:
 class _Newest:
     """SUBSCRIBE_MODE_NEWEST."""
 
-    place = None
-
     def __init__(self, channel: Channel, cursor: NewestCursor) -> None:
         self._channel = channel
         self._cursor = cursor
 
-    def take(self, now: int) -> Delivery:
+    @property
+    def saved(self) -> SavedCursor:
+        return self._cursor.saved(self._channel.incarnation)
+
+    @property
+    def skipped(self) -> int:
+        return self._cursor.skipped
+
+    def take(self, now: int, limit_bytes: int) -> Delivery:
         latest = self._channel.latest(self._cursor, now)
         return Delivery(slices=(latest,)) if latest else Delivery()
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
-        return pb.SubscriptionProgress(next_seq=self._channel.next_seq, skipped=self._cursor.skipped)
+        return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)
 
 
 class Subscription:
@@ -68,12 +79,18 @@ class Subscription:
         self._news: asyncio.Future[bool] | None = None
         self._owes_progress = False  # a reader that began in the past is told when it has all that was held
         self._told_advance: int | None = None
-        self._told_place: Position | None = None
-        self._owes_place = False  # items were sent in the midst of a step, which has ended since
+        self._told_cursor: SavedCursor | None = None
+        self._told_skipped = 0
+        self._owes_cursor = False
+        self._credit = Credit(self._look)
         self._silent_at_s = 0.0  # on the loop's clock: when a sign of life is due, whatever news wake it before
 
     def wake(self) -> None:
         """There may be something to send."""
+        if self._credit.left > 0:
+            self._look()
+
+    def _look(self) -> None:
         if self._news is not None and not self._news.done():
             self._news.set_result(True)
 
@@ -82,34 +99,57 @@ class Subscription:
         self._stream.end(error)
 
     async def run(self, request: pb.SubscribeRequest) -> None:
-        """Until the stream ends. Raises InvalidArgument, IncarnationLost, Overloaded."""
+        """Until the stream ends, or what the reader lets it send is sent and it has closed its side. `request`: the
+        first one. Raises InvalidArgument, IncarnationLost, Overloaded."""
+        begun = request.open
         if len(self._hosted.listeners) >= SUBSCRIPTIONS_MAX:
             raise Overloaded(
                 f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, which is the most"
             )
-        if request.HasField("group_id"):
-            async with self._groups.subscribe(request, self._hosted, self) as cursor:
-                await self._serve(cursor, request)
-        else:
-            await self._serve(open_cursor(self._hosted.channel, request, self._store.now()), request)
+        self._credit.grant(request.credit_bytes)
+        reading = self._stream.spawn(self._read())
+        try:
+            if begun.HasField("group_id"):
+                async with self._groups.subscribe(begun, self._hosted, self) as cursor:
+                    await self._serve(cursor, begun)
+            else:
+                await self._serve(open_cursor(self._hosted.channel, begun, self._store.now()), begun)
+        finally:
+            reading.cancel()
 
-    async def _serve(self, cursor: Cursor, request: pb.SubscribeRequest) -> None:
+    async def _read(self) -> None:
+        """Take in credit."""
+        async for raw in requests_of(self._context.read):
+            request: pb.SubscribeRequest = parse(pb.SubscribeRequest, raw, "SubscribeRequest")
+            if request.HasField("open"):
+                raise InvalidArgument("the stream is open already; leave `open` out after the first request")
+            self._credit.grant(request.credit_bytes)
+        self._credit.end()
+
+    async def _serve(self, cursor: Cursor, begun: pb.SubscribeOpen) -> None:
         channel = self._hosted.channel
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
         self._hosted.listeners[self] = None
-        self._owes_progress = request.HasField("start")
+        self._owes_progress = begun.HasField("start")
         try:
-            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._place(cursor))
-            while True:  # ends with the stream
-                await self._step(cursor, without_payloads=request.without_payloads)
+            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._standing(cursor))
+            while not self._credit.is_over:
+                await self._step(cursor, without_payloads=begun.without_payloads)
         finally:
             del self._hosted.listeners[self]
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
-        """Send what there is, or wait for more; after an advance, and after a long silence, say how far it is."""
+        """Send what there is, or wait for more; after an advance, and after a long silence, say how far it is.
+
+        Without credit nothing is taken or said: what is there when it comes is what the reader gets.
+        """
+        if self._credit.left <= 0:
+            await self._wait_for_news(None)
+            return
         now = self._store.now()
-        part = cursor.take(now)
+        part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
         if not part.is_empty:
+            self._credit.spend(sum(one.slice.charge_bytes for one in part.slices))
             message = self._hosted.messages.encode(
                 part.slices,
                 self._about(part, cursor, now),
@@ -118,34 +158,36 @@ class Subscription:
             )
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
-            self._owes_place = cursor.place != self._told_place
-        elif self._owes_place:
-            self._owes_place = False
-            await self._write(self._place(cursor))
-        elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news():
+        elif self._owes_cursor and cursor.saved is not None:
+            await self._write(self._standing(cursor))
+        elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):
             self._owes_progress = False
-            progress = self._progress(cursor, self._store.now())
-            await self._write(pb.SubscribeResponse(progress=progress).SerializeToString())
+            self._told_advance = self._hosted.channel.advanced_to  # everything accepted before it was sent
+            progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
+            await self._write(progress.SerializeToString() + self._standing(cursor))
 
     def _about(self, part: Delivery, cursor: Cursor, now: int) -> bytes:
-        """What goes before the runs. Progress follows a gap, so that the reader knows its counters."""
-        if part.gap is None:
-            return self._place(cursor)
-        about = pb.SubscribeResponse(gap=_gap(part.gap), progress=self._progress(cursor, now))
-        return about.SerializeToString() + self._place(cursor)
+        """What goes before the runs: counters that have changed, and where to go on."""
+        about = pb.SubscribeResponse()
+        if part.gap is not None:
+            about.gap.CopyFrom(_gap(part.gap))
+        if part.gap is not None or cursor.skipped != self._told_skipped:
+            about.progress.CopyFrom(self._progress(cursor, now))
+        return about.SerializeToString() + self._standing(cursor)
 
-    def _place(self, cursor: Cursor) -> bytes:
-        """Behind which position to resume, if the reader is to be told, and does not know."""
-        place = cursor.place
-        if place is None or place == self._told_place:
+    def _standing(self, cursor: Cursor) -> bytes:
+        """Where to go on, if it has changed."""
+        saved = cursor.saved
+        self._owes_cursor = saved is None  # in the midst of a step: when it ends
+        if saved is None or saved == self._told_cursor:
             return b""
-        self._told_place = place
-        return pb.SubscribeResponse(resume_after=position_to(place)).SerializeToString()
+        self._told_cursor = saved
+        return pb.SubscribeResponse(cursor=saved_to(saved)).SerializeToString()
 
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
+        self._told_skipped = progress.skipped
         progress.host_time_unix_nano = now
-        self._told_advance = self._hosted.channel.advanced_to
         if self._told_advance is not None:
             progress.advance_unix_nano = self._told_advance
         return progress
@@ -154,16 +196,17 @@ class Subscription:
         """Whoever waits for what cannot come any more, such as a match, is to know it at once."""
         return self._hosted.channel.advanced_to != self._told_advance
 
-    async def _wait_for_news(self) -> bool:
-        """True: look again; False: nothing was written for PROGRESS_SECONDS."""
+    async def _wait_for_news(self, until_s: float | None) -> bool:
+        """True: look again; False: nothing was written until `until_s`, on the loop's clock."""
         loop = asyncio.get_running_loop()
         news: asyncio.Future[bool] = loop.create_future()
         self._news = news
-        timer = loop.call_at(self._silent_at_s, _set_unless_done, news)
+        timer = None if until_s is None else loop.call_at(until_s, _set_unless_done, news)
         try:
             return await news
         finally:
-            timer.cancel()
+            if timer is not None:
+                timer.cancel()
 
     async def _write(self, message: bytes) -> None:
         try:
@@ -177,16 +220,12 @@ class Subscription:
         self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
 
 
-def open_cursor(channel: Channel, request: pb.SubscribeRequest, now: int) -> Cursor:
-    """Begin where the request says. Raises InvalidArgument, IncarnationLost."""
-    start = bound_from_message(request.start, "the subscription's start") if request.HasField("start") else None
-    after = position_of(request.after) if request.HasField("after") else None
-    exclusive = request.start.exclusive
-    if request.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
-        return _All(channel, channel.subscribe_all(now, start=start, start_exclusive=exclusive, after=after))
-    if request.mode == pb.SUBSCRIBE_MODE_NEWEST:
-        return _Newest(channel, channel.subscribe_newest(now, start=start, start_exclusive=exclusive, after=after))
-    raise InvalidArgument(f"mode is {request.mode}; use a value of stampede_rt.v1.SubscribeMode")
+def open_cursor(channel: Channel, begun: pb.SubscribeOpen, now: int) -> Cursor:
+    """Begin where it says. Raises InvalidArgument, IncarnationLost."""
+    where = beginning_of(begun)
+    if is_newest(begun):
+        return _Newest(channel, channel.subscribe_newest(now, **where))
+    return _All(channel, channel.subscribe_all(now, **where))
 
 
 def _gap(gap: Gap) -> pb.SubscriptionGap:

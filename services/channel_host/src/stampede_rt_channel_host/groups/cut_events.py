@@ -13,6 +13,7 @@ from typing import Any
 from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
+from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -56,6 +57,7 @@ class CutEvents:
         self._followed: dict[bytes, _Followed] = {}
         self._kept: dict[bytes, pb.ChannelCursor] = {}  # places of channels from before, of which none is followed yet
         self._boundaries: deque[Boundary] = deque()  # handed over and not answered yet
+        self._credit = Credit(self._waiter.wake)  # of events, where this host decides
         self._room = asyncio.Event()
         self._cut: int | None = None  # of the last event
 
@@ -65,6 +67,7 @@ class CutEvents:
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
         begun = request.open
+        self._credit.grant(request.credit)
         self._groups.check_serving()
         group = await self._groups.find(begun.group_id, begun.spec_version)
         await self._begin(group, begun)
@@ -141,10 +144,15 @@ class CutEvents:
         self._followed[channel_id] = _Followed(hosted, follower)
 
     async def _read(self, group: HostedGroup, *, decides: bool) -> None:
-        """Take in the boundaries that another host decided."""
-        while isinstance(request := await self._context.read(), pb.SubscribeCutsRequest):
-            if decides or not request.HasField("boundary"):
-                raise InvalidArgument("a boundary goes to the hosts that do not decide, and nothing else after open")
+        """Take in credit, or the boundaries that another host decided."""
+        async for request in requests_of(self._context.read):
+            if request.HasField("open") or request.HasField("boundary") == decides:
+                raise InvalidArgument(
+                    "after open, credit goes to the host that decides, and a boundary with each request to the others"
+                )
+            if decides:
+                self._credit.grant(request.credit)
+                continue
             boundary = request.boundary
             last = self._boundaries[-1].cut if self._boundaries else self._cut
             if boundary.incarnation != group.record.incarnation or (last is not None and boundary.cut_unix_nano < last):
@@ -154,24 +162,37 @@ class CutEvents:
                 await self._room.wait()
             self._boundaries.append(Boundary(boundary.cut_unix_nano, tuple(boundary.incomplete_channel_ids)))
             self._waiter.wake()
+        self._credit.end()
 
     async def _serve(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
         max_wait = begun.max_wait_nanos if begun.HasField("max_wait_nanos") else MAX_WAIT_NANOS_DEFAULT
         decider = EventDecider(self._cut, max_wait) if begun.decides else None
-        while True:  # ends with the stream
+        while not self._is_over(decider):
             self._follow(group)
             boundary = self._decided(group, decider) if decider is not None else self._handed(group)
+            wanted = self._credit.left > 0 or bool(self._boundaries)
             if boundary is not None:
+                if decider is not None:
+                    self._credit.spend(1)
                 await self._send_event(group, boundary, without_payloads=begun.without_payloads)
+            elif not wanted:
+                await self._waiter.wait(None)
             elif self._writer.silence_left_s <= 0:
                 await self._writer.write(pb.SubscribeCutsResponse().SerializeToString())
             else:
                 await self._waiter.wait(self._pause_s(decider))
 
+    def _is_over(self, decider: EventDecider | None) -> bool:
+        """The reader has closed its side, and all that it asked for was sent."""
+        return self._credit.is_final and not self._boundaries and (decider is None or self._credit.left <= 0)
+
     def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
+        """The event that is due, if the reader wants one: until then the cuts gather, and become one event."""
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
-        return None if decider.wake_at() is None else decider.due(group.members(), now)
+        if decider.wake_at() is None or self._credit.left <= 0:
+            return None
+        return decider.due(group.members(), now)
 
     def _handed(self, group: HostedGroup) -> Boundary | None:
         """The next boundary, once this host's cut has come as far: the reader's word raises none."""

@@ -12,6 +12,7 @@ from stampede_rt.errors import IncarnationLost, StampedeError
 from stampede_rt.status import from_rpc_error
 from stampede_rt.timeline import MAX_INSTANT
 from stampede_rt.v1 import channel_service_pb2, channel_service_pb2_grpc, time_pb2
+from stampede_rt_channel_host.channels.credit import CREDIT_MAX
 from stampede_rt_channel_host.core.group import ChannelTimes, FarTrack
 from stampede_rt_channel_host.groups.peers import Dial
 
@@ -33,7 +34,7 @@ class FarMember:
         self.incarnation = 0
         self.is_followed = False
         self._since = since
-        self._after: tuple[int, int] | None = None
+        self._cursor: channel_service_pb2.SubscriptionCursor | None = None
         self._times = ChannelTimes(0, 0)
 
     def has_passed(self, instant: int) -> bool:
@@ -56,7 +57,7 @@ class FarMember:
         target = self.target
         channel = dial(target)
         try:
-            call = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe(self._request())
+            call = channel_service_pb2_grpc.ChannelServiceStub(channel).Subscribe(iter((self._request(),)))
             async for response in call:
                 self._take(response)
                 on_news()
@@ -66,21 +67,18 @@ class FarMember:
             await channel.close(None)
 
     def _request(self) -> channel_service_pb2.SubscribeRequest:
-        """From a little before the first item that may be matched, or behind what came."""
-        request = channel_service_pb2.SubscribeRequest(
-            channel_id=self.channel_id, epoch=self.epoch, without_payloads=True
-        )
-        if self._after is None:
-            request.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
+        """From a little before the first item that may be matched, or behind what came; no credit holds it back."""
+        begun = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
+        if self._cursor is None:
+            begun.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
         else:
-            request.after.time_unix_nano, request.after.seq = self._after
-            request.after.incarnation = self.incarnation
-        return request
+            begun.cursor.CopyFrom(self._cursor)
+        return channel_service_pb2.SubscribeRequest(open=begun, credit_bytes=CREDIT_MAX)
 
     def _begin_anew(self) -> None:
         """Its host was lost and what it held, and seqs of before mean nothing: go on by time."""
         self.track.forget_before(MAX_INSTANT)
-        self._after = None
+        self._cursor = None
         self._since = self._since if self._times.newest is None else self._times.newest
         self.incarnation = 0
 
@@ -91,8 +89,9 @@ class FarMember:
             run = delivered.run
             places = [(time, run.first_seq + at) for at, time in enumerate(run.time_unix_nano)]
             self.track.add(places)
-            self._after = max(places, key=lambda place: place[1])
             self._times = self._times.merged(ChannelTimes(0, 0, max(run.time_unix_nano)))
+        if response.HasField("cursor"):
+            self._cursor = response.cursor
         if response.progress.HasField("advance_unix_nano"):
             told = ChannelTimes(0, 0, advance=response.progress.advance_unix_nano)
             self._times = self._times.merged(told)

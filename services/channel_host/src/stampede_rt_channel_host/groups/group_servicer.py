@@ -45,7 +45,7 @@ class GroupServicer:
             "SubscribeCuts": grpc.stream_stream_rpc_method_handler(
                 self.subscribe_cuts, request_deserializer=pb.SubscribeCutsRequest.FromString
             ),
-            "SubscribeMatches": grpc.unary_stream_rpc_method_handler(
+            "SubscribeMatches": grpc.stream_stream_rpc_method_handler(
                 self.subscribe_matches, request_deserializer=pb.SubscribeMatchesRequest.FromString
             ),
             "GetGroupStatus": grpc.unary_unary_rpc_method_handler(
@@ -67,10 +67,10 @@ class GroupServicer:
         async with self._streams.serve(context) as stream:
             await CutEvents(self._groups, context, stream).run()
 
-    async def subscribe_matches(self, request: pb.SubscribeMatchesRequest, context: Any) -> None:
+    async def subscribe_matches(self, requests: AsyncIterator[pb.SubscribeMatchesRequest], context: Any) -> None:
         """GroupService.SubscribeMatches."""
         async with self._streams.serve(context) as stream:
-            await MatchStream(self._groups, self._dial, context, stream).run(request)
+            await MatchStream(self._groups, self._dial, context, stream).run()
 
     async def get_cut(self, request: pb.GetCutRequest, context: Any) -> pb.GetCutResponse:
         """GroupService.GetCut: the cut once it is as far as the caller has seen it, or that it is stalled."""

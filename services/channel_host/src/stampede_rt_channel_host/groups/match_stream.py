@@ -7,6 +7,7 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.requests import position_of, position_to
@@ -31,13 +32,23 @@ class MatchStream:
         self._groups = groups
         self._dial = dial
         self._stream = stream
+        self._context = context
         self._writer = EventWriter(context, "match")
         self._waiter = Waiter()
+        self._credit = Credit(self._waiter.wake)
         self._near: dict[bytes, HostedChannel] = {}  # members of this host, the one that is matched among them
         self._far: dict[bytes, tuple[FarMember, asyncio.Task[None]]] = {}
 
-    async def run(self, request: pb.SubscribeMatchesRequest) -> None:
-        """Until the stream ends. Raises InvalidArgument, StaleBinding, GROUP_NOT_FOUND, Unavailable."""
+    async def run(self) -> None:
+        """Until the stream ends, or what the reader lets it send is sent and it has closed its side.
+
+        Raises InvalidArgument, StaleBinding, GROUP_NOT_FOUND, Unavailable.
+        """
+        opening = await self._context.read()
+        if not isinstance(opening, pb.SubscribeMatchesRequest) or not opening.HasField("open"):
+            raise InvalidArgument("the first request of a subscription to matches has no open; send it before credit")
+        request = opening.open
+        self._credit.grant(opening.credit_bytes)
         if not request.HasField("tolerance_nanos") or request.tolerance_nanos < 0:
             raise InvalidArgument("tolerance_nanos is required and 0 or more: the greatest distance of matched times")
         group = await self._groups.find(request.group_id)
@@ -46,9 +57,11 @@ class MatchStream:
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
         group.watchers[self._waiter] = hosted.followers[self._waiter] = None
+        reading = self._stream.spawn(self._read())
         try:
             await self._serve(group, hosted, request)
         finally:
+            reading.cancel()
             group.watchers.pop(self._waiter, None)
             hosted.followers.pop(self._waiter, None)
             for near in self._near.values():
@@ -56,22 +69,31 @@ class MatchStream:
             for _, following in self._far.values():
                 following.cancel()
 
-    async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesRequest) -> None:
+    async def _read(self) -> None:
+        """Take in credit."""
+        async for request in requests_of(self._context.read):
+            if request.HasField("open"):
+                raise InvalidArgument("the stream is open already; leave `open` out after the first request")
+            self._credit.grant(request.credit_bytes)
+        self._credit.end()
+
+    async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesOpen) -> None:
         now = self._groups.channels.now()
         after = position_of(request.after) if request.HasField("after") else None
         next_seq = request.after_next_seq if request.HasField("after_next_seq") else None
         matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after, next_seq=next_seq)
         arrangement = 0
         counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
-        while True:  # ends with the stream
+        while counted is None or not self._credit.is_over:
             if arrangement != group.arrangement:
                 arrangement = group.arrangement
                 matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
             found = self._take(matcher, group)
             holds = counted is not None or all(far.is_followed for far, _ in self._far.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
-            if not news and self._writer.silence_left_s > 0:
-                await self._waiter.wait(self._writer.silence_left_s)
+            wanted = counted is None or self._credit.left > 0  # without credit nothing is taken or said
+            if not (news and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
+                await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue
             counted = matcher.unmatched, matcher.dropped
             about = pb.SubscribeMatchesResponse(
@@ -109,20 +131,22 @@ class MatchStream:
         return far
 
     def _take(self, matcher: Matcher, group: HostedGroup) -> list[Matched]:
-        """What is settled, about a message of it."""
-        now, payload_bytes = self._groups.channels.now(), 0
+        """What is settled, as credit allows, about a message of it."""
+        now, left = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
         found: list[Matched] = []
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
             return self._has_passed(group, channel_id, instant, now)
 
-        while payload_bytes < MESSAGE_BYTES_MAX and len(found) < MATCHES_PER_MESSAGE_MAX:
+        while left > 0 and len(found) < MATCHES_PER_MESSAGE_MAX:
             one = matcher.take(has_passed, now, 1)
             if not one:
                 break
             found += one
             items = [one[0].item, *(near.item for near in one[0].matched.values() if near.item is not None)]
-            payload_bytes += sum(item.slice.payload_bytes for item in items)
+            charge = sum(item.slice.charge_bytes for item in items)
+            self._credit.spend(charge)
+            left -= charge
         return found
 
     def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, now: int) -> bool:

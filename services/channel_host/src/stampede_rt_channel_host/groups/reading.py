@@ -12,14 +12,12 @@ from contextlib import asynccontextmanager
 
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.wire.reads import bound_from_message
 from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
-from stampede_rt_channel_host.channels.requests import position_of
+from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
-from stampede_rt_channel_host.core.channel import Delivery, Pending, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Delivery, Pending, Query, SavedCursor, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
@@ -65,15 +63,17 @@ class GroupReads:
 
     @asynccontextmanager
     async def subscribe(
-        self, request: pb.SubscribeRequest, hosted: HostedChannel, listener: Listener
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: Listener
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell how far the group was."""
-        group = await self._groups.find(request.group_id)
+        group = await self._groups.find(begun.group_id)
         member_of(group, hosted)
-        if not await group.reach(None, SETTLE_SECONDS_MAX):
-            raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
+        saved = begun.cursor  # one of another incarnation waits for nothing: it is refused
+        seen = saved.cut_unix_nano if saved.incarnation == hosted.channel.incarnation else None
+        if not await group.reach(seen, SETTLE_SECONDS_MAX):
+            raise Unavailable(f"group {group.record.name} shows nothing new {group.held_by()}; subscribe again")
         self._check_served(hosted)
-        cursor = _cursor(group, hosted, request, self._groups.channels.now())
+        cursor = _cursor(group, hosted, begun, self._groups.channels.now())
         group.listeners[listener] = None
         try:
             yield cursor
@@ -134,18 +134,20 @@ def _pause_s(wake: WakeAt, now: int, deadline_s: float | None) -> float | None:
 class _All:
     """SUBSCRIBE_MODE_ALL through a group."""
 
+    skipped = 0
+
     def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleAll) -> None:
         self._group = group
         self._hosted = hosted
         self._cursor = cursor
 
     @property
-    def place(self) -> Position | None:
-        return self._cursor.place
+    def saved(self) -> SavedCursor | None:
+        return self._cursor.saved
 
-    def take(self, now: int) -> Delivery:
+    def take(self, now: int, limit_bytes: int) -> Delivery:
         member_of(self._group, self._hosted)
-        return self._cursor.take(self._group.horizon(), now, MESSAGE_BYTES_MAX)
+        return self._cursor.take(self._group.horizon(), now, limit_bytes)
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), dropped=self._cursor.dropped)
@@ -160,29 +162,27 @@ class _Newest:
         self._cursor = cursor
 
     @property
-    def place(self) -> Position | None:
-        return self._cursor.place
+    def saved(self) -> SavedCursor | None:
+        return self._cursor.saved
 
-    def take(self, now: int) -> Delivery:
+    @property
+    def skipped(self) -> int:
+        return self._cursor.skipped
+
+    def take(self, now: int, limit_bytes: int) -> Delivery:
         member_of(self._group, self._hosted)
         latest = self._cursor.take(self._group.horizon(), now)
         return Delivery(slices=(latest,)) if latest else Delivery()
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
-        return pb.SubscriptionProgress(next_seq=self._hosted.channel.next_seq, skipped=self._cursor.skipped)
+        return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), skipped=self._cursor.skipped)
 
 
-def _cursor(group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeRequest, now: int) -> Cursor:
-    start = bound_from_message(request.start, "the subscription's start") if request.HasField("start") else None
-    after = position_of(request.after) if request.HasField("after") else None
-    horizon, exclusive = group.horizon(), request.start.exclusive
-    if request.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
-        every = VisibleAll(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
-        return _All(group, hosted, every)
-    if request.mode == pb.SUBSCRIBE_MODE_NEWEST:
-        newest = VisibleNewest(hosted.channel, horizon, now, start=start, start_exclusive=exclusive, after=after)
-        return _Newest(group, hosted, newest)
-    raise InvalidArgument(f"mode is {request.mode}; use a value of stampede_rt.v1.SubscribeMode")
+def _cursor(group: HostedGroup, hosted: HostedChannel, begun: pb.SubscribeOpen, now: int) -> Cursor:
+    where, horizon = beginning_of(begun), group.horizon()
+    if is_newest(begun):
+        return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))
+    return _All(group, hosted, VisibleAll(hosted.channel, horizon, now, **where))
 
 
 def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:

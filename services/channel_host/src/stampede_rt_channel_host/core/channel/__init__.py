@@ -40,6 +40,7 @@ from stampede_rt_channel_host.core.channel.values import (
     PutOutcome,
     Query,
     Rejection,
+    SavedCursor,
     Seal,
     WakeAt,
 )
@@ -68,6 +69,7 @@ __all__ = [
     "Query",
     "Rejection",
     "Run",
+    "SavedCursor",
     "Seal",
     "Slice",
     "WakeAt",

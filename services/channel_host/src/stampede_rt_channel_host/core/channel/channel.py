@@ -14,7 +14,15 @@ from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor, open_all, open_newest, since
+from stampede_rt_channel_host.core.channel.subscribing import (
+    AllCursor,
+    NewestCursor,
+    open_all,
+    open_newest,
+    resume_all,
+    resume_newest,
+    since,
+)
 from stampede_rt_channel_host.core.channel.values import (
     Answer,
     Counters,
@@ -25,6 +33,7 @@ from stampede_rt_channel_host.core.channel.values import (
     PutOutcome,
     Query,
     Rejection,
+    SavedCursor,
     Seal,
     WakeAt,
 )
@@ -130,12 +139,18 @@ class Channel:
         return self._reading.answer(pending.query, pending.interval, clock)
 
     def subscribe_all(
-        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None
-    ) -> AllCursor:
-        """Begin a subscription in seq order: held items from `start` on, or all accepted behind `after`, then new ones.
+        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
+        saved: SavedCursor | None = None,
+    ) -> AllCursor:  # fmt: skip
+        """Begin a subscription in seq order: held items from `start` on, or all accepted behind `after`, then new ones;
+        or go on from where one stood that was `saved`.
 
-        Neither: only new ones. Both: InvalidArgument. `after` needs its seq. Raises IncarnationLost.
+        None of them: only new ones. Several: InvalidArgument. `after` needs its seq. Raises IncarnationLost.
         """
+        if saved is not None:
+            self._check_saved(saved)
+            self._settle(self._tick(now))
+            return resume_all(self._held, saved)
         after_place = self._resume_place(start, after)
         low = self._start_place(start, start_exclusive, now)
         return open_all(self._held, low, None if after_place is None else after_place[1])
@@ -149,12 +164,17 @@ class Channel:
         return since(self._held, self._retention.limits, cursor, limit_bytes)
 
     def subscribe_newest(
-        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None
-    ) -> NewestCursor:
+        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
+        saved: SavedCursor | None = None,
+    ) -> NewestCursor:  # fmt: skip
         """Begin a subscription to the latest item. With `start` the present newest comes first, if it is not earlier.
 
         Raises like `subscribe_all`.
         """
+        if saved is not None:
+            self._check_saved(saved)
+            self._settle(self._tick(now))
+            return resume_newest(self._held, saved)
         after_place = self._resume_place(start, after)
         return open_newest(self._held, self._start_place(start, start_exclusive, now), after_place)
 
@@ -315,6 +335,11 @@ class Channel:
     def _check_positions(self, query: Query) -> None:
         self._reading.check_position(query.after)
         self._reading.check_position(query.newer_than)
+
+    def _check_saved(self, saved: SavedCursor) -> None:
+        if saved.cut is not None:
+            raise InvalidArgument("the cursor comes from a subscription through a group; give the group, too")
+        self._reading.check_position(Position(0, None, saved.incarnation))
 
     def _resume_place(self, start: Bound | None, after: Position | None) -> Place | None:
         if after is None:

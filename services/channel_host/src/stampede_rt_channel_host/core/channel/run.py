@@ -178,3 +178,20 @@ class Slice(NamedTuple):
     def payload_bytes(self) -> int:
         """The payload bytes of its items."""
         return self.run.payload_bytes(self.lo, self.hi)
+
+    @property
+    def charge_bytes(self) -> int:
+        """What its items take off a reader's credit."""
+        return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
+
+    def within(self, credit_bytes: int) -> Slice:
+        """Its first items, as long as some credit is left before each; the first one in any case."""
+        if self.charge_bytes <= credit_bytes:
+            return self
+        left, at = credit_bytes, self.lo
+        for length in self.run.lengths[self.lo : self.hi]:
+            at += 1
+            left -= length + ITEM_OVERHEAD_BYTES
+            if left <= 0:
+                break
+        return Slice(self.run, self.lo, at)

@@ -9,8 +9,8 @@ from stampede_rt.model import Reason
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
-from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
-from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Delivery, Gap
+from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Delivery, Gap, SavedCursor
 
 GAP_ENTRIES_MAX = 1024
 """What one call looks at of outdated items: a reader that is far behind stalls nobody, and hears of several gaps."""
@@ -22,11 +22,15 @@ class AllCursor:
     `delivered`, `dropped`: items given, and items reported in gaps, up to now.
     """
 
-    __slots__ = ("_live_seq", "_owed", "delivered", "dropped")
+    __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "delivered", "dropped")
 
-    def __init__(self, owed: deque[tuple[int, int]], live_seq: int) -> None:
+    def __init__(
+        self, owed: deque[tuple[int, int]], live_seq: int, low: Place | None = None, begun_seq: int = 0
+    ) -> None:
         self._owed = owed  # ranges of seqs, ascending, the end excluded: held when it began, and not dealt with yet
         self._live_seq = live_seq  # every seq from here on is owed too
+        self._low = low  # of the items below `begun_seq` only those at or above this place are meant
+        self._begun_seq = begun_seq
         self.delivered = 0
         self.dropped = 0
 
@@ -34,6 +38,13 @@ class AllCursor:
     def next_seq(self) -> int:
         """Everything below it was delivered, reported in a gap, or is none of this subscription's."""
         return self._owed[0][0] if self._owed else self._live_seq
+
+    def saved(self, incarnation: int) -> SavedCursor:
+        """From where another goes on."""
+        next_seq = self.next_seq
+        if self._low is None or next_seq >= self._begun_seq:
+            return SavedCursor(incarnation=incarnation, next_seq=next_seq)
+        return SavedCursor(incarnation=incarnation, next_seq=next_seq, low=self._low, live_seq=self._begun_seq)
 
     def owe_up_to(self, next_seq: int) -> None:
         """Take note that all seqs below `next_seq` were given out."""
@@ -63,7 +74,20 @@ def open_all(held: Holdings, low: Place | None, after_seq: int | None) -> AllCur
         owed = [(after_seq + 1, held.next_seq)]
     elif low is not None:
         owed = _merged(_seq_ranges(held, low))
-    return AllCursor(deque(owed), held.next_seq)
+    return AllCursor(deque(owed), held.next_seq, low, held.next_seq)
+
+
+def resume_all(held: Holdings, saved: SavedCursor) -> AllCursor:
+    """Go on. If retention took of the held items that were meant, all that is still held is meant, and every other seq
+    counts as gone: too many, if what the start had left out went meanwhile, too; never too few."""
+    first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
+    low = saved.low if first < live else None
+    begun = live
+    if low is None or (held.newest_collected is not None and held.newest_collected >= low[0]):
+        begun = first
+    owed = [] if low is None else [(max(one, first), min(end, begun)) for one, end in _seq_ranges(held, low)]
+    owed.append((begun, held.next_seq))
+    return AllCursor(deque(_merged([(one, end) for one, end in owed if one < end])), held.next_seq, low, live)
 
 
 def _seq_ranges(held: Holdings, low: Place) -> list[tuple[int, int]]:
@@ -101,11 +125,12 @@ def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -
             cursor.dropped += gap.items
             cursor.settle(low)
             continue
-        for part in _contiguous(held, *owed):
+        for held_part in _contiguous(held, *owed):
+            part = held_part.within(limit_bytes)
             slices.append(DeliveredSlice(part, held.next_time(part.last_time)))
             cursor.delivered += part.items
             cursor.settle(part.end_seq)
-            limit_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
+            limit_bytes -= part.charge_bytes
             if limit_bytes <= 0:
                 break
     return Delivery(slices=slices, gap=gap)
@@ -128,17 +153,22 @@ def _gap(limits: Limits, held: Holdings, first: int, last: int) -> Gap:
 class NewestCursor:
     """Where a subscription to the newest item stands. Made by `Channel.subscribe_newest`, moved by `Channel.latest`.
 
-    `delivered`: items given; `skipped`: items meant for it that it was not given, as of the last `latest`.
+    `delivered`: items given; `skipped`: items meant for it that it was not given, as of the last `latest`, and
+    `next_seq` the seq that followed then.
     """
 
-    __slots__ = ("_base_seq", "_low", "_owed_items", "delivered", "skipped")
+    __slots__ = ("_base_seq", "_low", "delivered", "next_seq", "skipped")
 
-    def __init__(self, low: Place, base_seq: int, owed_items: int) -> None:
+    def __init__(self, low: Place, base_seq: int) -> None:
         self._low = low  # only items at or above this place
-        self._base_seq = base_seq  # items with this seq or a later one are meant for it
-        self._owed_items = owed_items  # and so many held ones with an earlier seq
+        self._base_seq = base_seq  # as many as follow from this seq on are meant for it
         self.delivered = 0
         self.skipped = 0
+        self.next_seq = base_seq
+
+    def saved(self, incarnation: int) -> SavedCursor:
+        """From where another goes on."""
+        return SavedCursor(incarnation=incarnation, next_seq=self.next_seq, low=self._low)
 
     def take(self, held: Holdings) -> DeliveredSlice | None:
         """The newest item, if it is later than the last one taken."""
@@ -147,16 +177,22 @@ class NewestCursor:
         if newest is not None:
             self._low = newest.last_time, newest.end_seq
             self.delivered += 1
+        self.next_seq = held.next_seq
         # Resumed behind a late item, the newest may have been accepted before it: then it is none of those counted.
-        self.skipped = max(0, held.next_seq - self._base_seq + self._owed_items - self.delivered)
+        self.skipped = max(0, held.next_seq - self._base_seq - self.delivered)
         return None if newest is None else DeliveredSlice(newest, None)
+
+
+def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
+    """Go on with what is later than the last item taken."""
+    return NewestCursor(saved.low or FIRST_PLACE, min(saved.next_seq, held.next_seq))
 
 
 def open_newest(held: Holdings, low: Place | None, after: Place | None) -> NewestCursor:
     """The present newest if it is at or above `low`, then later ones; or those later than the place of item `after`."""
     if after is not None:
-        return NewestCursor((after[0], after[1] + 1), after[1] + 1, 0)
+        return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:
-        return NewestCursor(low, held.next_seq, sum(part.items for part in held.slices(low)))
+        return NewestCursor(low, held.next_seq - sum(part.items for part in held.slices(low)))
     last = next(held.slices_down(), None)
-    return NewestCursor(FIRST_PLACE if last is None else (last.last_time, last.end_seq), held.next_seq, 0)
+    return NewestCursor(FIRST_PLACE if last is None else (last.last_time, last.end_seq), held.next_seq)

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
 from stampede_rt.model import Reason
 from stampede_rt.timeline import Interval, Match, ResolvedInterval
+from stampede_rt_channel_host.core.channel.index import Place
 from stampede_rt_channel_host.core.channel.run import Run, Slice
 
 
@@ -82,6 +83,21 @@ class Position(NamedTuple):
     time: int
     seq: int | None = None
     incarnation: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SavedCursor:
+    """Where a subscription stands, to go on from later: everything below `next_seq` was dealt with.
+
+    `low`: only items at or above this place are meant; of those with `live_seq` or a later one, in seq order, all are.
+    `cut`: through a group, what lies below it and below `next_seq` was dealt with. `incarnation` 0: not compared.
+    """
+
+    incarnation: int
+    next_seq: int
+    low: Place | None = None
+    live_seq: int = 0
+    cut: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

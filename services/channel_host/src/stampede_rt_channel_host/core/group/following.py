@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from stampede_rt.model import Reason
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, DeliveredSlice, Slice
+from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Slice
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
-from stampede_rt_channel_host.core.group.ledger import Ledger, below_place, newest_gone
+from stampede_rt_channel_host.core.group.ledger import Ledger, below_place, newest_gone, split_at
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -123,11 +123,13 @@ class CutFollower:
         for part in held.slices(self._range_place, self._target):
             if left <= 0:
                 return taken, left
+            given = part
             if part.run.first_seq < self._seq_end:
-                taken.append(self._deliver(held, part))
-                self._given_above += part.items
-                left -= _charge(part)
-            self._range_place = part.last_time, part.end_seq
+                given = part.within(left)
+                taken.append(self._deliver(held, given))
+                self._given_above += given.items
+                left -= given.charge_bytes
+            self._range_place = given.last_time, given.end_seq
         return taken, left
 
     def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int]:
@@ -136,11 +138,13 @@ class CutFollower:
         for part in below_place(held, _place(self.cut), self.next_seq, self._seq_end):
             if left <= 0:
                 return taken, left
-            if (part.first_time, part.first_seq) >= self._late_place:
-                taken.append(self._deliver(held, part))
-                self._given_below += part.items
-                left -= _charge(part)
-                self._late_place = part.last_time, part.end_seq
+            _, rest = split_at(part, self._late_place)
+            if rest.items:
+                given = rest.within(left)
+                taken.append(self._deliver(held, given))
+                self._given_below += given.items
+                left -= given.charge_bytes
+                self._late_place = given.last_time, given.end_seq
         return taken, left
 
     def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
@@ -163,10 +167,6 @@ class CutFollower:
 
 def _place(cut: int | None) -> Place:
     return FIRST_PLACE if cut is None else (cut, 0)
-
-
-def _charge(part: Slice) -> int:
-    return part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
 
 
 def _reaches(held: Holdings, cut: int | None) -> bool:

@@ -74,17 +74,17 @@ def newest_gone(held: Holdings) -> int | None:
 
 def above_place(held: Holdings, low: Place, first_seq: int, end_seq: int) -> Iterator[Slice]:
     """Held items with seqs from `first_seq` up to, not including, `end_seq`, at or above a place, in seq order."""
-    parts = (_split(part, low)[1] for part in held.slices_by_seq(first_seq, end_seq))
+    parts = (split_at(part, low)[1] for part in held.slices_by_seq(first_seq, end_seq))
     return (part for part in parts if part.items)
 
 
 def below_place(held: Holdings, low: Place, first_seq: int, end_seq: int) -> list[Slice]:
     """Those below the place, ascending by (time, seq)."""
-    parts = (_split(part, low)[0] for part in held.slices_by_seq(first_seq, end_seq))
+    parts = (split_at(part, low)[0] for part in held.slices_by_seq(first_seq, end_seq))
     return sorted((part for part in parts if part.items), key=lambda part: (part.first_time, part.first_seq))
 
 
-def _split(part: Slice, place: Place) -> tuple[Slice, Slice]:
+def split_at(part: Slice, place: Place) -> tuple[Slice, Slice]:
     """A slice, which ascends in (time, seq), below a place and from it on."""
     time, seq = place
     run, lo, hi = part

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.timeline import MIN_INSTANT, Bound
-from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Delivery, Gap, Position, Slice
+from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Delivery, Gap, Position, SavedCursor, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
@@ -16,7 +18,8 @@ class VisibleAll:
     """Every item once: what comes late as it comes, and what the cut lays open in (time, seq) order.
 
     With `start`, visible items from there on come first; with `after`, those that are later in time or in seq than an
-    item that the reader has. Where items were put out of order, resuming so may repeat some; it never leaves one out.
+    item that the reader has. Where items were put out of order, beginning so may repeat some; it never leaves one out.
+    From a `saved` cursor another goes on without a gap or a double.
     """
 
     def __init__(
@@ -28,14 +31,20 @@ class VisibleAll:
         start: Bound | None = None,
         start_exclusive: bool = False,
         after: Position | None = None,
+        saved: SavedCursor | None = None,
     ) -> None:
-        """Raises InvalidArgument for both start and after, or after without a seq; IncarnationLost."""
+        """Raises InvalidArgument for both start and after, after without a seq, and a cursor of no group;
+        IncarnationLost."""
         self._channel = channel
         self._gap: Gap | None = None
         self.delivered = 0
         self.dropped = 0
         cut, next_seq = horizon.cut, None
-        if after is not None:
+        if saved is not None:
+            kept = _kept_cut(channel, horizon, now, saved)
+            cut = None if cut is None else min(cut, kept)
+            next_seq = min(saved.next_seq, channel.next_seq)
+        elif after is not None:
             time, seq = _resume(channel, horizon, now, start, after)
             cut = None if cut is None else min(cut, time + 1)
             next_seq = min(seq + 1, channel.next_seq)
@@ -45,12 +54,16 @@ class VisibleAll:
         self._follower = CutFollower(channel, cut, now, next_seq=next_seq)
 
     @property
-    def place(self) -> Position | None:
-        """Begun `after` this, another goes on without a gap or a double; None in the midst of a step."""
+    def saved(self) -> SavedCursor | None:
+        """From where another goes on; None in the midst of a step."""
         if self._follower.under_way:
             return None
         cut = self._follower.cut
-        return Position(MIN_INSTANT if cut is None else cut - 1, self._follower.next_seq - 1, self._channel.incarnation)
+        return SavedCursor(
+            incarnation=self._channel.incarnation,
+            next_seq=self._follower.next_seq,
+            cut=MIN_INSTANT if cut is None else cut,
+        )
 
     def lowest_owed_seq(self, now: int) -> int:
         """Every item below it was sent or reported. Walks what is hidden."""
@@ -88,14 +101,20 @@ class VisibleNewest:
         start: Bound | None = None,
         start_exclusive: bool = False,
         after: Position | None = None,
+        saved: SavedCursor | None = None,
     ) -> None:
         """Raises like `VisibleAll`."""
         self._channel = channel
         self._last: Place = FIRST_PLACE
         self.delivered = 0
         self._meant = 0
-        self._all = VisibleAll(channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after)
-        if after is not None:
+        self._all = VisibleAll(
+            channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after, saved=saved
+        )
+        if saved is not None:
+            time, end_seq = saved.low or FIRST_PLACE
+            self._last = time, end_seq - 1
+        elif after is not None:
             assert after.seq is not None, "else VisibleAll had refused it"
             self._last = after.time, after.seq
         elif start is None:
@@ -105,9 +124,14 @@ class VisibleNewest:
             self._last = (low, SEQ_END) if start_exclusive else (low, -1)
 
     @property
-    def place(self) -> Position | None:
+    def saved(self) -> SavedCursor | None:
         """As in `VisibleAll`."""
-        return self._all.place
+        dealt = self._all.saved
+        return None if dealt is None else replace(dealt, low=(self._last[0], self._last[1] + 1))
+
+    def lowest_owed_seq(self, now: int) -> int:
+        """As in `VisibleAll`."""
+        return self._all.lowest_owed_seq(now)
 
     @property
     def skipped(self) -> int:
@@ -129,6 +153,13 @@ class VisibleNewest:
         held, _ = self._channel.look(now)
         part = next(VisibleHoldings(held, horizon.cut).slices_down(), None)
         return None if part is None else Slice(part.run, part.hi - 1, part.hi)
+
+
+def _kept_cut(channel: Channel, horizon: Horizon, now: int, saved: SavedCursor) -> int:
+    VisibleReading(channel, horizon, now).check_position(Position(0, None, saved.incarnation))
+    if saved.cut is None:
+        raise InvalidArgument("the cursor comes from a subscription without a group; leave the group out")
+    return saved.cut
 
 
 def _resume(channel: Channel, horizon: Horizon, now: int, start: Bound | None, after: Position) -> tuple[int, int]:
