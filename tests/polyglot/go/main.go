@@ -136,7 +136,8 @@ func main() {
 	defer cancel()
 	ctx = metadata.AppendToOutgoingContext(ctx, "authorization", "Bearer "+secret)
 	ch, texts := open(ctx, os.Args[1], os.Args[3]), os.Args[4:]
-	news := must(ch.data.Subscribe(ctx, &v1.SubscribeRequest{ChannelId: ch.id, Epoch: ch.epoch}))
+	news := must(ch.data.Subscribe(ctx))
+	check(news.Send(&v1.SubscribeRequest{Open: &v1.SubscribeOpen{ChannelId: ch.id, Epoch: ch.epoch}, CreditBytes: 1 << 20}))
 	must(news.Recv()) // has `opened`: the subscription holds, from here on nothing is missed
 	put := ch.put(ctx, texts)
 	var subscribed []item

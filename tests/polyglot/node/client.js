@@ -115,12 +115,18 @@ function unpack(runs) {
 
 async function main() {
   const channel = await open(channelName);
-  const news = channel.data.Subscribe(channel.at, metadata);
+  const news = channel.data.Subscribe(metadata);
+  news.write({ open: channel.at, credit_bytes: 1 }); // 1: one item
   const responses = news[Symbol.asyncIterator]();
   await responses.next(); // has `opened`: the subscription holds, from here on nothing is missed
   const seqs = await put(channel, texts);
   const subscribed = [];
-  while (subscribed.length < texts.length) subscribed.push(...unpack((await responses.next()).value.runs));
+  while (subscribed.length < texts.length) {
+    for (const item of unpack((await responses.next()).value.runs)) {
+      subscribed.push(item);
+      news.write({ credit_bytes: Buffer.byteLength(item.Text) + 64 }); // done with it: the next one
+    }
+  }
   console.log(JSON.stringify({ put: seqs, last: await last(channel, 30), subscribed }));
   process.exit(0); // the subscription would go on
 }

@@ -177,6 +177,7 @@ class CutSubscription(OfOneProcess):
 
     async def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
         decider, *others = self._talks
+        await decider.conversation.say(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
         boundary = await decider.event(parts)
         for talk in others:
             await talk.conversation.say(group_pb.SubscribeCutsRequest(boundary=boundary))

@@ -14,6 +14,7 @@ from weakref import WeakMethod
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.batching import NumberedRun, RunBuilder
 from stampede_rt.binding import Binding
+from stampede_rt.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.payloads import check_attributes, check_payload
@@ -29,7 +30,6 @@ from stampede_rt.wire.put_frames import put_head, put_request
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
 IN_FLIGHT_RUNS_MAX = 64
 REJECTIONS_KEPT_MAX = 1024
-ITEM_OVERHEAD_BYTES = 64
 _in_flight: set[Producer] = set()  # held until their items are acked, even if nobody else holds them any more
 
 

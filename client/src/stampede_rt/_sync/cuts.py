@@ -178,6 +178,7 @@ class CutSubscription(OfOneProcess):
 
     def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
         decider, *others = self._talks
+        decider.conversation.say(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
         boundary = decider.event(parts)
         for talk in others:
             talk.conversation.say(group_pb.SubscribeCutsRequest(boundary=boundary))

@@ -163,12 +163,21 @@ class GetSummary(_message.Message):
     def __init__(self, interval: _Optional[_Union[_time_pb2.ResolvedInterval, _Mapping]] = ..., complete: bool = ..., truncated: bool = ..., more: bool = ..., reason: _Optional[_Union[_error_pb2.AbsenceReason, str]] = ..., detail: _Optional[str] = ..., incarnation: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "without_payloads", "group_id", "stale_ok")
+    __slots__ = ("open", "credit_bytes")
+    OPEN_FIELD_NUMBER: _ClassVar[int]
+    CREDIT_BYTES_FIELD_NUMBER: _ClassVar[int]
+    open: SubscribeOpen
+    credit_bytes: int
+    def __init__(self, open: _Optional[_Union[SubscribeOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ...) -> None: ...
+
+class SubscribeOpen(_message.Message):
+    __slots__ = ("channel_id", "epoch", "mode", "start", "after", "cursor", "without_payloads", "group_id", "stale_ok")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
     START_FIELD_NUMBER: _ClassVar[int]
     AFTER_FIELD_NUMBER: _ClassVar[int]
+    CURSOR_FIELD_NUMBER: _ClassVar[int]
     WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     STALE_OK_FIELD_NUMBER: _ClassVar[int]
@@ -177,24 +186,41 @@ class SubscribeRequest(_message.Message):
     mode: SubscribeMode
     start: _time_pb2.Bound
     after: _item_pb2.ItemPosition
+    cursor: SubscriptionCursor
     without_payloads: bool
     group_id: bytes
     stale_ok: bool
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ...) -> None: ...
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., mode: _Optional[_Union[SubscribeMode, str]] = ..., start: _Optional[_Union[_time_pb2.Bound, _Mapping]] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ..., without_payloads: bool = ..., group_id: _Optional[bytes] = ..., stale_ok: bool = ...) -> None: ...
+
+class SubscriptionCursor(_message.Message):
+    __slots__ = ("incarnation", "next_seq", "from_unix_nano", "from_seq", "live_seq", "cut_unix_nano")
+    INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    FROM_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    FROM_SEQ_FIELD_NUMBER: _ClassVar[int]
+    LIVE_SEQ_FIELD_NUMBER: _ClassVar[int]
+    CUT_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    incarnation: int
+    next_seq: int
+    from_unix_nano: int
+    from_seq: int
+    live_seq: int
+    cut_unix_nano: int
+    def __init__(self, incarnation: _Optional[int] = ..., next_seq: _Optional[int] = ..., from_unix_nano: _Optional[int] = ..., from_seq: _Optional[int] = ..., live_seq: _Optional[int] = ..., cut_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SubscribeResponse(_message.Message):
-    __slots__ = ("opened", "gap", "runs", "progress", "resume_after")
+    __slots__ = ("opened", "gap", "runs", "progress", "cursor")
     OPENED_FIELD_NUMBER: _ClassVar[int]
     GAP_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
     PROGRESS_FIELD_NUMBER: _ClassVar[int]
-    RESUME_AFTER_FIELD_NUMBER: _ClassVar[int]
+    CURSOR_FIELD_NUMBER: _ClassVar[int]
     opened: SubscriptionOpened
     gap: SubscriptionGap
     runs: _containers.RepeatedCompositeFieldContainer[_item_pb2.DeliveredRun]
     progress: SubscriptionProgress
-    resume_after: _item_pb2.ItemPosition
-    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ..., resume_after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ...) -> None: ...
+    cursor: SubscriptionCursor
+    def __init__(self, opened: _Optional[_Union[SubscriptionOpened, _Mapping]] = ..., gap: _Optional[_Union[SubscriptionGap, _Mapping]] = ..., runs: _Optional[_Iterable[_Union[_item_pb2.DeliveredRun, _Mapping]]] = ..., progress: _Optional[_Union[SubscriptionProgress, _Mapping]] = ..., cursor: _Optional[_Union[SubscriptionCursor, _Mapping]] = ...) -> None: ...
 
 class SubscriptionOpened(_message.Message):
     __slots__ = ("incarnation", "next_seq")
