@@ -15,8 +15,8 @@ from stampede_rt._sync.connection import Connection
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.queue import Queue
-from stampede_rt._sync.queue_place import QueueState, open_queue
-from stampede_rt._sync.session import ChannelState, Session
+from stampede_rt._sync.queue_place import open_queue, queue_state
+from stampede_rt._sync.session import Session
 from stampede_rt.codecs import Coding
 from stampede_rt.connecting import Target, parse_target
 from stampede_rt.model import Policy
@@ -55,7 +55,8 @@ class Address:
     def channel(self, name: str, stated: Policy, create: bool, coding: Coding | None) -> Channel:
         """A channel's handle, as it was opened."""
         session = self._session()
-        return Channel(session, ChannelState(session.open_channel(name, stated, None, create), stated, create, coding))
+        info = session.open_channel(name, stated, None, create)
+        return Channel(session, session.state_of(info, stated, create, coding))
 
     def group(self, name: str, codings: Sequence[tuple[str, Coding]]) -> Group:
         """A group's handle; `codings`: the codecs of its members, by name."""
@@ -75,7 +76,7 @@ class Address:
         """A queue's handle, as it was opened."""
         session = self._session()
         info = open_queue(session, name, stated, None, create)
-        return Queue(session, QueueState("queue", name, info, stated, create, coding), prefetch)
+        return Queue(session, queue_state(session, name, info, stated, create, coding), prefetch)
 
     def _session(self) -> Session:
         """The one that all handles from elsewhere share in this process."""

@@ -191,6 +191,11 @@ class Supernodes:
         except (Unavailable, DeadlineExceeded):
             self._measure_again_s = float("-inf")
 
+    async def find_again(self, deadline_s: float) -> str:
+        """Ask the front-ends anew; the id of the cluster, which is another one if its directory began anew."""
+        await self._rebind(deadline_s)
+        return self.cluster_id
+
     async def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
         """One call of the leader, who alone can answer it. Raises what it answers; Unavailable if nobody leads, for
         this is not tried again."""

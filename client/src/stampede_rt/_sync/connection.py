@@ -15,9 +15,9 @@ from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.presence import Mailbox, Presence
 from stampede_rt._sync.queue import Queue, dead_letter_id, stats_at
-from stampede_rt._sync.queue_place import QueueState, open_queue
+from stampede_rt._sync.queue_place import open_queue, queue_state
 from stampede_rt._sync.sending import Sending
-from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, left_s, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.errors import InvalidArgument
@@ -143,7 +143,7 @@ class Connection(Discovery, Reference):
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
         info = self._session.open_channel(name, stated, host, create)
-        return Channel(self._session, ChannelState(info, stated, create, coding))
+        return Channel(self._session, self._session.state_of(info, stated, create, coding))
 
     def group(
         self,
@@ -237,7 +237,7 @@ class Connection(Discovery, Reference):
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
         info = open_queue(self._session, name, stated, host, create)
-        return Queue(self._session, QueueState("queue", name, info, stated, create, coding), ahead)
+        return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead)
 
     @property
     def mailbox(self) -> Mailbox:

@@ -219,6 +219,9 @@ class MailboxPlace(QueuePlace):
         self._presence.check()
         return super().find(deadline_s)
 
+    def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
+        raise error  # it has no name: `explain` sees to another one
+
     def _replace_owner(self, lost_host: str, deadline_s: float) -> None:
         self._presence.register_again()
         self._presence.check()

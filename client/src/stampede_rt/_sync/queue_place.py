@@ -17,7 +17,10 @@ from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
 
 @dataclass(slots=True)
 class QueueState:
-    """What a handle knows of its queue; `info` follows the directory. `name` is what people call it."""
+    """What a handle knows of its queue; `info` follows the directory. `name` is what people call it.
+
+    `cluster_id`: where `info` comes from.
+    """
 
     kind: str
     name: str
@@ -25,6 +28,14 @@ class QueueState:
     stated: QueuePolicy
     create: bool
     coding: Coding | None = None
+    cluster_id: str = ""
+
+
+def queue_state(
+    session: Session, name: str, info: QueueInfo, stated: QueuePolicy, create: bool, coding: Coding | None
+) -> QueueState:
+    """What a new handle knows of a queue."""
+    return QueueState("queue", name, info, stated, create, coding, session.supernodes.cluster_id)
 
 
 def open_queue(
@@ -85,7 +96,11 @@ class QueuePlace:
         """Ask a supernode who owns the queue; one whose owner is lost is opened anew, as its handle was."""
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)
-        response = self._session.supernodes.call("ResolveQueue", request, left_s(deadline_s))
+        try:
+            response = self._session.supernodes.call("ResolveQueue", request, left_s(deadline_s))
+        except QueueNotFound as error:
+            self._resolve_name(error, deadline_s)
+            return
         if response.host.alive:
             state.info = learn_queue(self._session, response.queue, response.host)
         else:
@@ -99,10 +114,18 @@ class QueuePlace:
                 "the queue anew; wait for the host, or open the queue with create=True",
                 reason="NO_HOST",
             )
-        info = open_queue(self._session, state.name, state.stated, None, True, left_s(deadline_s))
-        if info.queue_id != state.info.queue_id:
-            raise QueueNotFound(f"the queue {state.name!r} was deleted, and another now has its name; open it again")
-        state.info = info
+        state.info = open_queue(self._session, state.name, state.stated, None, True, left_s(deadline_s))
+
+    def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
+        """The queue's id is not known any more: whichever has its name now is meant.
+
+        If none has, it was deleted; unless the whole directory began anew, as it does in memory: then it is opened as
+        its handle was. Raises QueueNotFound.
+        """
+        state, supernodes = self._state, self._session.supernodes
+        create = state.create and supernodes.find_again(deadline_s) != state.cluster_id
+        state.info = open_queue(self._session, state.name, state.stated, None, create, left_s(deadline_s))
+        state.cluster_id = supernodes.cluster_id
 
     def forget(self) -> None:
         """Forget the queue's place, and its host's endpoint."""

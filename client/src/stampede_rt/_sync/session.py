@@ -49,12 +49,13 @@ def request_id() -> bytes:
 
 @dataclass(slots=True)
 class ChannelState:
-    """What a handle knows of its channel; `info` follows the directory."""
+    """What a handle knows of its channel; `info` follows the directory. `cluster_id`: where `info` comes from."""
 
     info: ChannelInfo
     stated: Policy
     create: bool
     coding: Coding | None = None
+    cluster_id: str = ""
 
     def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
         """What makes Items of the runs that the host sends."""
@@ -162,7 +163,11 @@ class Session:
     def found(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelState:
         """What a handle knows of a channel that the directory told of unasked; it may not create the channel anew."""
         info = self._learn(record, host) if host is not None else channel_info(record, None)
-        return ChannelState(info, Policy(), create=False)
+        return self.state_of(info, Policy(), False)
+
+    def state_of(self, info: ChannelInfo, stated: Policy, create: bool, coding: Coding | None = None) -> ChannelState:
+        """What a new handle knows of a channel."""
+        return ChannelState(info, stated, create, coding, self.supernodes.cluster_id)
 
     def place(self, state: ChannelState) -> Binding:
         """Where the channel's data is; waits a while for an owner if it has none."""
@@ -208,7 +213,11 @@ class Session:
         """Ask a supernode who owns the channel; one whose owner is lost is opened anew, as its handle was."""
         timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
-        response = self.supernodes.call("ResolveChannel", request, timeout_s)
+        try:
+            response = self.supernodes.call("ResolveChannel", request, timeout_s)
+        except ChannelNotFound:
+            self._resolve_name(state, deadline_s)
+            return
         if response.host.alive:
             state.info = self._learn(response.channel, response.host)
             return
@@ -218,10 +227,18 @@ class Session:
                 "may not create the channel anew; wait for the host, or open the channel with create=True",
                 reason="NO_HOST",
             )
-        info = self.open_channel(state.info.name, state.stated, None, True, timeout_s)
-        if info.channel_id != state.info.channel_id:
-            raise ChannelNotFound(f"the channel {info.name!r} was deleted, and another now has its name; open it again")
-        state.info = info
+        state.info = self.open_channel(state.info.name, state.stated, None, True, timeout_s)
+
+    def _resolve_name(self, state: ChannelState, deadline_s: float) -> None:
+        """The channel's id is not known any more: whoever has its name now is meant.
+
+        If nobody has, it was deleted; unless the whole directory began anew, as it does in memory: then it is opened as
+        its handle was. Raises ChannelNotFound.
+        """
+        begun_anew = self.supernodes.find_again(deadline_s) != state.cluster_id
+        create = state.create and begun_anew
+        state.info = self.open_channel(state.info.name, state.stated, None, create, left_s(deadline_s))
+        state.cluster_id = self.supernodes.cluster_id
 
     def _bind_at(self, state: ChannelState, owner: Owner, deadline_s: float) -> Binding:
         request = gatekeeper_service_pb2.BindChannelRequest(

@@ -192,6 +192,11 @@ class Supernodes:
         except (Unavailable, DeadlineExceeded):
             self._measure_again_s = float("-inf")
 
+    def find_again(self, deadline_s: float) -> str:
+        """Ask the front-ends anew; the id of the cluster, which is another one if its directory began anew."""
+        self._rebind(deadline_s)
+        return self.cluster_id
+
     def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
         """One call of the leader, who alone can answer it. Raises what it answers; Unavailable if nobody leads, for
         this is not tried again."""

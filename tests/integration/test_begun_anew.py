@@ -1,0 +1,106 @@
+"""A cluster in memory that was restarted has forgotten everything; handles find what has their names then."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1, durable=False)
+LIMIT_S = 40
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as rt:
+        yield rt
+
+
+def restart(cluster: LocalCluster) -> None:
+    """All of it, at the same addresses, with nothing left."""
+    for process in cluster.processes():
+        process.kill()
+    for process in reversed(list(cluster.processes())):
+        process.restart()
+
+
+def test_puts_and_gets_go_on_with_the_channel_that_they_open_again(cluster: LocalCluster, rt: st.Connection) -> None:
+    channel = rt.channel("anew/camera", max_items=7)
+    before = channel.put(b"gone")
+    restart(cluster)
+    item = channel.put(b"anew")
+    assert item.incarnation != before.incarnation
+    assert [one.payload for one in channel.get(st.OLDEST, st.NEWEST)] == [b"anew"]
+    assert rt.channel("anew/camera", create=False).info.policy.max_items == 7, "it is set up as it was"
+    with pytest.raises(st.IncarnationLost):
+        channel.newest(after=before)
+
+
+def test_a_handle_that_may_not_create_says_so_until_somebody_does(cluster: LocalCluster, rt: st.Connection) -> None:
+    rt.channel("anew/others").put(b"gone")
+    reader = rt.channel("anew/others", create=False)
+    restart(cluster)
+    with pytest.raises(st.ChannelNotFound, match="anew/others"):
+        reader.newest()
+    with st.connect(cluster.address) as other:
+        other.channel("anew/others").put(b"by another")
+    newest = reader.newest()
+    assert newest is not None
+    assert newest.payload == b"by another"
+
+
+def test_a_queue_goes_on_with_the_queue_that_it_opens_again(cluster: LocalCluster, rt: st.Connection) -> None:
+    queue = rt.queue("anew/work", max_items=5)
+    queue.put(b"gone")
+    restart(cluster)
+    queue.put(b"anew", timeout=5)
+    message = queue.get(timeout=LIMIT_S)
+    assert message is not None
+    assert message.payload == b"anew"
+    message.ack()
+    assert queue.stats().policy.max_items == 5
+
+
+def test_a_named_connection_registers_again_and_gets_another_mailbox(cluster: LocalCluster) -> None:
+    got: list[st.Message | None] = []
+    with st.connect(cluster.address, name="anew-peer") as rt, st.connect(cluster.address) as other:
+        other.send("anew-peer", b"gone")
+        restart(cluster)
+        taker = threading.Thread(target=lambda: got.append(rt.mailbox.get(timeout=LIMIT_S)), daemon=True)
+        taker.start()
+        wait = threading.Event()
+        for _ in range(LIMIT_S * 10):
+            try:
+                other.send("anew-peer", b"anew")
+                break
+            except (st.PeerNotFound, st.Unavailable):
+                wait.wait(0.1)
+        taker.join(LIMIT_S)
+        assert [message.payload for message in got if message] == [b"anew"]
+
+
+def test_what_was_deleted_stays_deleted_until_its_name_is_used_again(cluster: LocalCluster, rt: st.Connection) -> None:
+    channel, queue = rt.channel("anew/deleted"), rt.queue("anew/deleted")
+    channel.put(b"gone")
+    queue.put(b"gone")
+    with st.connect(cluster.address) as other:
+        other.channel("anew/deleted").delete()
+        other.queue("anew/deleted").delete()
+        with pytest.raises(st.ChannelNotFound):
+            channel.put(b"x")
+        with pytest.raises(st.QueueNotFound):
+            queue.put(b"x")
+        assert not rt.channels("anew/deleted")
+        other.channel("anew/deleted", max_items=3).put(b"another")
+        other.queue("anew/deleted").put(b"another")
+        newest = channel.newest()
+        assert newest is not None
+        assert newest.payload == b"another"
+        message = queue.get(timeout=5)
+        assert message is not None
+        assert message.payload == b"another"
