@@ -156,8 +156,8 @@ class OracleQueue:
     def _settle(self, taker_id: int, kind: str, delivery_id: int, nanos: int) -> str | None:
         if kind == "ack":
             return self._acknowledge(taker_id, delivery_id)
-        if kind == "nack":
-            return self._give_back(taker_id, delivery_id, nanos)
+        if kind in ("nack", "uncounted"):
+            return self._give_back(taker_id, delivery_id, nanos, counted=kind == "nack")
         return self._extend(taker_id, delivery_id, nanos)
 
     def _acknowledge(self, taker_id: int, delivery_id: int) -> str | None:
@@ -172,10 +172,11 @@ class OracleQueue:
         self._use_up(item)
         return None
 
-    def _give_back(self, taker_id: int, delivery_id: int, delay: int) -> str | None:
+    def _give_back(self, taker_id: int, delivery_id: int, delay: int, *, counted: bool) -> str | None:
         found = self._leased(taker_id, delivery_id)
         if found is None:
             return "LEASE_EXPIRED"
+        found[1].number -= not counted
         self.counts["given_back"] += 1
         self._in_vain(*found, delay)
         return None
@@ -337,7 +338,7 @@ class OracleQueue:
 
     def _in_vain(self, item: Item, lease: Lease, delay: int) -> None:
         item.leases.remove(lease)
-        item.returned.append(lease.number)
+        item.returned += [lease.number] if lease.number else []
         if not self._leave_if_exhausted(item) and delay:
             item.held_back_until = max(self.now + delay, item.held_back_until or 0)
 

@@ -44,7 +44,9 @@ def core_settlement(verdict: Verdict) -> Settlement:
     kind, delivery_id, nanos = verdict
     if kind == "ack":
         return Settlement(delivery_id, Acknowledge())
-    return Settlement(delivery_id, GiveBack(nanos) if kind == "nack" else Extend(nanos))
+    if kind == "extend":
+        return Settlement(delivery_id, Extend(nanos))
+    return Settlement(delivery_id, GiveBack(nanos, uncounted=kind == "uncounted"))
 
 
 @dataclass

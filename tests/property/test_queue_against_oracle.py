@@ -79,8 +79,8 @@ def latest(dice: Dice, pair: QueuePair) -> tuple[int, int]:
 def a_verdict(dice: Dice, pair: QueuePair, taker_id: int) -> Verdict:
     own = [delivery_id for owner, delivery_id in pair.deliveries if owner == taker_id]
     delivery_id = own[-1 - dice.below(min(len(own), 4))] if not dice.one_in(8) else latest(dice, pair)[1]
-    kind = dice.pick(("ack", "nack", "ack", "extend"))
-    return kind, delivery_id, dice.pick((0, 3, 20)) if kind == "nack" else dice.pick((10, 1, 100))
+    kind = dice.pick(("ack", "nack", "ack", "extend", "uncounted"))
+    return kind, delivery_id, dice.pick((0, 3, 20)) if kind in ("nack", "uncounted") else dice.pick((10, 1, 100))
 
 
 def tick(dice: Dice, pair: QueuePair) -> None:

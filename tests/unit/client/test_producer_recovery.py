@@ -22,21 +22,19 @@ LIMIT_S = 5.0
 
 
 class Duplex:
-    """A stream that keeps what is written. `gate` holds a write back, as a full window does."""
+    """A stream that keeps what is sent."""
 
-    def __init__(self, on_response: Any, on_end: Any, gate: asyncio.Event) -> None:
-        self.on_response, self.on_end, self.gate = on_response, on_end, gate
-        self.written: list[pb.PutRequest] = []
+    def __init__(self, on_response: Any, on_end: Any) -> None:
+        self.on_response, self.on_end = on_response, on_end
+        self.sent: list[pb.PutRequest] = []
 
-    async def write(self, request: bytes) -> None:
-        self.written.append(pb.PutRequest.FromString(request))
-        if self.numbers:  # a host acks no run before it came
-            await self.gate.wait()
+    def send(self, request: bytes) -> None:
+        self.sent.append(pb.PutRequest.FromString(request))
 
     @property
     def numbers(self) -> list[int]:
         """The first numbers of the runs, in the order of their coming."""
-        return [put.first_number for request in self.written for put in request.puts]
+        return [put.first_number for request in self.sent for put in request.puts]
 
     def cancel(self) -> None:
         pass
@@ -54,8 +52,8 @@ class Place:
     def __init__(self) -> None:
         self.cache = BindingCache()
         self.ports = self
-        self.gate = asyncio.Event()
-        self.gate.set()
+        self.found = asyncio.Event()  # where the channel is
+        self.found.set()
         self.streams: list[Duplex] = []
         self.opened = asyncio.Event()
 
@@ -63,11 +61,12 @@ class Place:
         return self
 
     def duplex(self, on_response: Any, on_end: Any) -> Duplex:
-        self.streams.append(Duplex(on_response, on_end, self.gate))
+        self.streams.append(Duplex(on_response, on_end))
         self.opened.set()
         return self.streams[-1]
 
     async def perform(self, state: ChannelState, operation: Any, timeout_s: float | None = None) -> Any:
+        await self.found.wait()
         return await operation(Binding(channel_id=b"c", target="there", epoch=1, incarnation=1))
 
 
@@ -116,25 +115,65 @@ async def test_one_message_with_several_refusals_wakes_a_flush_that_waits() -> N
     assert producer.accepted == 3
 
 
-async def test_an_ack_during_a_resend_lets_nothing_new_go_between() -> None:
+async def test_what_was_not_acked_is_sent_again_before_what_came_since() -> None:
     place = Place()
     producer = await three_in_flight(place)
     await producer.put(b"4")
-    place.opened.clear()
     await place.streams[0].on_end(st.Unavailable("broken"))
-    place.gate.clear()
     flush = asyncio.ensure_future(producer.flush(LIMIT_S))
-    await asyncio.wait_for(place.opened.wait(), LIMIT_S / 2)
+    await settled()
+    await asyncio.wait_for(_streams(place, 2), LIMIT_S / 2)
     stream = place.streams[1]
-    ack = asyncio.ensure_future(stream.on_response(pb.PutResponse(acks=[accepted(1)])))
-    await settled()
-    place.gate.set()
-    await ack
-    await settled()
+    await stream.on_response(pb.PutResponse(acks=[accepted(1)]))
     assert stream.numbers == [1, 2, 3, 4]
     await stream.on_response(pb.PutResponse(acks=[accepted(number) for number in (2, 3, 4)]))
     await flush
     assert producer.accepted == 4
+
+
+async def _streams(place: Place, count: int) -> None:
+    while len(place.streams) < count:
+        place.opened.clear()
+        await place.opened.wait()
+
+
+@pytest.mark.parametrize("unacked", [0, 1], ids=["the first stream", "a later one"])
+async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over_and_harms_no_other(
+    unacked: int,
+) -> None:
+    """The host rejected everything after it, since the stream had lost its beginning."""
+    place = Place()
+    producer = producer_at(place)
+    for _ in range(unacked):
+        await producer.put(b"1")
+        await place.streams[0].on_end(st.Unavailable("broken"))
+    place.found.clear()
+    put = asyncio.ensure_future(producer.put(b"cancelled"))
+    await settled()
+    put.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await put
+    place.found.set()
+    await producer.put(b"next")
+    await producer._send()
+    stream = place.streams[-1]
+    assert stream.sent[0].channel_id == b"c"
+    assert stream.numbers == list(range(1, unacked + 2))
+    assert b"cancelled" not in b"".join(put.run.payloads for sent in stream.sent for put in sent.puts)
+
+
+async def test_what_a_final_failure_left_is_sent_by_whoever_puts_after_it() -> None:
+    """A failure was told for ever, and what was not acked was never sent again."""
+    place = Place()
+    producer = await three_in_flight(place)
+    await place.streams[0].on_end(st.StampedeError("the host failed with a defect"))
+    with pytest.raises(st.StampedeError, match="a defect"):
+        await producer.flush(LIMIT_S)
+    flush = asyncio.ensure_future(producer.flush(LIMIT_S))
+    await settled()
+    await place.streams[1].on_response(pb.PutResponse(acks=[accepted(1), accepted(2), accepted(3)]))
+    await flush
+    assert producer.accepted == 3
 
 
 async def test_an_ack_of_a_stream_that_was_given_up_counts_for_nothing() -> None:
@@ -152,7 +191,7 @@ async def test_the_timeout_of_a_flush_holds_while_all_room_is_taken() -> None:
     producer = producer_at(place)
     for _ in itertools.takewhile(lambda _: producer._has_room(), itertools.count()):
         await producer.put(b"x")
-        await producer._send_filled()
+        producer._send_filled()
     await producer.put(b"one more")
     async with asyncio.timeout(LIMIT_S):
         with pytest.raises(st.DeadlineExceeded, match="64 runs"):

@@ -36,6 +36,8 @@ class Stream:
 
     async def say(self, request: pb.TakeRequest) -> None:
         self.said.append(request)
+        if request.HasField("open"):
+            self.deliver()
         self.heard.set()
 
     def cancel(self) -> None:
@@ -85,6 +87,7 @@ class Host:
         self.queues = self
         self.streams: asyncio.Queue[Stream] = asyncio.Queue()
         self.given_back: list[int] = []
+        self.extended: list[int] = []
         self.settled = asyncio.Event()
         self.attached: list[object] = []
         self.Take, self.Settle = object(), object()
@@ -100,6 +103,7 @@ class Host:
 
     async def call(self, method: Any, request: pb.SettleRequest, timeout_s: float) -> pb.SettleResponse:
         self.given_back += [one.delivery_id for one in request.settlements if one.HasField("give_back")]
+        self.extended += [one.delivery_id for one in request.settlements if one.HasField("extend_lease")]
         self.settled.set()
         return pb.SettleResponse(results=[queue_pb2.SettlementResult() for _ in request.settlements])
 
@@ -202,6 +206,53 @@ async def test_a_message_that_came_as_its_wait_was_cancelled_is_given_back() -> 
     stream.deliver(5, drained=True)
     await asyncio.wait_for(host.settled.wait(), LIMIT_S)
     assert host.given_back == [5]
+
+
+async def test_a_message_that_its_cancelled_getter_never_saw_goes_to_the_next_one_here() -> None:
+    host = Host()
+    taker = taker_at(host)
+    first, second = (asyncio.ensure_future(taker.get(FOR_EVER)) for _ in range(2))
+    stream = await host.next_stream()
+    await until_said(stream, lambda request: stream.credit == 2)
+    stream.deliver(5)
+    while taker._credit == 2:  # until the first one has it, and has not run on yet
+        await asyncio.sleep(0)
+    first.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await first
+    assert await seq_of(second) == 5
+    assert host.given_back == []
+
+
+async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> None:
+    """It stayed in line, and the next message was leased to nobody until its lease ended."""
+    host = Host()
+    taker = taker_at(host)
+    held = asyncio.ensure_future(taker.get(FOR_EVER))
+    stream = await host.next_stream()
+    get = asyncio.ensure_future(taker.get(FOR_EVER))
+    await asyncio.sleep(0)
+    get.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await get
+    stream.deliver(1)
+    assert await seq_of(held) == 1
+    assert not taker._waiting
+
+
+async def test_what_waits_ahead_is_extended_as_long_as_others_are_taken_and_goes_back_when_none_is() -> None:
+    """Prefetched messages were lost to their leases while their taker worked on those before them."""
+    host = Host()
+    taker = taker_at(host, prefetch=3)
+    get = asyncio.ensure_future(taker.get(FOR_EVER))
+    stream = await host.next_stream()
+    stream.deliver(1, 2, 3, lease_s=1)
+    assert (await seq_of(get), await seq_of(taker.get(FOR_EVER))) == (1, 2)
+    async with asyncio.timeout(LIMIT_S):
+        while not host.given_back:
+            await host.settled.wait()
+            host.settled.clear()
+    assert (host.extended, host.given_back) == ([3], [3])
 
 
 async def test_a_stream_that_breaks_is_replaced_under_those_who_wait() -> None:

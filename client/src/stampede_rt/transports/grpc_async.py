@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import suppress
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -19,7 +18,15 @@ from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
+from stampede_rt.transports.grpc_options import (
+    CHANNEL_OPTIONS,
+    END_TIMEOUT_S,
+    ENQUEUE_METHOD,
+    PUT_METHOD,
+    SAID_MAX,
+    SILENCE_S_MAX,
+)
+from stampede_rt.transports.requests_async import Requests, spawn
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -51,6 +58,7 @@ class Port(Stubs):
             ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
         )
         self._gets: list[GetExchange] = []
+        self._tasks: set[asyncio.Task[None]] = set()  # of all streams here
 
     def stub(self, make: Callable[[grpc.aio.Channel], Stub]) -> Stub:
         """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
@@ -71,11 +79,11 @@ class Port(Stubs):
 
     def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
         """One request, many responses."""
-        return Stream(method(request, metadata=self.metadata), self.target)
+        return Stream(self._begin(method, request), self.target)
 
     def converse(self, method: Callable[..., Any]) -> Conversation[Any]:
         """A stream in both directions."""
-        return Conversation(method(metadata=self.metadata), self.target)
+        return Conversation(self._begin(method), self.target, self._tasks)
 
     def gets(self) -> GetExchange:
         """An open stream for gets that takes one more: the first one has room for all but very many."""
@@ -83,17 +91,17 @@ class Port(Stubs):
             if exchange.takes_more:
                 return exchange
         self._gets = [exchange for exchange in self._gets if not exchange.broken]
-        exchange = GetExchange(self.channels.Get(metadata=self.metadata), self.target)
+        exchange = GetExchange(self._begin(self.channels.Get), self.target, self._tasks)
         self._gets.append(exchange)
         return exchange
 
     def puts(self) -> PutExchange:
         """A new stream for puts, which its caller closes."""
-        return PutExchange(self._put(metadata=self.metadata), self.target)
+        return PutExchange(self._begin(self._put), self.target, self._tasks)
 
     def enqueues(self) -> PutExchange:
         """A new stream for puts into a queue, which its caller closes."""
-        return PutExchange(self._enqueue(metadata=self.metadata), self.target)
+        return PutExchange(self._begin(self._enqueue), self.target, self._tasks)
 
     def duplex(
         self,
@@ -101,11 +109,21 @@ class Port(Stubs):
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
         """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
-        return PutDuplex(self._put(metadata=self.metadata), self.target, on_response, on_end)
+        return PutDuplex(self._begin(self._put), self.target, self._tasks, on_response, on_end)
+
+    def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
+        """The call of a stream. Raises Unavailable once this port is closed."""
+        try:
+            return method(*request, metadata=self.metadata)
+        except grpc.aio.UsageError as error:
+            raise closed(self.target) from error
 
     async def aclose(self) -> None:
         """End everything that is under way here."""
         await self._channel.close(None)
+        tasks = self._tasks - {asyncio.current_task()}
+        if tasks:
+            await asyncio.wait(tasks, timeout=END_TIMEOUT_S)
 
 
 def closed(target: str) -> Unavailable:
@@ -172,39 +190,31 @@ class Stream(Generic[Response]):
 class Conversation(Stream[Response]):
     """A stream in both directions: `say` sends, the iteration gives what comes."""
 
-    def __init__(self, call: Any, target: str) -> None:
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         super().__init__(call, target)
-        self._writing = asyncio.Lock()
+        self._requests = Requests(call, tasks)
 
     async def say(self, request: Any) -> None:
-        """Send `request`; blocks while the connection's window is full. Raises Unavailable if the stream is broken."""
-        try:
-            async with self._writing:
-                await self._call.write(request)
-        except (grpc.RpcError, asyncio.InvalidStateError) as error:
-            raise Unavailable(f"the stream to {self._target} is broken") from error
+        """Send `request`, without waiting. That the stream is broken is found out by the iteration.
+
+        Raises Unavailable if SAID_MAX requests wait: the other side takes none.
+        """
+        if len(self._requests) >= SAID_MAX:
+            self._call.cancel()
+            raise Unavailable(f"{self._target} takes no requests; it may be stopped")
+        self._requests.send(request)
 
 
 class _Exchange:
     """An open bidirectional stream with a task that reads its responses."""
 
-    def __init__(self, call: Any, target: str) -> None:
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         self._call = call
         self._target = target
         self._forks = forking.forks()
-        self._writing = asyncio.Lock()
-        self._reader = asyncio.create_task(self._read())
+        self._requests = Requests(call, tasks)
         self.broken = False
-
-    async def _write(self, request: Any) -> None:
-        try:
-            async with self._writing:
-                await self._call.write(request)
-        except (grpc.RpcError, asyncio.InvalidStateError) as error:
-            self.broken = True
-            if asyncio.current_task() is not self._reader:  # which writes, too, where an ack makes room
-                await self._reader  # it ends with the reason, and hands it to all that wait
-            raise Unavailable(f"the stream to {self._target} is broken") from error
+        spawn(tasks, self._read())
 
     async def _read(self) -> None:
         error: StampedeError = Unavailable(f"{self._target} ended the stream")
@@ -214,8 +224,10 @@ class _Exchange:
         except grpc.RpcError as failure:
             error = from_rpc_error(failure, self._target)
         except asyncio.CancelledError:
-            error = Unavailable(f"the connection to {self._target} is closed")
-        self.broken = True
+            error = closed(self._target)
+        except Exception as defect:  # noqa: BLE001  # whoever waits must hear of it
+            error = StampedeError(f"{self._target} sent what makes no sense here: {defect!r}")
+        self.cancel()
         await self._end(error)
 
     async def _receive(self, response: Any) -> None:
@@ -237,16 +249,23 @@ async def _within(future: asyncio.Future[Response], timeout_s: float | None, tar
             return await future
     except TimeoutError:
         raise DeadlineExceeded(f"{target} did not answer within {timeout_s:g} s; it may be overloaded") from None
+    finally:
+        if not future.cancel() and not future.cancelled():
+            future.exception()  # seen, also by one that is cancelled at that very moment
+
+
+def _fail(future: asyncio.Future[Any], error: StampedeError) -> None:
+    if not future.done():
+        future.set_exception(error)
 
 
 class GetExchange(_Exchange):
     """Gets on one open stream: CALLS_MAX may be under way, told apart by their call ids."""
 
-    def __init__(self, call: Any, target: str) -> None:
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         self._waiting: dict[int, tuple[asyncio.Future[list[channel_pb.GetResponse]], list[channel_pb.GetResponse]]] = {}
         self._next_id = 0
-        self._farewell: asyncio.Task[None] | None = None  # held, so that it is not collected before it is done
-        super().__init__(call, target)
+        super().__init__(call, target, tasks)
 
     @property
     def takes_more(self) -> bool:
@@ -255,29 +274,20 @@ class GetExchange(_Exchange):
 
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
         """All responses to `request`, which gets a call id here. Cancelling the task cancels the call at the host."""
+        if self.broken:
+            raise closed(self._target)
         self._next_id += 1
         request.call_id = call_id = self._next_id
         future: asyncio.Future[list[channel_pb.GetResponse]] = asyncio.get_running_loop().create_future()
         self._waiting[call_id] = (future, [])
+        self._requests.send(request)
         try:
-            await self._write(request)
             return await _within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded):
-            self._give_up(call_id)
+            self._requests.send(channel_pb.GetRequest(call_id=call_id, cancel=True))
             raise
         finally:
             self._waiting.pop(call_id, None)
-            if future.done() and not future.cancelled():
-                future.exception()  # seen, also when the write already failed
-
-    def _give_up(self, call_id: int) -> None:
-        if not self.broken:
-            self._farewell = asyncio.ensure_future(self._cancel_call(call_id))
-
-    async def _cancel_call(self, call_id: int) -> None:
-        """Tell the host. On a stream that breaks meanwhile it has heard."""
-        with suppress(StampedeError):
-            await self._write(channel_pb.GetRequest(call_id=call_id, cancel=True))
 
     async def _receive(self, response: channel_pb.GetResponse) -> None:
         entry = self._waiting.get(response.call_id)
@@ -290,48 +300,48 @@ class GetExchange(_Exchange):
 
     async def _end(self, error: StampedeError) -> None:
         for future, _ in self._waiting.values():
-            if not future.done():
-                future.set_exception(error)
+            _fail(future, error)
 
 
 class PutExchange(_Exchange):
-    """Puts on one open stream, each awaiting its ack; acks come in the order of the puts."""
+    """Puts on one open stream, each awaiting its ack; acks come in the order of the puts.
 
-    def __init__(self, call: Any, target: str) -> None:
+    A put that is given up may still wait for room at the host. So the stream takes no more then, and ends with the
+    last put that waits on it.
+    """
+
+    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         self._waiting: deque[asyncio.Future[channel_pb.PutAck]] = deque()
-        super().__init__(call, target)
+        super().__init__(call, target, tasks)
 
     async def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
         """The ack of the one run in `request`."""
+        if self.broken:
+            raise closed(self._target)
         future: asyncio.Future[channel_pb.PutAck] = asyncio.get_running_loop().create_future()
+        self._waiting.append(future)
+        self._requests.send(request)
         try:
-            async with self._writing:
-                self._waiting.append(future)
-                await self._call.write(request)
-        except (grpc.RpcError, asyncio.InvalidStateError):
+            return await _within(future, timeout_s, self._target)
+        except (asyncio.CancelledError, DeadlineExceeded):
             self.broken = True
-            await self._reader
-            if not future.done():  # it joined those that wait when the reader had ended
-                future.set_exception(Unavailable(f"the stream to {self._target} is broken"))
-        except asyncio.CancelledError as error:
-            if not _is_cancelled():
-                self.broken = True
-                raise closed(self._target) from error
-            self.cancel()  # the ack that would come for nobody could be taken for another's
+            self._end_if_idle()
             raise
-        return await _within(future, timeout_s, self._target)
+
+    def _end_if_idle(self) -> None:
+        if self.broken and all(future.done() for future in self._waiting):
+            self.cancel()
 
     async def _receive(self, response: channel_pb.PutResponse) -> None:
         for ack in response.acks:
             future = self._waiting.popleft()
             if not future.done():
                 future.set_result(ack)
+        self._end_if_idle()
 
     async def _end(self, error: StampedeError) -> None:
         while self._waiting:
-            future = self._waiting.popleft()
-            if not future.done():
-                future.set_exception(error)
+            _fail(self._waiting.popleft(), error)
 
 
 class PutDuplex(_Exchange):
@@ -341,16 +351,17 @@ class PutDuplex(_Exchange):
         self,
         call: Any,
         target: str,
+        tasks: set[asyncio.Task[None]],
         on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> None:
         self._on_response = on_response
         self._on_end = on_end
-        super().__init__(call, target)
+        super().__init__(call, target, tasks)
 
-    async def write(self, request: bytes) -> None:
-        """Send `request`; blocks while the connection's window is full. Raises Unavailable."""
-        await self._write(request)
+    def send(self, request: bytes) -> None:
+        """Send `request`, without waiting. That the stream is broken is told to `on_end`."""
+        self._requests.send(request)
 
     async def _receive(self, response: channel_pb.PutResponse) -> None:
         await self._on_response(response)

@@ -5,6 +5,8 @@ from __future__ import annotations
 PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
 ENQUEUE_METHOD = "/stampede_rt.v1.QueueService/Enqueue"
 SILENCE_S_MAX = 15.0  # servers give a sign of life on every stream of theirs each 5 s
+SAID_MAX = 1024  # requests on one stream that the other side has yet to take
+END_TIMEOUT_S = 1.0  # for what is to end with its connection
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
 CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (

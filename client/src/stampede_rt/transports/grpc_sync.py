@@ -19,7 +19,7 @@ from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SILENCE_S_MAX
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SAID_MAX, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -177,7 +177,13 @@ class Conversation(Stream[Response]):
         when_dropped(self, partial(self._requests.put, None))
 
     def say(self, request: Any) -> None:
-        """Send `request`. That the stream is broken is found out by the iteration."""
+        """Send `request`, without waiting. That the stream is broken is found out by the iteration.
+
+        Raises Unavailable if SAID_MAX requests wait: the other side takes none.
+        """
+        if self._requests.qsize() >= SAID_MAX:
+            self._call.cancel()
+            raise Unavailable(f"{self._target} takes no requests; it may be stopped")
         self._requests.put(request)
 
     def cancel(self) -> None:
@@ -278,17 +284,18 @@ class PutDuplex(_Exchange):
         self._on_end = on_end
         threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()
 
-    def write(self, request: bytes) -> None:
-        """Send `request`. Raises Unavailable if the stream is broken."""
-        if self.broken:
-            raise Unavailable(f"the stream to {self._target} is broken")
+    def send(self, request: bytes) -> None:
+        """Send `request`, without waiting. That the stream is broken is told to `on_end`."""
         self._requests.put(request)
 
     def _read(self) -> None:
-        error: BaseException = StopIteration()
+        error: StampedeError | None = None
         try:
             for response in self._call:
                 self._on_response(response)
         except grpc.RpcError as failure:
-            error = failure
-        self._on_end(self._error(error))
+            error = from_rpc_error(failure, self._target)
+        except Exception as defect:  # noqa: BLE001  # whoever waits must hear of it
+            error = StampedeError(f"{self._target} sent what makes no sense here: {defect!r}")
+        self.cancel()
+        self._on_end(error or Unavailable(f"{self._target} ended the stream"))

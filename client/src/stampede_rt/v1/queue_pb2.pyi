@@ -141,10 +141,12 @@ class Acknowledge(_message.Message):
     def __init__(self) -> None: ...
 
 class GiveBack(_message.Message):
-    __slots__ = ("delay_nanos",)
+    __slots__ = ("delay_nanos", "uncounted")
     DELAY_NANOS_FIELD_NUMBER: _ClassVar[int]
+    UNCOUNTED_FIELD_NUMBER: _ClassVar[int]
     delay_nanos: int
-    def __init__(self, delay_nanos: _Optional[int] = ...) -> None: ...
+    uncounted: bool
+    def __init__(self, delay_nanos: _Optional[int] = ..., uncounted: bool = ...) -> None: ...
 
 class ExtendLease(_message.Message):
     __slots__ = ("lease_nanos",)

@@ -74,7 +74,7 @@ def _settlement_of(message: queue_pb2.Settlement) -> Settlement:
         delay_nanos = message.give_back.delay_nanos
         if delay_nanos < 0:
             raise InvalidArgument(f"delay_nanos is {delay_nanos}; it is 0 or more")
-        return Settlement(message.delivery_id, GiveBack(delay_nanos))
+        return Settlement(message.delivery_id, GiveBack(delay_nanos, message.give_back.uncounted))
     _check_lease(message.extend_lease.lease_nanos)
     return Settlement(message.delivery_id, Extend(message.extend_lease.lease_nanos))
 

@@ -78,6 +78,7 @@ class Leasing:
             self._acknowledge(lease, now)
         elif isinstance(verdict, GiveBack):
             self._shelf.tally.given_back += 1
+            lease.number -= verdict.uncounted
             self._take_back(lease, now + verdict.delay_nanos if verdict.delay_nanos else None)
         else:
             return self._extend(lease, verdict, now)
@@ -165,7 +166,8 @@ class Leasing:
         """The delivery was in vain. After the last that is allowed the item leaves, and with it its other leases."""
         item = lease.item
         self._end(lease)
-        insort(item.returned, lease.number)
+        if lease.number:
+            insort(item.returned, lease.number)
         if self.is_exhausted(item):
             self.give_up(item)
             return

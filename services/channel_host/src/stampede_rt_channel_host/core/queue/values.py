@@ -49,9 +49,13 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True)
 class GiveBack:
-    """The item goes back to its place, and is not delivered again for `delay_nanos`, 0 or more."""
+    """The item goes back to its place, and is not delivered again for `delay_nanos`, 0 or more.
+
+    `uncounted`: nobody was handed the item, so that the delivery does not count towards max_deliveries.
+    """
 
     delay_nanos: int = 0
+    uncounted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
