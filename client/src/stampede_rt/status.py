@@ -22,6 +22,14 @@ _PREFIX = "ERROR_REASON_"
 _GRPC_PREAMBLE = re.compile(
     r"^failed to connect to all addresses; last error: [A-Z]+: [^ ]+: (Failed to connect to remote host: )?"
 )
+# How gRPC tells of a broken connection where it does not say UNAVAILABLE: grpc.aio of a write that failed, the core of a
+# stream that was reset (INTERNAL for most codes, see doc/PROTOCOL-HTTP2.md of gRPC), older ones of a lost connection.
+# A service's own INTERNAL has an ErrorInfo, and a defect there is UNKNOWN with another text.
+_BROKEN = re.compile(
+    r"Internal error from Core$|(Received )?RST_STREAM|GOAWAY|Stream (removed|closed)|Socket closed|"
+    r"(Client )?[Tt]ransport closed|Endpoint (closed|read failed)|(recvmsg|sendmsg):|Connection (reset|closed)"
+)
+_BROKEN_CODES = (grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN)
 
 _CODES: dict[str, grpc.StatusCode] = {
     "INVALID_ARGUMENT": grpc.StatusCode.INVALID_ARGUMENT,
@@ -131,6 +139,8 @@ def _brief(details: str) -> str:
 def _from_code(error: grpc.RpcError, peer: str) -> StampedeError:
     code = error.code() if hasattr(error, "code") else grpc.StatusCode.UNKNOWN
     details = _brief((error.details() if hasattr(error, "details") else None) or "no details")
+    if code in _BROKEN_CODES and _BROKEN.match(details):
+        return Unavailable(f"the connection to {peer} broke ({details})")
     if code is grpc.StatusCode.UNAVAILABLE:
         text = f"{peer} cannot be reached ({details}); is it running, and is the address right?"
         return Unavailable(text, metadata={UNREACHED: details})

@@ -133,6 +133,16 @@ async def until_said(stream: Stream, wanted: Any) -> None:
             await stream.heard.wait()
 
 
+async def until_handed_over(taker: Taker) -> None:
+    """Until somebody who waited was given a message, and before it runs on."""
+    credit, waiting = taker._credit, len(taker._waiting)
+    for _ in range(1000):
+        if taker._credit < credit and len(taker._waiting) < waiting:
+            return
+        await asyncio.sleep(0)
+    raise AssertionError("nothing came")
+
+
 async def seq_of(get: Any) -> int:
     message = await asyncio.wait_for(get, LIMIT_S)
     assert message is not None
@@ -215,8 +225,7 @@ async def test_a_message_that_its_cancelled_getter_never_saw_goes_to_the_next_on
     stream = await host.next_stream()
     await until_said(stream, lambda request: stream.credit == 2)
     stream.deliver(5)
-    while taker._credit == 2:  # until the first one has it, and has not run on yet
-        await asyncio.sleep(0)
+    await until_handed_over(taker)  # the first one has it, and has not run on yet
     first.cancel()
     with pytest.raises(asyncio.CancelledError):
         await first

@@ -1,0 +1,117 @@
+"""A TCP relay whose connections a test cuts, in each of the ways in which networks do that."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import random
+import socket
+import struct
+import threading
+from collections.abc import Awaitable
+from typing import Literal
+
+CHUNK_BYTES = 64 * 1024
+Cut = Literal["reset", "close", "half"]
+CUTS: tuple[Cut, ...] = ("reset", "close", "half")
+
+
+class CuttingRelay:
+    """Passes every connection to `port` on to `to_port`, from a thread of its own. A context manager.
+
+    `cut` may be called from any thread: "reset" ends all connections with RST, "close" with FIN, "half" passes on a
+    part of the next chunk, so that a frame is broken off, and then resets. While it `refuses`, new connections are
+    reset as soon as they come.
+    """
+
+    def __init__(self, port: int, to_port: int, seed: int = 0) -> None:
+        self._port = port
+        self._to_port = to_port
+        self._dice = random.Random(seed)
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
+        self._ready = threading.Event()
+        self._stopped = asyncio.Event()
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._breaks_off = False
+        self.refuses = False
+        self.cuts = 0
+
+    def __enter__(self) -> CuttingRelay:
+        self._thread.start()
+        self._ready.wait(10)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._loop.call_soon_threadsafe(self._stopped.set)
+        self._thread.join(10)
+
+    def cut(self, how: Cut) -> None:
+        """Cut all connections; "half" when the next chunk comes."""
+        self._loop.call_soon_threadsafe(self._cut, how)
+
+    def _cut(self, how: Cut) -> None:
+        self._breaks_off = how == "half"
+        if how == "half":
+            return
+        for writer in tuple(self._writers):
+            self._end(writer, reset=how == "reset")
+
+    def _end(self, writer: asyncio.StreamWriter, *, reset: bool) -> None:
+        if writer in self._writers:
+            self._writers.discard(writer)
+            self.cuts += 1
+            if reset:
+                linger = struct.pack("ii", 1, 0)  # closing then sends RST
+                with contextlib.suppress(OSError):
+                    writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            writer.transport.abort()
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._serve())
+
+    async def _serve(self) -> None:
+        async with await asyncio.start_server(self._pass, "localhost", self._port):
+            self._ready.set()
+            await self._stopped.wait()
+            self._cut("close")
+
+    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.add(writer)
+        if self.refuses:
+            self._end(writer, reset=True)
+            return
+        try:
+            far_reader, far_writer = await asyncio.open_connection("localhost", self._to_port)
+        except OSError:
+            self._end(writer, reset=True)
+            return
+        self._writers.add(far_writer)
+        ends = (writer, far_writer)
+        await _first_to_end(self._flow(reader, far_writer, ends), self._flow(far_reader, writer, ends))
+        for end in ends:
+            self._end(end, reset=False)
+
+    async def _flow(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, ends: tuple[asyncio.StreamWriter, ...]
+    ) -> None:
+        with contextlib.suppress(OSError):
+            while chunk := await reader.read(CHUNK_BYTES):
+                if self._breaks_off:
+                    self._breaks_off = False
+                    writer.write(chunk[: self._dice.randrange(len(chunk))])
+                    await asyncio.sleep(0)  # lets it go out
+                    for end in ends:
+                        self._end(end, reset=True)
+                    return
+                writer.write(chunk)
+                await writer.drain()
+
+
+async def _first_to_end(*ways: Awaitable[None]) -> None:
+    tasks = [asyncio.ensure_future(way) for way in ways]
+    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
