@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 from functools import partial
 from typing import Any
@@ -126,23 +127,80 @@ def test_closing_the_connection_ends_a_thread_that_watches(cluster: LocalCluster
     assert isinstance(met[0], st.Unavailable)
 
 
-async def test_puts_that_waited_for_their_turn_on_a_broken_stream_do_not_hang(cluster: LocalCluster) -> None:
+async def until_put_streams(rt: Any) -> Any:
+    """The open put streams, as soon as there is one and before it is connected."""
+    streams = rt._session.put_streams._streams
+    for _ in range(10_000):
+        if streams:
+            return streams
+        await asyncio.sleep(0)
+    raise AssertionError("no stream was opened")
+
+
+async def test_puts_under_way_on_a_stream_that_breaks_do_not_hang(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/broken", max_age="60s")
         await channel.put(b"opens the stream")
-        stream = next(iter(rt._session.put_streams._streams.values())).exchange
-        await stream._writing.acquire()
+        (stream,) = (await until_put_streams(rt)).values()
         puts = [asyncio.ensure_future(channel.put(b"%d" % number)) for number in range(3)]
-        for _ in range(100):  # until all of them wait for their turn
-            await asyncio.sleep(0)
-        assert len(stream._writing._waiters or ()) == len(puts)
-        stream.cancel()
-        await stream._reader
-        stream._writing.release()
-        async with asyncio.timeout(5.0):
+        await asyncio.sleep(0)  # all of them have left their requests
+        stream.exchange.cancel()
+        async with asyncio.timeout(LIMIT_S):
             await asyncio.gather(*puts)
         items = await channel.get(st.OLDEST, st.NEWEST)
         assert sorted(item.payload for item in items) == [b"0", b"1", b"2", b"opens the stream"]
+
+
+async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_waiting(cluster: LocalCluster) -> None:
+    """The second one waited for ever for a stream that the first one had given up."""
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/opening", max_age="60s")
+        await channel.stats()
+        first, second = (asyncio.ensure_future(channel.put(payload)) for payload in (b"first", b"second"))
+        await until_put_streams(rt)
+        first.cancel()
+        async with asyncio.timeout(LIMIT_S):
+            assert (await second).payload == b"second"
+            assert (await channel.put(b"third")).payload == b"third"
+        assert first.cancelled()
+
+
+async def test_closing_a_connection_ends_what_waits_for_streams_to_open(cluster: LocalCluster) -> None:
+    rt = await aio.connect(cluster.address)
+    channel = await rt.channel("client/closing", max_age="60s")
+    queue = await rt.queue("client/closing", host=channel.host)
+    await channel.stats()
+    calls = [asyncio.ensure_future(call) for call in (channel.put(b"x"), channel.newest(), queue.put(b"x"))]
+    take, producer = asyncio.ensure_future(queue.get()), channel.producer()
+    await producer.put(b"x")
+    await until_put_streams(rt)
+    async with asyncio.timeout(LIMIT_S):
+        await rt.aclose()
+        for call in calls:
+            with pytest.raises(st.Unavailable, match="closed"):
+                await call
+        assert await take is None
+        with pytest.raises(st.StampedeError):
+            await producer.flush(timeout=5)
+
+
+async def test_cancelled_calls_leave_no_exception_that_nobody_looked_at(
+    cluster: LocalCluster, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/unretrieved", max_age="60s")
+        await channel.stats()
+        for call in (channel.put, channel.get):
+            pending = [asyncio.ensure_future(call(*([b"x"] if call == channel.put else [st.OLDEST, st.NEWEST])))]
+            for _ in range(50):
+                await asyncio.sleep(0)
+            pending[0].cancel()
+            await asyncio.wait(pending)
+            for stream in rt._session.put_streams._streams.values():
+                stream.exchange.cancel()
+    gc.collect()
+    await asyncio.sleep(0)
+    assert not [record for record in caplog.records if "never retrieved" in record.getMessage()]
 
 
 async def test_a_producer_whose_stream_breaks_again_and_again_loses_and_doubles_nothing(cluster: LocalCluster) -> None:

@@ -11,6 +11,7 @@ from functools import partial
 
 from stampede_rt._sync.attempts import Place, attempt
 from stampede_rt._sync.message import Message, Settler
+from stampede_rt._sync.prefetched import Prefetched
 from stampede_rt._sync.queue_place import QueueState
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.binding import Binding
@@ -56,7 +57,7 @@ class Taker:
         self._settler = Settler(session, place, self._taker_id)
         self._mutex = Mutex()  # guards everything below
         self._waiting: deque[Waiter] = deque()
-        self._ready: deque[Message] = deque()  # prefetched; at most `prefetch`
+        self._ready = Prefetched(self._settler, self._give_back, f"{state.kind} {state.name!r}")  # at most `prefetch`
         self._stream: Conversation[queue_pb.TakeResponse] | None = None
         self._credit = 0  # how many the open stream may still deliver
         self._draining = False
@@ -75,27 +76,20 @@ class Taker:
                 raise Unavailable("this connection is closed; connect() again")
             if self.closed:
                 raise InvalidArgument(f"this handle of {self._state.name!r} is closed; open another")
-            waiter.message = self._next_ready()
+            waiter.message = self._ready.take()
             if waiter.message is None:
                 self._waiting.append(waiter)
-        self._ask()
-        if waiter.message is None:
-            self._wait(waiter, wait)
+        self._wait(waiter, wait)
         if waiter.error is not None:
             raise waiter.error
         return waiter.message
 
-    def _next_ready(self) -> Message | None:
-        while self._ready:
-            message = self._ready.popleft()
-            if message.lease_left:  # else it is somebody else's by now
-                return message
-        return None
-
     def _wait(self, waiter: Waiter, wait: Wait) -> None:
+        """Until the waiter has a message, or its time is over. Interrupted anywhere in it, the waiter leaves."""
         over = False
         try:
-            if not waiter.come.wait(wait.seconds):
+            self._ask()
+            if waiter.message is None and not waiter.come.wait(wait.seconds):
                 waiter.asked.wait(DRAIN_TIMEOUT_S)  # what is there is taken by those who cannot wait, too
                 waiter.leaving = True
                 self._drain(DRAIN_TIMEOUT_S)
@@ -111,10 +105,11 @@ class Taker:
                 self._waiting.remove(waiter)
 
     def _after_interruption(self, waiter: Waiter) -> None:
-        """What was asked for, and what came at that very moment, is somebody else's."""
+        """What came at that very moment is the next getter's, and what was asked for goes back."""
+        message = waiter.message
+        if message is not None and message.lease_left and not self._pass_on(message, first=True):
+            self._give_back([message])
         self._drain(DRAIN_TIMEOUT_S)
-        if waiter.message is not None:
-            self._give_back([waiter.message])
 
     def _wanted(self) -> int:
         waiting = sum(not waiter.leaving for waiter in self._waiting)
@@ -178,7 +173,7 @@ class Taker:
     def _rest(self) -> None:
         self._worker = None
         self._opened.set()
-        if not self._ready:
+        if not len(self._ready):
             self._session.detach(self)
 
     def _fail(self, error: StampedeError) -> None:
@@ -204,10 +199,15 @@ class Taker:
         port = self._session.ports.to(binding.target)
         stream: Conversation[queue_pb.TakeResponse] = port.converse(port.queues.Take)
         heard = False
+        opening = queue_pb.TakeOpen(queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id)
+        with self._mutex:
+            self._credit = self._wanted()
         try:
-            self._begin(binding, stream)
-            for response in stream:
-                heard = True
+            stream.say(queue_pb.TakeRequest(open=opening, credit=self._credit))
+            for response in stream:  # the first one says that the stream is open
+                if not heard:
+                    heard = True
+                    self._begin(stream)
                 self._receive(stream, response)
         except StampedeError as error:
             if not (error.retryable and heard):
@@ -217,15 +217,11 @@ class Taker:
         finally:
             self._ended()
 
-    def _begin(self, binding: Binding, stream: Conversation[queue_pb.TakeResponse]) -> None:
-        opening = queue_pb.TakeOpen(queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id)
-        with self._mutex:
-            self._credit = self._wanted()
-        stream.say(queue_pb.TakeRequest(open=opening, credit=self._credit))
+    def _begin(self, stream: Conversation[queue_pb.TakeResponse]) -> None:
         with self._mutex:
             self._stream = stream
             self._opened.set()
-        self._ask()  # for those who came meanwhile
+        self._ask()
 
     def _ended(self) -> None:
         with self._mutex:
@@ -255,9 +251,14 @@ class Taker:
     def _hand_over(self, message: Message) -> bool:
         with self._mutex:
             self._credit -= 1
+        return self._pass_on(message)
+
+    def _pass_on(self, message: Message, *, first: bool = False) -> bool:
+        """Give it to who waits longest, or keep it for the next getter; False: nobody here is to have it."""
+        with self._mutex:
             waiter = self._waiting.popleft() if self._waiting else None
             if waiter is None and self.prefetch > 1 and not self.closed:
-                self._ready.append(message)
+                self._ready.add(message, first=first)
                 return True
         if waiter is None:
             return False
@@ -279,7 +280,7 @@ class Taker:
         self.closed = True
         if self._session.inherited:
             return
-        if self._worker is not None or self._ready:
+        if self._worker is not None or len(self._ready):
             Background(self.end, f"closing {self._state.name}")
 
     def end(self) -> None:
@@ -295,8 +296,7 @@ class Taker:
             waiter.come.set()
         self._drain(END_TIMEOUT_S)
         with self._mutex:
-            stream, unwanted = self._stream, [message for message in self._ready if message.lease_left]
-            self._ready.clear()
+            stream, unwanted = self._stream, self._ready.take_all()
         if stream is not None:
             stream.cancel()
         if unwanted:
