@@ -165,6 +165,18 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_keeps_no_other_wai
         assert first.cancelled()
 
 
+async def test_a_stream_that_is_given_up_while_it_opens_keeps_no_put_waiting(cluster: LocalCluster) -> None:
+    """gRPC's own write waits for ever then."""
+    async with await aio.connect(cluster.address) as rt:
+        channel = await rt.channel("client/given-up", max_age="60s")
+        await channel.stats()
+        put = asyncio.ensure_future(channel.put(b"x", timeout=1))
+        (stream,) = (await until_put_streams(rt)).values()
+        stream.exchange.cancel()
+        async with asyncio.timeout(LIMIT_S):
+            assert (await put).payload == b"x"
+
+
 async def test_closing_a_connection_ends_what_waits_for_streams_to_open(cluster: LocalCluster) -> None:
     rt = await aio.connect(cluster.address)
     channel = await rt.channel("client/closing", max_age="60s")
