@@ -56,7 +56,10 @@ class Settler:
         return attempt(self._place, settle_at, CALL_TIMEOUT_S)
 
     def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
-        """Give back what was never handed to anybody. What is not given back comes back when its lease ends."""
+        """Give back what was never handed to anybody, which counts as no delivery.
+
+        What is not given back comes back when its lease ends.
+        """
         for at in range(0, len(messages), SETTLEMENTS_MAX):
 
             def settle_at(
@@ -66,6 +69,22 @@ class Settler:
                 return self._settle_at(binding, held, timeout_s) if held else ()
 
             attempt(self._place, settle_at, timeout_s)
+
+    def extend(self, messages: Sequence[Message], timeout_s: float) -> list[Message]:
+        """Have them for as long as at first, from now on. Those that are still this taker's."""
+        extended: list[Message] = []
+        for at in range(0, len(messages), SETTLEMENTS_MAX):
+            some = messages[at : at + SETTLEMENTS_MAX]
+
+            def settle_at(binding: Binding, some: Sequence[Message] = some) -> list[Message]:
+                held = [one for one in some if one.incarnation == binding.incarnation]
+                began_s = monotonic_s()
+                settlements = [one.extended() for one in held]
+                results = self._settle_at(binding, settlements, timeout_s) if held else ()
+                return [one for one, result in zip(held, results, strict=True) if one.has_extended(result, began_s)]
+
+            extended += attempt(self._place, settle_at, timeout_s)
+        return extended
 
     def _settle_at(
         self, binding: Binding, settlements: Sequence[queue_pb2.Settlement], timeout_s: float
@@ -90,7 +109,8 @@ class Message(OfOneProcess):
         self._settler = settler
         self._delivery = delivery
         self._coding = coding
-        self._lease_ends_s = monotonic_s() + delivery.lease_nanos / 1e9
+        self.lease_s = delivery.lease_nanos / 1e9
+        self._lease_ends_s = monotonic_s() + self.lease_s
         self._settled = False
         self.payload: bytes = delivery.payload
         self.attributes: Mapping[str, str] = delivery.attributes
@@ -154,8 +174,21 @@ class Message(OfOneProcess):
         return self._settler.settle(settlement, self.incarnation)
 
     def given_back(self) -> queue_pb2.Settlement:
-        """What gives it back, at once."""
-        return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, give_back=queue_pb2.GiveBack())
+        """What gives it back, at once, as if it had not been delivered."""
+        give_back = queue_pb2.GiveBack(uncounted=True)
+        return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, give_back=give_back)
+
+    def extended(self) -> queue_pb2.Settlement:
+        """What makes its lease last as long as at first, from now on."""
+        extension = queue_pb2.ExtendLease(lease_nanos=self._delivery.lease_nanos)
+        return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, extend_lease=extension)
+
+    def has_extended(self, result: queue_pb2.SettlementResult, began_s: float) -> bool:
+        """Whether the lease lasts longer by what the host answered to a request of that moment."""
+        if result.HasField("error"):
+            return False
+        self._lease_ends_s = began_s + (result.lease_nanos or self._delivery.lease_nanos) / 1e9
+        return True
 
     def __enter__(self) -> Message:
         return self

@@ -16,7 +16,7 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, req
 from stampede_rt.batching import NumberedRun, RunBuilder
 from stampede_rt.binding import Binding
 from stampede_rt.crediting import ITEM_OVERHEAD_BYTES
-from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError, Unavailable
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.policy import content_type_of
@@ -55,7 +55,6 @@ class Producer(OfOneProcess):
         self._stream: PutDuplex | None = None
         self._opened: list[PutDuplex] = []  # the one last opened, for whoever closes it when this is dropped
         self._generation = 0  # tells the acks of a stream that was given up from those of its successor
-        self._opening = False  # while what is unacked is sent again, nothing new may go between
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set while nothing has been acked since a failure
         self._finished = False
@@ -91,7 +90,10 @@ class Producer(OfOneProcess):
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
     ) -> None:
-        """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged. See `Channel.put` for the arguments."""
+        """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged, and while a lost stream is replaced.
+
+        One that raises, or is cancelled, has handed nothing over. See `Channel.put` for the arguments.
+        """
         self._session.check_process()
         if self._finished:
             raise InvalidArgument("this producer is closed; make another with channel.producer()")
@@ -101,13 +103,13 @@ class Producer(OfOneProcess):
         instant = time if time is None or type(time) is int else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
         kind = content_type_of(content_type) or (coding.content_type if coding else "")
-        if not self._builder.fits(payload, instant, attributes, kind):
+        while self._is_down() or not self._builder.fits(payload, instant, attributes, kind):
             self._send()
         with self._mutex:
             self._builder.add(payload, instant, nanos, attributes, kind)
             _in_flight.add(self)
-        if not self._unacked:  # nothing is under way: no reason to wait for company
-            self._send()
+            if not self._unacked:  # nothing is under way: no reason to wait for company
+                self._send_filled()
 
     def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
         """Block until everything put is acked, `timeout` seconds at most; then raise the first refusal, if any.
@@ -140,25 +142,22 @@ class Producer(OfOneProcess):
         """Send the run that is being filled, as soon as there is room."""
         self._until(self._has_room, deadline_s)
         if self._stream is None:
-            self._open()
-        self._send_filled()
+            self._open(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S))
+        with self._mutex:
+            self._send_filled()
+
+    def _is_down(self) -> bool:
+        return self._stream is None or self._failure is not None
 
     def _send_filled(self) -> None:
-        with self._mutex:
-            if not len(self._builder):
-                return
-            run = self._builder.take()
-            self._unacked.append(run)
-            self._unacked_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
-            self._write(put_request(b"", run.first_number, (run.encoded,)))
-
-    def _write(self, request: bytes) -> None:
-        try:
-            if self._stream is not None:
-                self._stream.write(request)
-        except Unavailable as error:  # what is not acked is sent again by `_recover`
-            self._failure = self._failure or error
-            self._moved.set()
+        """To be called with the mutex. What goes to a stream that is down is sent again by `_open`."""
+        if not len(self._builder):
+            return
+        run = self._builder.take()
+        self._unacked.append(run)
+        self._unacked_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
+        if self._stream is not None:
+            self._stream.send(put_request(b"", run.first_number, (run.encoded,)))
 
     def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition`, replacing a failed stream meanwhile."""
@@ -178,11 +177,15 @@ class Producer(OfOneProcess):
                 self._moved.wait(None if left_s == float("inf") else left_s)
 
     def _recover(self, failure: StampedeError, left_s: float) -> None:
-        """Replace a failed stream, or raise its failure if that is final or nothing was acked for too long."""
+        """Replace a failed stream, or raise its failure if that is final or nothing was acked for too long.
+
+        What was not acked is kept in any case: whoever puts or flushes after that begins anew with it.
+        """
         self._backoff = self._backoff or Backoff(clock.monotonic() + CALL_TIMEOUT_S)
         delay_s = self._backoff.next_delay_s(clock.monotonic(), random.random())
         if not failure.retryable or delay_s is None:
-            self._backoff = None  # whoever puts on regardless tries anew
+            self.close()
+            self._failure = self._backoff = None
             raise failure
         sleep(min(delay_s, left_s))
         self._session.cache.forget(self._state.info.channel_id)
@@ -192,39 +195,37 @@ class Producer(OfOneProcess):
         """Open a stream at the channel's present place and send what was not acked, under the same numbers."""
         self.close()
 
-        def open_at(binding: Binding) -> None:
-            self._failure = None
+        def open_at(binding: Binding) -> None:  # as a whole or not at all: nothing in it waits
             port = self._session.ports.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
             head = put_head(binding.channel_id, binding.epoch, self._producer_id)
             with self._mutex:
-                self._stream = port.duplex(on_acks, on_end)
-                self._opened[:] = [self._stream]
-                self._write(head)
-                for run in tuple(self._unacked):
-                    self._write(put_request(b"", run.first_number, (run.encoded,)))
+                self._stream = stream = port.duplex(on_acks, on_end)
+                self._opened[:] = [stream]
+                self._failure = None
+                stream.send(head)
+                for run in self._unacked:
+                    stream.send(put_request(b"", run.first_number, (run.encoded,)))
+                if self._unacked:
+                    _in_flight.add(self)
+                else:
+                    self._backoff = None  # no ack is to come that would tell that it goes well
 
-        self._opening = True
-        try:
-            self._session.perform(self._state, open_at, timeout_s)
-        finally:
-            self._opening = False
+        self._session.perform(self._state, open_at, timeout_s)
 
     def _acked(self, generation: int, response: channel_pb.PutResponse) -> None:
         with self._mutex:
+            if generation != self._generation:
+                return
             for ack in response.acks:
-                if generation == self._generation and self._failure is None:
+                if self._failure is None:
                     self._count(ack)
             if self._failure is not None or not (self._unacked or len(self._builder)):
                 _in_flight.discard(self)
+            elif self._has_room():
+                self._send_filled()
         self._moved.set()
-        if self._may_follow(generation) and len(self._builder) and self._has_room():
-            self._send_filled()
-
-    def _may_follow(self, generation: int) -> bool:
-        """Whether an ack may be answered with the next run: not before what was unacked has been sent again."""
-        return generation == self._generation and self._failure is None and not self._opening
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None
