@@ -22,8 +22,8 @@ _PREFIX = "ERROR_REASON_"
 _GRPC_PREAMBLE = re.compile(
     r"^failed to connect to all addresses; last error: [A-Z]+: [^ ]+: (Failed to connect to remote host: )?"
 )
-# How gRPC tells of a broken connection where it does not say UNAVAILABLE: grpc.aio of a write that failed, the core of a
-# stream that was reset (INTERNAL for most codes, see doc/PROTOCOL-HTTP2.md of gRPC), older ones of a lost connection.
+# How gRPC tells of a broken connection where it does not say UNAVAILABLE: grpc.aio of a write that failed, the core of
+# a stream that was reset (INTERNAL for most codes, see doc/PROTOCOL-HTTP2.md of gRPC), older ones of a lost connection.
 # A service's own INTERNAL has an ErrorInfo, and a defect there is UNKNOWN with another text.
 _BROKEN = re.compile(
     r"Internal error from Core$|(Received )?RST_STREAM|GOAWAY|Stream (removed|closed)|Socket closed|"

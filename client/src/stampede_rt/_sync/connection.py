@@ -222,7 +222,8 @@ class Connection(Discovery, Reference):
         delivered `max_deliveries` times without an acknowledgement leaves, to the queue `dead_letter` (a handle or
         name) if one is stated. `create=False` raises QueueNotFound if it is absent.
         `prefetch` belongs to the handle: by default nothing is taken before somebody waits for it, so that no taker
-        sits on what another could do; more than 1 takes so many ahead, whose leases begin at once: keep taking.
+        sits on what another could do; more than 1 takes so many ahead. Their leases are extended while you keep taking;
+        what nobody took for most of a lease goes back to the queue.
         """
         stated = parse_queue_policy(
             max_items=max_items,
