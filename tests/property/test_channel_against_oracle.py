@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core.channel import Offer, Position, Query, holdings
+from stampede_rt_channel_host.core.channel import Offer, Position, Query, tally
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice
 from tests.property.draws import (
@@ -132,7 +132,7 @@ def play(numbers: list[int]) -> None:
     policy, lost_before = first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None
     pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
-    with mock.patch.object(holdings, "ITEMS_PER_BLOCK", first.pick((2, 1, 3, 1024))):
+    with mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))):
         _play_steps(pair, numbers[1:], hasty=hasty, counts=counts)
 
 

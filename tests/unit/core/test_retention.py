@@ -9,9 +9,9 @@ import pytest
 
 from stampede_rt.model import Policy
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, Match
-from stampede_rt_channel_host.core.channel.holdings import ITEMS_PER_BLOCK
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.unit.core.channels import CLOCK, a_channel, get, put, times_of
 
 
@@ -95,7 +95,7 @@ def test_age_looks_at_a_bounded_part_of_what_it_outdates_at_once(monkeypatch: py
     counters = channel.counters(CLOCK + 1_008_000)
     assert (counters.held, counters.held_bytes, counters.collected["age"]) == (1000, 10_000, 8000)
     assert (channel.oldest, channel.frontier) == (CLOCK + 8000, CLOCK + 8000)
-    assert len(looked) <= ITEMS_PER_BLOCK + 10
+    assert len(looked) <= BLOCK_ITEMS + 10
 
 
 def count_slices(monkeypatch: pytest.MonkeyPatch) -> list[Slice]:

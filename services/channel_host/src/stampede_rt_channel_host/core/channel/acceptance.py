@@ -13,7 +13,7 @@ from stampede_rt.errors import ChannelFull, InFuture, ItemTooLarge, StampedeErro
 from stampede_rt.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK
-from stampede_rt_channel_host.core.channel.retention import Retention, oldest_bytes, oldest_items
+from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, make_run, pack
 from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Rejection, Seal
 
@@ -80,7 +80,7 @@ class Acceptance:
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
         if excess_items > 0 and excess_bytes > 0:
             return False
-        front = held.front(oldest_items(excess_items) if excess_items > 0 else oldest_bytes(excess_bytes))
+        front = held.front_of_items(excess_items) if excess_items > 0 else held.front_of_bytes(excess_bytes)
         bound = held.time_behind(front)
         return bound is not None and bound <= low
 
@@ -165,8 +165,8 @@ class Acceptance:
 
     def _precede(self, time: int, charged_bytes: int) -> bool:
         """Held items at or before `time` are charged with at least so many bytes."""
-        tail = self._held.front(oldest_bytes(charged_bytes)).tail
-        return bool(tail) and tail[-1].last_time <= time
+        last = self._held.front_of_bytes(charged_bytes).last
+        return last is not None and last.last_time <= time
 
 
 def _offset(time: int, clock: int) -> dict[str, str]:

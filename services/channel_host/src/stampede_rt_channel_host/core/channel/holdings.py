@@ -10,23 +10,25 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+from stampede_rt_channel_host.core.channel import tally
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
-from stampede_rt_channel_host.core.channel.tally import Tally
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, OneRun, Run, Slice
+from stampede_rt_channel_host.core.channel.snapshot import Snapshot
+from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 
-ITEMS_PER_BLOCK = 1024
-"""About so many items that came in order are counted as one, so that ageing walks hardly more than so many."""
+FREED_ENTRIES_MAX = 2048
+"""So many entries one call frees at the most, however much is outdated: the next calls go on."""
 
 
 class Front(NamedTuple):
-    """The oldest held items: how many, and their payload bytes; the slices that reach into their last bucket; and the
-    first slice behind them, None if they are all that is held."""
+    """The oldest held items: how many, and their payload bytes; the last slice of them, as far as it goes, None if they
+    are none; and the first slice behind them, None if they are all that is held."""
 
     items: int
     payload_bytes: int
-    tail: list[Slice]
+    last: Slice | None
     rest: Slice | None
 
 
@@ -43,7 +45,7 @@ class Holdings:
     """
 
     __slots__ = (
-        "_came_up_to", "_following", "_stored_bytes", "_tally",
+        "_came_up_to", "_following", "_newest_is_open", "_newest_longest", "_snapshots", "_stored_bytes", "_tally",
         "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
         "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
     )  # fmt: skip
@@ -66,6 +68,9 @@ class Holdings:
         self.on_gone: Callable[[int, int], None] | None = None
         self._came_up_to: int | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
+        self._newest_is_open = False  # an item of the newest bucket came without a duration
+        self._newest_longest = 0  # the longest duration that came in the newest bucket
+        self._snapshots: dict[Snapshot, None] = {}
         self._tally = Tally()  # of what is held, without the newest items
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
 
@@ -86,8 +91,13 @@ class Holdings:
 
     @property
     def has_backlog(self) -> bool:
-        """There are entries to free."""
-        return self.index.has_below(self.floor)
+        """There are entries that can be freed."""
+        return self.index.has_below(self._free_floor)
+
+    @property
+    def _free_floor(self) -> Place:
+        """What snapshots still show is not freed."""
+        return min((self.floor, *(one.floor for one in self._snapshots))) if self._snapshots else self.floor
 
     @property
     def frontier(self) -> int | None:
@@ -98,14 +108,30 @@ class Holdings:
             return self.collected_end
         return min(self.collected_end, bound)
 
+    def snapshot(self) -> Snapshot:
+        """What is held now, to be walked while it changes. Close it soon: nothing of it is freed before."""
+        made = Snapshot(self.index, self.floor, self.next_seq, on_close=self._let_go)
+        self._snapshots[made] = None
+        return made
+
+    def _let_go(self, snapshot: Snapshot) -> None:
+        self._snapshots.pop(snapshot, None)
+
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run whose times lie between `low` and `high`."""
         if low < self.floor[0]:
             self._make_way()
         self.index.insert(run)
-        if low < self._tally.end:
-            self._tally.add_late(run, payload_bytes, low, high)
-        self._count_in(len(run), payload_bytes, low, high)
+        if low < self._tally.end[0]:
+            self._split_block(self._tally.add_late(run.first_seq, run.times, run.lengths))
+        self._count_in(len(run), payload_bytes, low)
+        if isinstance(run, OneRun):
+            self._meet(high, run.duration)
+        elif run.durations is None:
+            self._meet(high, ABSENT)
+        else:
+            for time, duration in zip(run.times, run.durations, strict=True):
+                self._meet(time, duration)
 
     def store_item(self, run: Run, at: int, payload_bytes: int) -> None:
         """Add the item at place `at` of a run of which exactly those before it are in."""
@@ -113,31 +139,56 @@ class Holdings:
         if time < self.floor[0]:
             self._make_way()
         self.index.insert_item(run, at)
-        if time < self._tally.end:
-            self._tally.add_late_item(payload_bytes, time)
-        self._count_in(1, payload_bytes, time, time)
+        if time < self._tally.end[0]:
+            self._split_block(self._tally.add_late(run.first_seq + at, (time,), (payload_bytes,)))
+        self._count_in(1, payload_bytes, time)
+        self._meet(time, ABSENT if run.durations is None else run.durations[at])
 
     def _make_way(self) -> None:
         """An item comes in below what consumption has taken: of that, nothing may be left in the index."""
-        self.free(len(self.index))
+        for snapshot in self._snapshots:
+            snapshot.detach()
+        self._snapshots.clear()
+        while self._free_entry():
+            pass
         trimmed = self.index.trim_below(self.floor)
         if trimmed is not None:
             self._forget(trimmed)
         self.floor = FIRST_PLACE
 
-    def _count_in(self, items: int, payload_bytes: int, low: int, high: int) -> None:
+    def _split_block(self, crowded: tuple[Place, Place] | None) -> None:
+        """Late items have crowded a block of the tally: make two of it."""
+        if crowded is None:
+            return
+        low, high = crowded
+        items = payload_bytes = 0
+        for part in self.slices(low, high):
+            items += part.items
+            payload_bytes += part.payload_bytes
+            if items >= tally.BLOCK_ITEMS:
+                self._tally.split((part.last_time, part.end_seq), items, payload_bytes)
+                return
+
+    def _count_in(self, items: int, payload_bytes: int, low: int) -> None:
         self._following = (None, None)
-        if self.items - self._tally.items >= ITEMS_PER_BLOCK and self.newest is not None and low > self.newest:
-            self._tally.close(low, self.items - self._tally.items, self.payload_bytes - self._tally.payload_bytes)
+        if self.items - self._tally.items >= tally.BLOCK_ITEMS and self.newest is not None and low >= self.newest:
+            end = self.newest, self.next_seq
+            self._tally.close(end, self.items - self._tally.items, self.payload_bytes - self._tally.payload_bytes)
         self.items += items
         self.payload_bytes += payload_bytes
         self.accepted += items
         self.accepted_bytes += payload_bytes
         self._stored_bytes += payload_bytes + items * ITEM_OVERHEAD_BYTES
-        if self.newest is None or high > self.newest:
-            self.newest = high
         if self.oldest is None or low < self.oldest:
             self.oldest = low
+
+    def _meet(self, time: int, duration: int) -> None:
+        """An item has come in."""
+        if self.newest is None or time > self.newest:
+            self.newest, self._newest_is_open, self._newest_longest = time, duration == ABSENT, max(duration, 0)
+        elif time == self.newest:
+            self._newest_is_open |= duration == ABSENT
+            self._newest_longest = max(self._newest_longest, duration)
 
     def slices(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
         """Held items at or above `low` and below `high`, ascending."""
@@ -154,9 +205,17 @@ class Holdings:
         return None if last is None else last.end_seq - 1
 
     def newest_end(self, now: int) -> int | None:
-        """The latest span end in the newest bucket; what has no end holds until `now`."""
-        time = self.newest
-        return None if time is None else _end_of_newest(self.slices((time, 0)), time, now)
+        """No span of the newest bucket ends later; what has no end holds until `now`. Items that were collected since
+        they came into the bucket count, too."""
+        if self.newest is None:
+            return None
+        end = self.newest + self._newest_longest
+        return max(end, now) if self._newest_is_open else end
+
+    def items_below(self, place: Place) -> int:
+        """How many held items are below a place: walks only those that whole blocks do not count."""
+        whole = self._tally.whole_below(place)
+        return whole.items + sum(part.items for part in self.slices(whole.end, place))
 
     def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
         """Held items with seqs from `low` up to, not including, `high`, in seq order."""
@@ -186,54 +245,57 @@ class Holdings:
         """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
         return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
 
-    def front(self, going: Going) -> Front:
-        """The oldest held items, as far as `going` takes them: it tells of each slice in turn how many items go."""
-        items = payload_bytes = 0
-        tail: list[Slice] = []
-        for part in self.index.slices_from(self.floor):
+    def front(self, going: Going, whole: Whole = NO_BLOCKS) -> Front:
+        """The oldest held items: those of `whole`, and what `going` takes of the next ones. It tells of each slice in
+        turn how many of its items go."""
+        items, payload_bytes = whole.items, whole.payload_bytes
+        last: Slice | None = None
+        for part in self.slices(whole.end) if items else self.index.slices_from(self.floor):
             taken = going(part)
             if taken:
-                gone = part if taken == part.items else Slice(part.run, part.lo, part.lo + taken)
+                last = part if taken == part.items else Slice(part.run, part.lo, part.lo + taken)
                 items += taken
-                payload_bytes += gone.payload_bytes
-                if not tail or tail[-1].last_time < gone.last_time:
-                    tail.clear()
-                tail.append(gone)
+                payload_bytes += last.payload_bytes
             if taken < part.items:
-                return Front(items, payload_bytes, tail, Slice(part.run, part.lo + taken, part.hi))
-        return Front(items, payload_bytes, tail, None)
+                rest = Slice(part.run, part.lo + taken, part.hi)
+                return Front(items, payload_bytes, last or self._last_of(whole), rest)
+        return Front(items, payload_bytes, last or self._last_of(whole), None)
+
+    def _last_of(self, whole: Whole) -> Slice | None:
+        return next(self.slices_down(FIRST_PLACE, whole.end), None) if whole.items else None
 
     def front_before(self, time: int) -> Front:
-        """The held items before `time`, however many there are: walks only those that whole blocks do not count."""
-        items, payload_bytes, end = self._tally.whole_before(time)
-        if not items:
-            return self.front(before(time))
-        for part in self.slices((end, 0), (time, 0)):
-            items += part.items
-            payload_bytes += part.payload_bytes
-        last_time = self.index.floor_time(time - 1)
-        assert last_time is not None, "there are items"
-        tail = list(self.slices((last_time, 0), (time, 0)))
-        return Front(items, payload_bytes, tail, next(self.slices((time, 0)), None))
+        """The held items before `time`, however many there are."""
+        return self.front(before(time), self._tally.whole_below((time, 0)))
+
+    def front_of_items(self, count: int) -> Front:
+        """The oldest `count` items, however many that is."""
+        whole = self._tally.whole_within(items=count)
+        return self.front(oldest_items(count - whole.items), whole)
+
+    def front_of_bytes(self, charged_bytes: int) -> Front:
+        """The oldest items that are charged with at least so many bytes, and none more than needed."""
+        whole = self._tally.whole_within(charged_bytes=charged_bytes)
+        return self.front(oldest_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole)
 
     def time_behind(self, front: Front) -> int | None:
         """The time of the bucket behind the last one that a front, which is not empty, takes of."""
-        if front.rest is None:
+        if front.rest is None or front.last is None:
             return None
-        last_time, first_held = front.tail[-1].last_time, front.rest.first_time
+        last_time, first_held = front.last.last_time, front.rest.first_time
         return first_held if first_held > last_time else self.next_time(last_time)
 
     def outdate(self, front: Front, cause: str, now: int) -> None:
         """Collect a front. `now` ends the open spans of the newest bucket, if they are among it."""
-        if not front.items:
+        last, former_floor = front.last, self.floor
+        if last is None:
             return
         self.last_cause = cause
-        last, former_floor = front.tail[-1], self.floor
         if cause == CONSUMPTION:  # moves no frontier: items may yet come in below
             before = self.newest_consumed
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
         else:
-            self._note_end(front, cause, now)
+            self._note_end(last, self.time_behind(front), cause, now)
         # Not where the next held item begins: another may yet come between the two.
         self.floor = last.last_time, last.end_seq
         self.items -= front.items
@@ -248,11 +310,11 @@ class Holdings:
             for part in self.index.slices(former_floor, self.floor):
                 self.on_gone(part.first_seq, part.end_seq)
 
-    def _note_end(self, front: Front, cause: str, now: int) -> None:
-        """Earlier buckets end at or before the last one's time, so only that one's items count."""
-        time = front.tail[-1].last_time
-        following = self.time_behind(front)
-        bucket = (Slice(part.run, bisect_left(part.run.times, time, part.lo, part.hi), part.hi) for part in front.tail)
+    def _note_end(self, last: Slice, following: int | None, cause: str, now: int) -> None:
+        """Earlier buckets end at or before the last one's time, so only that one's items count. `following`: the time
+        of the next bucket."""
+        time = last.last_time
+        bucket = self.slices((time, 0), (time, last.end_seq))
         end = _end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end
@@ -262,14 +324,19 @@ class Holdings:
 
     def free(self, entries_max: int, backlog_bytes_max: int | None = None) -> bool:
         """Free up to `entries_max` entries of outdated items, and more while these are charged with more than
-        `backlog_bytes_max`. True if any are left."""
-        while entries_max > 0 or (backlog_bytes_max is not None and self.backlog_bytes > backlog_bytes_max):
-            entry = self.index.pop_below(self.floor)
-            if entry is None:
+        `backlog_bytes_max`, FREED_ENTRIES_MAX at the most. True if any are left that can be freed."""
+        for freed in range(FREED_ENTRIES_MAX):
+            if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
+                break
+            if not self._free_entry():
                 return False
-            self._forget(Slice(entry.run, entry.lo, entry.hi))
-            entries_max -= 1
         return self.has_backlog
+
+    def _free_entry(self) -> bool:
+        entry = self.index.pop_below(self._free_floor)
+        if entry is not None:
+            self._forget(Slice(entry.run, entry.lo, entry.hi))
+        return entry is not None
 
     def _forget(self, part: Slice) -> None:
         self._stored_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
@@ -283,7 +350,7 @@ def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
         if durations is None:
             return bound
         for duration in durations[part.lo : part.hi]:
-            if duration == ABSENT:
+            if duration == ABSENT or time + duration >= bound:
                 return bound
             longest = max(longest, duration)
     return min(time + longest, bound)
@@ -304,5 +371,32 @@ def before(time: int) -> Going:
 
     def going(part: Slice) -> int:
         return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
+
+    return going
+
+
+def oldest_items(count: int) -> Going:
+    """Takes the first `count` items."""
+
+    def going(part: Slice) -> int:
+        nonlocal count
+        taken = min(part.items, count)
+        count -= taken
+        return taken
+
+    return going
+
+
+def oldest_bytes(charged_bytes: int) -> Going:
+    """Takes items until so many bytes are charged for them."""
+
+    def going(part: Slice) -> int:
+        nonlocal charged_bytes
+        lengths, lo = part.run.lengths, part.lo
+        for at in range(lo, part.hi):
+            if charged_bytes <= 0:
+                return at - lo
+            charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
+        return part.items
 
     return going

@@ -29,6 +29,9 @@ SEQ_END = 1 << 64
 FIRST_PLACE: Place = (-(1 << 64), 0)
 LAST_PLACE: Place = (1 << 64, 0)
 
+_BUCKET_ENTRIES_SCANNED = 8
+"""So many entries that begin at the same time are looked at one after the other; a place among more is bisected."""
+
 
 class Part:
     """An entry of a run of several items: places `lo` to `hi` of it. `hi` changes when it is split, `lo` when it is
@@ -145,8 +148,38 @@ class ChannelIndex:
         before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
         if before is not None and before.last_time >= low[0]:
             yield from _clipped(before, low, high)
-        for entry in self._by_time.irange_key(low[0], high[0]):
+        for entry in self._entries_from(low, high[0]):
+            if entry.first_time == high[0] and entry.first_seq >= high[1]:
+                return
             yield from _clipped(entry, low, high)
+
+    def _entries_from(self, low: Place, last_time: int) -> Iterator[Entry]:
+        """Entries that begin from `low`'s time up to `last_time`, without the most of those that end below `low`."""
+        time, seq = low
+        entries = self._by_time.irange_key(time, last_time)
+        first = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq else []
+        if len(first) < _BUCKET_ENTRIES_SCANNED or first[-1].first_time > time or first[-1].first_seq >= seq:
+            return chain(first, entries)
+        at = self._place_in_bucket(time, seq)
+        return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
+
+    def _entries_down(self, high: Place, first_time: int) -> Iterator[Entry]:
+        """The same from above: without the most of those that begin at or above `high`."""
+        time, seq = high
+        entries = self._by_time.irange_key(first_time, time, reverse=True)
+        last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
+        if len(last) < _BUCKET_ENTRIES_SCANNED or last[-1].first_time < time or last[-1].first_seq < seq:
+            return chain(last, entries)
+        end = self._place_in_bucket(time, seq) + 1
+        return iter(self._by_time.islice(self._by_time.bisect_key_left(first_time), end, reverse=True))
+
+    def _place_in_bucket(self, time: int, seq: int) -> int:
+        """Which entry, counted from the first of all, is the last that begins at `time` with a seq up to `seq`; the
+        first that begins at it if there is none. A bisection: a bucket may hold any number of entries."""
+        lo: int = self._by_time.bisect_key_left(time)
+        hi: int = self._by_time.bisect_key_right(time)
+        above: int = bisect_right(self._by_time, seq, lo, hi, key=attrgetter("first_seq"))
+        return above - 1 if above > lo else above
 
     def slices_from(self, floor: Place) -> Iterator[Slice]:
         """The items at or above `floor`, ascending; the quickest way where hardly an entry lies below it."""
@@ -162,11 +195,19 @@ class ChannelIndex:
         """The same items, the last slice first."""
         if low >= high:
             return
-        for entry in self._by_time.irange_key(low[0], high[0], reverse=True):
+        for entry in self._entries_down(high, low[0]):
+            if (entry.last_time, entry.run.first_seq + entry.hi - 1) < low:
+                return
             yield from _clipped(entry, low, high)
         before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
         if before is not None and before.last_time >= low[0]:
             yield from _clipped(before, low, high)
+
+    def copy_from(self, low: Place) -> ChannelIndex:
+        """Another index by time of the items at or above `low`, which changes of this one leave as it is."""
+        copy = ChannelIndex()
+        copy._by_time.update(Part(part.run, part.lo, part.hi) for part in self.slices(low, LAST_PLACE))
+        return copy
 
     def slices_by_seq(self, low: int, high: int, floor: Place) -> Iterator[Slice]:
         """The items with seqs from `low` up to, not including, `high` and places at or above `floor`, in seq order."""

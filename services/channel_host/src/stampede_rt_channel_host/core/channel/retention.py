@@ -167,9 +167,9 @@ class Retention:
         if not limits.drops_oldest:
             return
         if limits.max_items is not None and held.items > limits.max_items:
-            held.outdate(held.front(oldest_items(held.items - limits.max_items)), COUNT, clock)
+            held.outdate(held.front_of_items(held.items - limits.max_items), COUNT, clock)
         if held.charged_bytes > limits.max_bytes:
-            held.outdate(held.front(oldest_bytes(held.charged_bytes - limits.max_bytes)), BYTES, clock)
+            held.outdate(held.front_of_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
         """So many more items fit without anything going."""
@@ -265,30 +265,3 @@ class _AtMost:
         self._left -= 1
         self.held_back = self._left < 0
         return 0 if self.held_back else self._going(part)
-
-
-def oldest_items(count: int) -> Going:
-    """Takes the first `count` items."""
-
-    def going(part: Slice) -> int:
-        nonlocal count
-        taken = min(part.items, count)
-        count -= taken
-        return taken
-
-    return going
-
-
-def oldest_bytes(charged_bytes: int) -> Going:
-    """Takes items until so many bytes are charged for them."""
-
-    def going(part: Slice) -> int:
-        nonlocal charged_bytes
-        lengths, lo = part.run.lengths, part.lo
-        for at in range(lo, part.hi):
-            if charged_bytes <= 0:
-                return at - lo
-            charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
-        return part.items
-
-    return going

@@ -1,67 +1,84 @@
-"""How many items a channel holds before some instant, and their bytes, without a walk over all of them. Pure.
+"""How many items a channel holds before some place, and their bytes, without a walk over all of them. Pure.
 
-Ageing needs both sums at the moment when it outdates items, be they a million. So held items are counted in blocks,
-stretches of time that adjoin each other. What lies behind the last block is in none: a put in order counts nothing.
+Retention needs both sums at the moment when it outdates items, be they a million. So held items are counted in blocks,
+stretches of the order (time, seq) that adjoin each other. What lies behind the last block is in none: a put in order
+counts nothing. A block into which many late items come is split, so that none grows to more than
+about twice its size.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from itertools import accumulate, takewhile
 from typing import NamedTuple
 
-from stampede_rt_channel_host.core.channel.run import Run
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
-BEGINNING = -(1 << 64)
-"""Before every instant."""
+BLOCK_ITEMS = 1024
+"""About so many items are counted as one: to count a front of any size, hardly more than so many are walked."""
 
 
 class Whole(NamedTuple):
-    """The first blocks: how many items they count, of how many payload bytes; all of these are earlier than `end`."""
+    """The first blocks: how many items they count, of how many payload bytes; all of these are below `end`."""
 
     items: int
     payload_bytes: int
-    end: int
+    end: Place
+
+
+NO_BLOCKS = Whole(0, 0, FIRST_PLACE)
 
 
 class Tally:
     """Held items by blocks. A block goes from the end of the one before it up to its own end, which is not in it.
 
-    `items`, `payload_bytes`: all that blocks count, which is everything held before `end`.
+    `items`, `payload_bytes`: all that blocks count, which is everything held below `end`.
     """
 
     __slots__ = ("_ends", "_items", "_payload_bytes", "end", "items", "payload_bytes")
 
     def __init__(self) -> None:
-        self._ends: list[int] = []
+        self._ends: list[Place] = []
         self._items: list[int] = []
         self._payload_bytes: list[int] = []
-        self.end = BEGINNING
+        self.end = FIRST_PLACE
         self.items = 0
         self.payload_bytes = 0
 
-    def close(self, end: int, items: int, payload_bytes: int) -> None:
-        """Another block, of what is held from the last one's end on; all of it is earlier than `end`."""
+    def close(self, end: Place, items: int, payload_bytes: int) -> None:
+        """Another block, of what is held from the last one's end on; all of it is below `end`."""
         self._ends.append(end)
         self._items.append(0)
         self._payload_bytes.append(0)
         self.end = end
         self._count(len(self._ends) - 1, items, payload_bytes)
 
-    def add_late(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
-        """Count in a run of which an item lies before `end`; O(log blocks), for each item if it is in several."""
-        if self._block(low) == self._block(high):
-            self._count(self._block(low), len(run), payload_bytes)
-            return
-        for time, length in zip(run.times, run.lengths, strict=True):
-            self.add_late_item(length, time)
+    def add_late(self, first_seq: int, times: Sequence[int], lengths: Sequence[int]) -> tuple[Place, Place] | None:
+        """Count in a run of which an item may lie below `end`; the bounds of a block that is to be split, if one is."""
+        crowded: int | None = None
+        for seq, (time, length) in enumerate(zip(times, lengths, strict=True), first_seq):
+            if (time, seq) < self.end:
+                block = self._block((time, seq))
+                self._count(block, 1, length)
+                if self._items[block] > 2 * BLOCK_ITEMS:
+                    crowded = block
+        if crowded is None:
+            return None
+        return self._ends[crowded - 1] if crowded else FIRST_PLACE, self._ends[crowded]
 
-    def add_late_item(self, payload_bytes: int, time: int) -> None:
-        """Count in one item, if it lies before `end`."""
-        if time < self.end:
-            self._count(self._block(time), 1, payload_bytes)
+    def split(self, at: Place, items: int, payload_bytes: int) -> None:
+        """The block in which `at` lies becomes two; the lower one has so many of its items, of so many bytes."""
+        block = self._block(at)
+        self._ends.insert(block, at)
+        self._items.insert(block, items)
+        self._payload_bytes.insert(block, payload_bytes)
+        self._items[block + 1] -= items
+        self._payload_bytes[block + 1] -= payload_bytes
 
-    def _block(self, time: int) -> int:
-        return bisect_right(self._ends, time)
+    def _block(self, place: Place) -> int:
+        return bisect_right(self._ends, place)
 
     def _count(self, block: int, items: int, payload_bytes: int) -> None:
         self._items[block] += items
@@ -80,12 +97,29 @@ class Tally:
         for column in (self._ends, self._items, self._payload_bytes):
             del column[:gone]
         if not self._ends:
-            self.end = BEGINNING
+            self.end = FIRST_PLACE
         elif items:
             self._count(0, -items, -payload_bytes)
 
-    def whole_before(self, time: int) -> Whole:
-        """The blocks that end at or before `time`; a step for each."""
-        blocks = self._block(time)
-        end = self._ends[blocks - 1] if blocks else BEGINNING
-        return Whole(sum(self._items[:blocks]), sum(self._payload_bytes[:blocks]), end)
+    def whole_below(self, place: Place) -> Whole:
+        """The blocks that end at or below `place`; a step for each."""
+        return self._whole(self._block(place))
+
+    def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> Whole:
+        """The first blocks that count no more than so many items, or that are charged with no more than so many bytes;
+        a step for each."""
+        if items is not None:
+            return self._whole(_within(iter(self._items), items))
+        columns = zip(self._items, self._payload_bytes, strict=True)
+        charges = (count * ITEM_OVERHEAD_BYTES + payload for count, payload in columns)
+        return self._whole(_within(charges, charged_bytes or 0))
+
+    def _whole(self, blocks: int) -> Whole:
+        if not blocks:
+            return NO_BLOCKS
+        return Whole(sum(self._items[:blocks]), sum(self._payload_bytes[:blocks]), self._ends[blocks - 1])
+
+
+def _within(counts: Iterator[int], most: int) -> int:
+    """How many of the first counts add up to no more than `most`."""
+    return sum(1 for _ in takewhile(lambda total: total <= most, accumulate(counts)))
