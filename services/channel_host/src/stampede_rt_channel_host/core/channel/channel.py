@@ -12,6 +12,7 @@ from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consu
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.subscribing import (
@@ -105,6 +106,10 @@ class Channel:
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
+        return at_once(self.reading(query, now))
+
+    def reading(self, query: Query, now: int) -> Pieces[Answer]:
+        """The same in pieces, all as of now."""
         self._check_positions(query)
         clock = self._settle(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
@@ -124,7 +129,12 @@ class Channel:
         Released by the first matching item, with `complete` when the interval is finished, and in any case once
         nothing can come: the interval lies below the frontier, is empty, or is finished.
         """
-        found = self._reading.poll(pending, self._settle(self._tick(now)))
+        return at_once(self.polling(pending, now))
+
+    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
+        """The same in pieces, all as of now."""
+        clock = self._settle(self._tick(now))
+        found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def reach(self, now: int) -> int:
@@ -135,6 +145,10 @@ class Channel:
 
     def give_up(self, pending: Pending, now: int) -> Answer:
         """What there is when the get's time is over, with its reason."""
+        return at_once(self.giving_up(pending, now))
+
+    def giving_up(self, pending: Pending, now: int) -> Pieces[Answer]:
+        """The same in pieces, all as of now."""
         clock = self._settle(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)
 
@@ -147,6 +161,15 @@ class Channel:
 
         None of them: only new ones. Several: InvalidArgument. `after` needs its seq. Raises IncarnationLost.
         """
+        return at_once(
+            self.subscribing_all(now, start=start, start_exclusive=start_exclusive, after=after, saved=saved)
+        )
+
+    def subscribing_all(
+        self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
+        saved: SavedCursor | None = None,
+    ) -> Pieces[AllCursor]:  # fmt: skip
+        """The same in pieces, all as of now."""
         if saved is not None:
             self._check_saved(saved)
             self._settle(self._tick(now))

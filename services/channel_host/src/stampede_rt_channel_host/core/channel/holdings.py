@@ -108,14 +108,14 @@ class Holdings:
             return self.collected_end
         return min(self.collected_end, bound)
 
-    def snapshot(self) -> Snapshot:
-        """What is held now, to be walked while it changes. Close it soon: nothing of it is freed before."""
-        made = Snapshot(self.index, self.floor, self.next_seq, on_close=self._let_go)
-        self._snapshots[made] = None
-        return made
+    @property
+    def end(self) -> Place:
+        """See `Readable`: all is shown."""
+        return LAST_PLACE
 
-    def _let_go(self, snapshot: Snapshot) -> None:
-        self._snapshots.pop(snapshot, None)
+    def snapshot(self) -> Snapshot:
+        """What is held now, to be walked while it changes."""
+        return Snapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run whose times lie between `low` and `high`."""
@@ -166,7 +166,9 @@ class Holdings:
             items += part.items
             payload_bytes += part.payload_bytes
             if items >= tally.BLOCK_ITEMS:
-                self._tally.split((part.last_time, part.end_seq), items, payload_bytes)
+                at = part.last_time, part.end_seq
+                if at < high:
+                    self._tally.split(at, items, payload_bytes)
                 return
 
     def _count_in(self, items: int, payload_bytes: int, low: int) -> None:

@@ -7,8 +7,9 @@ from dataclasses import replace
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.model import Reason
 from stampede_rt.timeline import Bound, Interval, ResolvedInterval, format_instant
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.selection import Readable, select
+from stampede_rt_channel_host.core.channel.selection import Readable, Selected, select
 from stampede_rt_channel_host.core.channel.values import Answer, Position, Query, WakeAt
 
 
@@ -58,26 +59,45 @@ class Reading:
                 "now: its host was lost and items with it; start again from a time or the newest item"
             )
 
-    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Answer:
-        """What is held of the query."""
+    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[Answer]:
+        """What is held of the query, all as of the first piece."""
         if within is None:
             return self._unresolved()
-        slices, more = select(self._held, query, within, self.now(clock))
         region = _region(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
+        selecting = select(self._held, query, within, self.now(clock))
+        reasons: dict[bool, Reason | None] | None = None  # if the limit cut it, and if not
+        try:
+            while True:  # ends with what is selected
+                try:
+                    next(selecting)
+                except StopIteration as end:
+                    found: Selected = end.value
+                    break
+                if reasons is None:
+                    reasons = {more: self._reason(query, region, complete, truncated, more) for more in (False, True)}
+                yield
+        finally:
+            selecting.close()
+        if not found.slices:
+            reason: Reason | None = self._absence(query, region)
+        elif reasons is None:
+            reason = self._reason(query, region, complete, truncated, found.more)
+        else:
+            reason = reasons[found.more]
         return Answer(
-            slices=slices,
-            next_time=self._held.next_time(slices[-1].last_time) if slices else None,
+            slices=found.slices,
+            next_time=found.next_time,
             interval=within,
             complete=complete,
             truncated=truncated,
-            more=more,
-            reason=self._reason(query, region, complete, truncated, more) if slices else self._absence(query, region),
+            more=found.more,
+            reason=reason,
             incarnation=self._incarnation,
         )
 
-    def poll(self, pending: Pending, clock: int) -> Answer | WakeAt:
+    def poll(self, pending: Pending, clock: int) -> Pieces[Answer | WakeAt]:
         """The answer if the get is released, or when to look again."""
         query = pending.query
         if pending.interval is None:
@@ -87,7 +107,7 @@ class Reading:
             return WakeAt(None)
         over = self._is_over(_region(query, within))
         if over or not query.complete:
-            answer = self.answer(query, within, clock)
+            answer = yield from self.answer(query, within, clock)
             if over or answer.slices:
                 return answer
         return self._wake_at(within.start + within.start_exclusive, clock)

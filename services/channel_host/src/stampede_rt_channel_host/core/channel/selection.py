@@ -7,12 +7,15 @@ which may reach out. So a read costs two searches and what it returns.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple, Protocol
 
 from stampede_rt.timeline import Match, ResolvedInterval
+from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
+from stampede_rt_channel_host.core.channel.snapshot import Snapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
 Fits = Callable[[int], bool]
@@ -37,11 +40,12 @@ class Readable(Protocol):
     def collected_by(self) -> str:
         """As in `Holdings`."""
 
-    def slices(self, low: Place = ..., high: Place = ..., /) -> Iterator[Slice]:
-        """Items at or above `low` and below `high`, ascending."""
+    @property
+    def end(self) -> Place:
+        """What is shown lies below it."""
 
-    def slices_down(self, low: Place = ..., high: Place = ..., /) -> Iterator[Slice]:
-        """The same, the last slice first."""
+    def snapshot(self) -> Snapshot:
+        """All that is held now, whether it is shown or not."""
 
     def next_time(self, time: int, /) -> int | None:
         """The time of the next later bucket than `time`."""
@@ -58,19 +62,93 @@ class _Stretch(NamedTuple):
     fits: Fits | None = None
 
 
-def select(held: Readable, query: Query, within: ResolvedInterval, now: int) -> tuple[list[Slice], bool]:
-    """The slices that match, ascending, and whether the limit cut more of them off. `now` is the resolved meta-time."""
+class Selected(NamedTuple):
+    """The slices that match, ascending; whether the limit cut more of them off; and the time of the bucket behind the
+    last one, None if that is the newest."""
+
+    slices: list[Slice]
+    more: bool
+    next_time: int | None
+
+
+NOTHING = Selected([], False, None)
+
+
+def select(held: Readable, query: Query, within: ResolvedInterval, now: int) -> Pieces[Selected]:
+    """What matches, in pieces. `now` is the resolved meta-time."""
     if within.is_empty or held.oldest is None:
-        return [], False
-    stretches = [_clip(stretch, query) for stretch in _stretches(held, query.match, within, now)]
-    if query.newest_first:
-        found = (part for stretch in reversed(stretches) for part in _parts_down(held, stretch))
-    else:
-        found = (part for stretch in stretches for part in _parts(held, stretch))
-    slices, more = _take(found, query.limit, query.newest_first)
-    if query.newest_first:
-        slices.reverse()
-    return slices, more
+        return NOTHING
+    stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
+    snapshot = held.snapshot()
+    taking = _Taking(snapshot, query.limit, down=query.newest_first)
+    try:
+        for stretch in reversed(stretches) if query.newest_first else stretches:
+            while (rest := taking.take(stretch)) is not None:
+                stretch = rest  # the same stretch, without what was taken
+                snapshot.hold()
+                yield
+        slices = taking.finish()
+        if not slices:
+            return NOTHING
+        last_time = slices[-1].last_time
+        next_time = snapshot.next_time(last_time, held.end) if snapshot.is_held else held.next_time(last_time)
+        return Selected(slices, taking.more, next_time)
+    finally:
+        snapshot.close()
+
+
+class _Taking:
+    """Takes slices from stretches, in one direction, until the limit is reached."""
+
+    def __init__(self, snapshot: Snapshot, limit: int | None, *, down: bool) -> None:
+        self._snapshot = snapshot
+        self._left = limit
+        self._down = down
+        self._slices: list[Slice] = []
+        self.more = False
+
+    def take(self, stretch: _Stretch) -> _Stretch | None:
+        """Take one piece of a stretch; what is left of it, None if that is nothing."""
+        if self.more:
+            return None
+        steps = 0
+        for part in self._walk(stretch):
+            stretch = self._behind(part, stretch)
+            if self._snapshot.shows(part) and not self._take_fitting(part, stretch.fits):
+                return None
+            steps += 1 if stretch.fits is None else 1 + part.items // pieces.ITEMS_PER_STEP
+            if steps >= pieces.STEPS_PER_PIECE:
+                return stretch
+        return None
+
+    def _walk(self, stretch: _Stretch) -> Iterator[Slice]:
+        walk = self._snapshot.slices_down if self._down else self._snapshot.slices
+        return walk(stretch.low, stretch.high)
+
+    def _behind(self, part: Slice, stretch: _Stretch) -> _Stretch:
+        if self._down:
+            return stretch._replace(high=(part.first_time, part.first_seq))
+        return stretch._replace(low=(part.last_time, part.end_seq))
+
+    def _take_fitting(self, part: Slice, fits: Fits | None) -> bool:
+        """False if the limit allows no more."""
+        found: Iterable[Slice] = (part,) if fits is None else _fitting(part, fits)
+        for one in reversed(list(found)) if self._down else found:
+            if self._left is not None and one.items > self._left:
+                self.more = True
+                if self._left:
+                    lo, hi = (one.hi - self._left, one.hi) if self._down else (one.lo, one.lo + self._left)
+                    self._slices.append(Slice(one.run, lo, hi))
+                return False
+            self._slices.append(one)
+            self._left = None if self._left is None else self._left - one.items
+        return True
+
+    def finish(self) -> list[Slice]:
+        """All that was taken, ascending."""
+        if self._down:
+            self._slices.reverse()
+        return self._slices
 
 
 def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:
@@ -119,8 +197,10 @@ def _staying_in(held: Readable, within: ResolvedInterval, low: Place, now: int) 
     return [_Stretch(low, (bucket, 0)), _Stretch((bucket, 0), (bucket, SEQ_END), fits)]
 
 
-def _clip(stretch: _Stretch, query: Query) -> _Stretch:
+def _clip(stretch: _Stretch, query: Query, end: Place) -> _Stretch:
+    """Without what positions exclude, and what lies at or above `end`."""
     low, high, fits = stretch
+    high = min(high, end)
     if query.newer_than is not None:
         low = max(low, behind(query.newer_than))
     if query.after is not None and not query.newest_first:
@@ -133,22 +213,6 @@ def _clip(stretch: _Stretch, query: Query) -> _Stretch:
 def behind(position: Position) -> Place:
     """The first place later than a position."""
     return position.time, SEQ_END if position.seq is None else position.seq + 1
-
-
-def _parts(held: Readable, stretch: _Stretch) -> Iterator[Slice]:
-    for part in held.slices(stretch.low, stretch.high):
-        if stretch.fits is None:
-            yield part
-        else:
-            yield from _fitting(part, stretch.fits)
-
-
-def _parts_down(held: Readable, stretch: _Stretch) -> Iterator[Slice]:
-    for part in held.slices_down(stretch.low, stretch.high):
-        if stretch.fits is None:
-            yield part
-        else:
-            yield from reversed(list(_fitting(part, stretch.fits)))
 
 
 def _fitting(part: Slice, fits: Fits) -> Iterator[Slice]:
@@ -166,19 +230,3 @@ def _fitting(part: Slice, fits: Fits) -> Iterator[Slice]:
             lo = at + 1
     if lo < part.hi:
         yield Slice(part.run, lo, part.hi)
-
-
-def _take(found: Iterator[Slice], limit: int | None, newest_first: bool) -> tuple[list[Slice], bool]:
-    if limit is None:
-        return list(found), False
-    taken: list[Slice] = []
-    for part in found:
-        if not limit:
-            return taken, True
-        if part.items > limit:
-            lo, hi = (part.hi - limit, part.hi) if newest_first else (part.lo, part.lo + limit)
-            taken.append(Slice(part.run, lo, hi))
-            return taken, True
-        taken.append(part)
-        limit -= part.items
-    return taken, False

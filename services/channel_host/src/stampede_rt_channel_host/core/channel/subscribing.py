@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from heapq import merge
+from itertools import islice
 
 from stampede_rt.model import Reason
+from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Delivery, Gap, SavedCursor
 
 GAP_ENTRIES_MAX = 1024
 """What one call looks at of outdated items: a reader that is far behind stalls nobody, and hears of several gaps."""
+
+
+Range = tuple[int, int]
+"""Seqs from the first up to, not including, the end."""
 
 
 class AllCursor:
@@ -22,22 +29,23 @@ class AllCursor:
     `delivered`, `dropped`: items given, and items reported in gaps, up to now.
     """
 
-    __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "delivered", "dropped")
+    __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped")
 
-    def __init__(
-        self, owed: deque[tuple[int, int]], live_seq: int, low: Place | None = None, begun_seq: int = 0
-    ) -> None:
-        self._owed = owed  # ranges of seqs, ascending, the end excluded: held when it began, and not dealt with yet
-        self._live_seq = live_seq  # every seq from here on is owed too
-        self._low = low  # of the items below `begun_seq` only those at or above this place are meant
+    def __init__(self, owed: Iterator[Range], live_seq: int, low: Place | None = None, begun_seq: int = 0) -> None:
+        """`owed`: held when it began, ascending, below `live_seq`; every seq from that on is owed, too. Of the items
+        below `begun_seq` only those at or above the place `low` are meant."""
+        self._owed_before = owed
+        self._live_seq = live_seq
+        self._low = low
         self._begun_seq = begun_seq
+        self._owed = next(owed, None)
         self.delivered = 0
         self.dropped = 0
 
     @property
     def next_seq(self) -> int:
         """Everything below it was delivered, reported in a gap, or is none of this subscription's."""
-        return self._owed[0][0] if self._owed else self._live_seq
+        return self._live_seq if self._owed is None else self._owed[0]
 
     def saved(self, incarnation: int) -> SavedCursor:
         """From where another goes on."""
@@ -46,38 +54,34 @@ class AllCursor:
             return SavedCursor(incarnation=incarnation, next_seq=next_seq)
         return SavedCursor(incarnation=incarnation, next_seq=next_seq, low=self._low, live_seq=self._begun_seq)
 
-    def owe_up_to(self, next_seq: int) -> None:
-        """Take note that all seqs below `next_seq` were given out."""
-        if next_seq == self._live_seq:
-            return
-        if self._owed and self._owed[-1][1] == self._live_seq:
-            self._owed[-1] = (self._owed[-1][0], next_seq)
-        else:
-            self._owed.append((self._live_seq, next_seq))
-        self._live_seq = next_seq
-
-    def owed(self) -> tuple[int, int] | None:
-        """The first range that is owed."""
-        return self._owed[0] if self._owed else None
+    def owed(self, next_seq: int) -> Range | None:
+        """The first range that is owed; `next_seq`: all seqs below it were given out."""
+        if self._owed is None and next_seq > self._live_seq:
+            self._owed, self._live_seq = (self._live_seq, next_seq), next_seq
+        elif self._owed is not None and self._owed[1] == self._live_seq:  # no other lies between it and what came since
+            self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
+        return self._owed
 
     def settle(self, seq: int) -> None:
-        """Everything below `seq`, which lies in or behind the first range, is dealt with."""
-        _, end = self._owed.popleft()
-        if seq < end:
-            self._owed.appendleft((seq, end))
+        """Everything below `seq`, which lies in or at the end of the first range, is dealt with."""
+        assert self._owed is not None, "something is owed"
+        end = self._owed[1]
+        self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
 
-def open_all(held: Holdings, low: Place | None, after_seq: int | None) -> AllCursor:
+def open_all(held: Holdings, low: Place | None, after_seq: int | None) -> Pieces[AllCursor]:
     """Held items from the place `low` on; or everything accepted behind `after_seq`; or, with neither, nothing yet."""
-    owed: list[tuple[int, int]] = []
-    if after_seq is not None and after_seq + 1 < held.next_seq:
-        owed = [(after_seq + 1, held.next_seq)]
-    elif low is not None:
-        owed = _merged(_seq_ranges(held, low))
-    return AllCursor(deque(owed), held.next_seq, low, held.next_seq)
+    next_seq = held.next_seq
+    if after_seq is not None:
+        owed = [(after_seq + 1, next_seq)] if after_seq + 1 < next_seq else []
+        return AllCursor(iter(owed), next_seq)
+    if low is None:
+        return AllCursor(iter(()), next_seq)
+    ranges = yield from _seq_ranges(held, low)
+    return AllCursor(_merged(ranges), next_seq, low, next_seq)
 
 
-def resume_all(held: Holdings, saved: SavedCursor) -> AllCursor:
+def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     """Go on. If retention took of the held items that were meant, all that is still held is meant, and every other seq
     counts as gone: too many, if what the start had left out went meanwhile, too; never too few."""
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
@@ -85,38 +89,54 @@ def resume_all(held: Holdings, saved: SavedCursor) -> AllCursor:
     begun = live
     if low is None or (held.newest_collected is not None and held.newest_collected >= low[0]):
         begun = first
-    owed = [] if low is None else [(max(one, first), min(end, begun)) for one, end in _seq_ranges(held, low)]
-    owed.append((begun, held.next_seq))
-    return AllCursor(deque(_merged([(one, end) for one, end in owed if one < end])), held.next_seq, low, live)
+    next_seq, ranges = held.next_seq, [[(begun, held.next_seq)]]
+    if low is not None:
+        found = yield from _seq_ranges(held, low)
+        ranges += [[(max(one, first), min(end, begun)) for one, end in piece] for piece in found]
+    owed = ((one, end) for one, end in merge(*ranges) if one < end)
+    return AllCursor(_joined(owed), next_seq, low, live)
 
 
-def _seq_ranges(held: Holdings, low: Place) -> list[tuple[int, int]]:
-    ranges: list[tuple[int, int]] = []
-    for part in held.slices(low):
-        if ranges and ranges[-1][1] == part.first_seq:
-            ranges[-1] = (ranges[-1][0], part.end_seq)
-        else:
-            ranges.append((part.first_seq, part.end_seq))
-    return ranges
+def _seq_ranges(held: Holdings, low: Place) -> Pieces[list[list[Range]]]:
+    """The seqs of the items from `low` on. Each piece gives a list of ranges, ascending."""
+    found: list[list[Range]] = []
+    snapshot = held.snapshot()
+    try:
+        while True:  # ends with what is held
+            parts = [*islice(snapshot.slices(low, LAST_PLACE), pieces.STEPS_PER_PIECE)]
+            found.append([*_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))])
+            if len(parts) < pieces.STEPS_PER_PIECE:
+                return found
+            low = parts[-1].last_time, parts[-1].end_seq
+            snapshot.hold()
+            yield
+    finally:
+        snapshot.close()
 
 
-def _merged(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    ranges.sort()
-    merged: list[tuple[int, int]] = []
-    for first, end in ranges:
-        if merged and merged[-1][1] == first:
-            merged[-1] = (merged[-1][0], end)
-        else:
-            merged.append((first, end))
-    return merged
+def _merged(ranges: list[list[Range]]) -> Iterator[Range]:
+    """All ranges, ascending, as they are asked for: sorting them together would be one long step."""
+    return _joined(merge(*ranges))
+
+
+def _joined(ranges: Iterable[Range]) -> Iterator[Range]:
+    """Ranges that adjoin each other become one."""
+    first = end = 0
+    for low, high in ranges:
+        if low != end:
+            if first < end:
+                yield first, end
+            first = low
+        end = high
+    if first < end:
+        yield first, end
 
 
 def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -> Delivery:
     """The next part: a gap at the very front, if there is one, then slices up to the next gap or the byte limit."""
-    cursor.owe_up_to(held.next_seq)
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
-    while (owed := cursor.owed()) is not None and limit_bytes > 0:
+    while (owed := cursor.owed(held.next_seq)) is not None and limit_bytes > 0:
         low = held.seq_from(*owed, GAP_ENTRIES_MAX)
         if low > owed[0]:
             if slices or gap is not None:
@@ -131,8 +151,8 @@ def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -
             cursor.delivered += part.items
             cursor.settle(part.end_seq)
             limit_bytes -= part.charge_bytes
-            if limit_bytes <= 0:
-                break
+            if limit_bytes <= 0 or len(slices) >= pieces.STEPS_PER_PIECE:
+                return Delivery(slices=slices, gap=gap)
     return Delivery(slices=slices, gap=gap)
 
 
@@ -193,6 +213,6 @@ def open_newest(held: Holdings, low: Place | None, after: Place | None) -> Newes
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:
-        return NewestCursor(low, held.next_seq - sum(part.items for part in held.slices(low)))
+        return NewestCursor(low, held.next_seq - (held.items - held.items_below(low)))
     last = next(held.slices_down(), None)
     return NewestCursor(FIRST_PLACE if last is None else (last.last_time, last.end_seq), held.next_seq)

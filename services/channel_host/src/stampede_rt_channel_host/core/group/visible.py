@@ -15,9 +15,11 @@ from stampede_rt.timeline import Interval, MetaTime, ResolvedInterval, format_in
 from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Query, Slice, WakeAt
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
+from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import behind, select
+from stampede_rt_channel_host.core.channel.snapshot import Snapshot
 
 
 class Horizon(NamedTuple):
@@ -45,12 +47,17 @@ class VisibleHoldings:
         """As in `Holdings`."""
         return self._held.collected_by
 
-    def slices(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE, /) -> Iterator[Slice]:
-        """Visible items at or above `low` and below `high`, ascending."""
-        return self._held.slices(low, min(high, self._end))
+    @property
+    def end(self) -> Place:
+        """What is visible lies below it."""
+        return self._end
+
+    def snapshot(self) -> Snapshot:
+        """All that is held now."""
+        return self._held.snapshot()
 
     def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE, /) -> Iterator[Slice]:
-        """The same, the last slice first."""
+        """Visible items at or above `low` and below `high`, the last slice first."""
         return self._held.slices_down(low, min(high, self._end))
 
     def next_time(self, time: int, /) -> int | None:
@@ -86,7 +93,7 @@ class VisibleReading(Reading):
             return None
         return super().resolve_interval(interval, clock)
 
-    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Answer:
+    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[Answer]:
         """What is visible of the query."""
         if within is not None:
             self._asked = query, within, clock
@@ -132,7 +139,7 @@ class VisibleReading(Reading):
         if newest is None or (cut is not None and (newest < cut or within.end < cut)):
             return False
         full_now = max(clock, newest)
-        found, _ = select(self._all, _latest_of(query), within, full_now)
+        found = at_once(select(self._all, _latest_of(query), within, full_now)).slices
         return bool(found) and (cut is None or found[0].last_time >= cut)
 
     def _hidden(self) -> Reason:
@@ -158,6 +165,10 @@ class GroupView:
 
     def read(self, query: Query, horizon: Horizon, now: int) -> Answer:
         """What is visible of the query, at once. Raises IncarnationLost like `Channel.read`."""
+        return at_once(self.reading(query, horizon, now))
+
+    def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[Answer]:
+        """The same in pieces, all as of now."""
         reading = self._reading(query, horizon, now)
         return reading.answer(query, reading.resolve(query, now), now)
 
@@ -167,10 +178,18 @@ class GroupView:
 
     def poll(self, pending: Pending, horizon: Horizon, now: int) -> Answer | WakeAt:
         """Its answer, or when to poll again: also after each change of the channel and of the cut."""
+        return at_once(self.polling(pending, horizon, now))
+
+    def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[Answer | WakeAt]:
+        """The same in pieces, all as of now."""
         return VisibleReading(self._channel, horizon, now).poll(pending, now)
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> Answer:
         """What there is when the get's time is over, with its reason."""
+        return at_once(self.giving_up(pending, horizon, now))
+
+    def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[Answer]:
+        """The same in pieces, all as of now."""
         return VisibleReading(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
     def stalled(self, floor: int, horizon: Horizon) -> Answer:
@@ -184,9 +203,9 @@ class GroupView:
         )  # fmt: skip
 
     def hidden_items(self, cut: int | None, now: int) -> int:
-        """How many held items the cut hides. Walks them."""
+        """How many held items the cut hides."""
         held, _ = self._channel.look(now)
-        return sum(part.items for part in held.slices(FIRST_PLACE if cut is None else (cut, 0)))
+        return held.items - held.items_below(FIRST_PLACE if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
         """Items went before the group showed them, or go so: the channel keeps less than it is ahead of the cut."""

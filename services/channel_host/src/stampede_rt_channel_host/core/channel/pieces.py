@@ -1,0 +1,28 @@
+"""Long work in pieces of about a millisecond each, between which everybody else goes on (decision 0061). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TypeVar
+
+STEPS_PER_PIECE = 512
+"""So many slices, or so much work as these take, is one piece."""
+
+ITEMS_PER_STEP = 8
+"""Where items are looked at one by one, so many count as one step."""
+
+Result = TypeVar("Result")
+Pieces = Generator[None, None, Result]
+"""Work that stops after each piece and goes on when it is asked for the next one; its result comes with the last one.
+
+What it finds is as of the moment when it was begun. Close it, if it is not taken to its end.
+"""
+
+
+def at_once(pieces: Pieces[Result]) -> Result:
+    """All pieces, one after the other."""
+    while True:  # ends with the pieces
+        try:
+            next(pieces)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
