@@ -47,7 +47,7 @@ def store_over(directory: SlowDirectory) -> ChannelStore:
         directory,  # type: ignore[arg-type]  # what is asked of it here
         SystemClock(),
         lease_held=lambda: True,
-        memory=MemoryBudget(2**20, lambda: 0, lambda: 0),
+        memory=MemoryBudget(2**20),
     )
 
 

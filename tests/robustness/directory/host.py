@@ -67,7 +67,7 @@ class SimHost:
             self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
             self.clock,
             lease_held=lambda: self.lease.is_held(self.clock.boottime_nanos()),
-            memory=MemoryBudget(2**30, lambda: 0, lambda: 0),
+            memory=MemoryBudget(2**30),
         )
         self._binding: set[bytes] = set()
         self._run(self._keep)

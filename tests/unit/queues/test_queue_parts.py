@@ -10,9 +10,9 @@ import pytest
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, LeasedSlice, QueuedRun
 from stampede_rt_channel_host.core.queue.acknowledged import KEPT_NANOS, AcknowledgedDeliveries
-from stampede_rt_channel_host.core.queue.deadlines import Deadlines
 from stampede_rt_channel_host.queues.dead_letters import producer_id_of
 from stampede_rt_channel_host.queues.frames import take_response
 from stampede_rt_channel_host.queues.requests import settlements_of, taker_of

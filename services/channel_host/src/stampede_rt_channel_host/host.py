@@ -16,7 +16,6 @@ from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
-from stampede_rt_channel_host.channels.sweep import sweep_forever
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
@@ -66,7 +65,7 @@ class ChannelHost:
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
         apart = Supernodes(frontends, dial_apart, peer_name=identity.name, zone=identity.zone, explain=explain)
         self._lease = LeaseThread(lambda serving: self._make_registration(apart, clock, serving))
-        memory = MemoryBudget(memory_bytes_max, self._footprint_bytes, clock.boottime_nanos)
+        memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim())
         self.store = ChannelStore(
             identity,
             Directory(self._supernodes),
@@ -130,7 +129,7 @@ class ChannelHost:
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
         self._start(self._lease.keep(), "lease")
-        self._start(sweep_forever(self.store), "sweep")
+        self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")
         of_groups = directory_service_pb2.WatchRequest(include_groups=True)
         self._start(watch_forever(self._supernodes, of_groups, self.groups), "group watch")
@@ -164,9 +163,6 @@ class ChannelHost:
         if not task.cancelled() and (failure := task.exception()) is not None:
             logger.error("a task of the host died", exc_info=failure, extra={"task": task.get_name()})
             self._on_defect(failure)
-
-    def _footprint_bytes(self) -> int:
-        return self.queues.footprint_bytes() + self.store.footprint_bytes()
 
     def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
         self.store.registered(response.channels, all_told=len(response.channels) < CHANNELS_TOLD_MAX)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Protocol
 
@@ -9,14 +10,16 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.records import policy_from_spec
+from stampede_rt.wire.runs import slice_run
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.frames import SharedMessages
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, LEASE_NANOS, Channel
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, Channel
 
 SUBSCRIPTIONS_MAX = 4096
+_orders = itertools.count()
 
 
 class Listener(Protocol):
@@ -32,8 +35,14 @@ class Listener(Protocol):
 class HostedChannel:
     """`record` is the directory's, as last told; its epoch fences, its incarnation is the core's."""
 
-    def __init__(self, record: channel_pb2.ChannelRecord, memory: MemoryBudget, now: Callable[[], int]) -> None:
-        """Raises InvalidArgument if the record's policy cannot hold."""
+    def __init__(
+        self,
+        record: channel_pb2.ChannelRecord,
+        memory: MemoryBudget,
+        now: Callable[[], int],
+        on_touched: Callable[[HostedChannel], None] = lambda hosted: None,
+    ) -> None:
+        """`on_touched` hears of every change. Raises InvalidArgument if the record's policy cannot hold."""
         self.record = record
         self.epoch: int = record.epoch
         self.channel = Channel(
@@ -41,15 +50,20 @@ class HostedChannel:
             incarnation=record.incarnation,
             name=record.name,
             lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
+            cut=slice_run,
         )
         self.gets = WaitingGets(self.channel, now)
-        self.puts = ChannelPuts(self.channel, memory, now, self._announce)
+        self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched)
         self.listeners: dict[Listener, None] = {}
         self.followers: dict[Listener, None] = {}  # as listeners, but no subscriptions: groups
         self.group_gets: set[object] = set()  # blocked gets through groups
         self.group_readers: set[object] = set()  # cut events and matches that take its items
         self.messages = SharedMessages()
         self.delivered_bytes = 0
+        self.due: int | None = None  # when the sweep looks at it; it belongs to `Deadlines`
+        self.order = next(_orders)
+        self._charge = Charge(memory)
+        self._on_touched = on_touched
         self._now = now
 
     def update(self, record: channel_pb2.ChannelRecord) -> None:
@@ -60,6 +74,7 @@ class HostedChannel:
             self.record, self.epoch = record, record.epoch
             self.changed(now)
         self.record, self.epoch = record, record.epoch
+        self._touched()
 
     def advance(self, instant: int) -> int:
         """Promise that nothing earlier than `instant` will come; gives the highest promise. Raises InFuture."""
@@ -78,7 +93,7 @@ class HostedChannel:
         now = self._now()
         lease_nanos = request.lease_nanos if request.HasField("lease_nanos") else LEASE_NANOS
         consumed = self.channel.consume(request.consumer_id, request.seqs, now, lease_nanos=lease_nanos)
-        self.puts.changed(now)
+        self.puts.changed(now)  # which tells of the change, too
         return pb.ConsumeResponse(consumed=consumed.items, lease_nanos=consumed.lease_nanos)
 
     def changed(self, now: int) -> None:
@@ -93,14 +108,35 @@ class HostedChannel:
         for listener in [*self.listeners, *self.followers]:
             listener.end(error)
 
+    def let_go(self) -> None:
+        """The channel is not held here any more: its memory counts no longer."""
+        self._charge.set(0)
+        self._charge = Charge(MemoryBudget(0))
+
+    def collect(self, now: int) -> None:
+        """Free what time has outdated, a bounded part."""
+        self.channel.collect(now)
+        self.puts.expire(now)
+        self._charge.set(self.footprint_bytes())
+
+    def next_deadline(self, now: int) -> int | None:
+        """When `collect` is next useful; None: not before something changes. Frees a little, too."""
+        due = (self.channel.next_deadline(now), self.puts.next_expiry())
+        self._charge.set(self.footprint_bytes())
+        return min((one for one in due if one is not None), default=None)
+
     def count_delivered(self, payload_bytes: int) -> None:
         """A message with so many payload bytes was sent to a reader."""
         self.delivered_bytes += payload_bytes
 
     def footprint_bytes(self) -> int:
-        """What the items are charged against the host's memory."""
-        counters = self.channel.counters(self._now())
-        return counters.held_bytes + counters.held * ITEM_OVERHEAD_BYTES
+        """What is kept for the channel: items as they are stored, puts that wait, and what is known of producers."""
+        return self.channel.footprint_bytes + self.puts.footprint_bytes
+
+    def _touched(self) -> None:
+        """Something was put, consumed or set up."""
+        self._charge.set(self.footprint_bytes())
+        self._on_touched(self)
 
     def _announce(self, now: int) -> None:
         if len(self.gets):

@@ -11,7 +11,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.memory import MemoryBudget
-from stampede_rt_channel_host.core.channel import Channel, Offer, PutOutcome
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, Offer, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Judging
 
@@ -39,6 +39,11 @@ class IncomingRun:
         self._encoded = encoded
         self._done: asyncio.Future[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def charged_bytes(self) -> int:
+        """What the host's memory is charged for the run."""
+        return len(self._encoded) + self.items * ITEM_OVERHEAD_BYTES
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """The bytes to store, of the items that were accepted (see `core.Seal`)."""
@@ -99,17 +104,25 @@ class IncomingRun:
 class ChannelPuts:
     """The puts of one channel, in the order of their coming: behind one that waits, all wait.
 
-    `on_accepted` is called after each run of which items were accepted.
+    `on_accepted` is called after each run of which items were accepted, `on_touched` whenever what is kept may have
+    changed.
     """
 
     def __init__(
-        self, channel: Channel, memory: MemoryBudget, now: Callable[[], int], on_accepted: Callable[[int], None]
+        self,
+        channel: Channel,
+        memory: MemoryBudget,
+        now: Callable[[], int],
+        on_accepted: Callable[[int], None],
+        on_touched: Callable[[], None],
     ) -> None:
         self._channel = channel
         self._memory = memory
         self._now = now
         self._on_accepted = on_accepted
+        self._on_touched = on_touched
         self._retries = RetryWindow()
+        self._waiting_bytes = 0
         self._line: deque[IncomingRun] = deque()
         self._timer: asyncio.TimerHandle | None = None
 
@@ -117,19 +130,41 @@ class ChannelPuts:
         """How many runs wait."""
         return len(self._line)
 
+    @property
+    def footprint_bytes(self) -> int:
+        """What is kept of runs that wait, and of producers' last runs."""
+        return self._waiting_bytes + self._retries.footprint_bytes
+
+    def expire(self, now: int) -> None:
+        """Forget producers that have put nothing for long."""
+        self._retries.expire(now)
+
+    def next_expiry(self) -> int | None:
+        """When `expire` is next useful."""
+        return self._retries.next_expiry()
+
     def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         """Judge a run. None: it stands in line; await `run.wait(self.give_up)`, and `withdraw` it if that is cut short.
 
         Raises Overloaded, or InvalidArgument if its numbers overlap another run's.
         """
-        if self._recognise(run, now) or (not self._line and self._offer(run, now)):
+        try:
+            return self._put(run, now)
+        finally:
+            self._on_touched()
+
+    def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
+        if self._recognise(run, now) or (not self._line and self._claim_and_offer(run, now)):
             assert run.ack is not None, "what does not wait is finished"
             return run.ack
         if run.wait_nanos is not None and run.wait_nanos <= 0:
             return self._refuse_rest(run, now)
         if len(self._line) >= WAITING_PUTS_MAX:
             raise Overloaded(f"{WAITING_PUTS_MAX} puts wait for room in the channel already; put less at once")
+        if self._line:
+            self._memory.claim(run.charged_bytes)
         self._line.append(run)
+        self._waiting_bytes += run.charged_bytes
         return None
 
     def refuse_unread(self, encoded: bytes, error: StampedeError, now: int) -> StampedeError:
@@ -142,17 +177,19 @@ class ChannelPuts:
 
     def changed(self, now: int) -> None:
         """Room may have been made: offer those in line again, the first one first."""
-        while self._line:
-            head = self._line[0]
-            if not self._offer_waiting(head, now):
-                return
-            self._line.popleft()
+        while self._line and self._offer_waiting(self._line[0], now):
+            self._leave_line(self._line[0])
+        self._on_touched()
+
+    def _leave_line(self, run: IncomingRun) -> None:
+        self._line.remove(run)
+        self._waiting_bytes -= run.charged_bytes
 
     def give_up(self, run: IncomingRun) -> None:
         """The run's waiting time is over."""
         now = self._now()
         if run in self._line:
-            self._line.remove(run)
+            self._leave_line(run)
             run.finish(self._refuse_rest(run, now))
             self.changed(now)
 
@@ -164,7 +201,7 @@ class ChannelPuts:
         run.forget_time()
         if run in self._line:
             now = self._now()
-            self._line.remove(run)
+            self._leave_line(run)
             self._remember(run, now)
             self.changed(now)
 
@@ -172,9 +209,10 @@ class ChannelPuts:
         """The channel is not served any more."""
         if self._timer is not None:
             self._timer.cancel()
-        line, self._line = self._line, deque()
+        line, self._line, self._waiting_bytes = self._line, deque(), 0
         for run in line:
             self._fail(run, error, self._now())
+        self._on_touched()
 
     def _offer_waiting(self, run: IncomingRun, now: int) -> bool:
         try:
@@ -208,9 +246,12 @@ class ChannelPuts:
             run.finish(ack_of(run.first_number, known, self._channel.incarnation))
         return known.is_whole
 
+    def _claim_and_offer(self, run: IncomingRun, now: int) -> bool:
+        self._memory.claim(run.charged_bytes)
+        return self._offer(run, now)
+
     def _offer(self, run: IncomingRun, now: int) -> bool:
-        """Offer what is left of the run; True if it is through, with its ack."""
-        self._memory.claim(sum(run.offer.lengths), run.items)
+        """Offer what is left of the run, which has its memory; True if it is through, with its ack."""
         outcome = self._channel.put(run.offer, now, run.seal)
         settled = run.settle(outcome, now)
         if settled:

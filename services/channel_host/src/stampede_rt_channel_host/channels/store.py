@@ -13,6 +13,7 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -53,6 +54,7 @@ class ChannelStore:
         self._closing: StampedeError | None = None
         self._registrations = 0
         self._memory = memory
+        self.sweep = Sweep(self.now)
 
     def now(self) -> int:
         """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""
@@ -203,7 +205,7 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
-        hosted = HostedChannel(record, self._memory, self.now)
+        hosted = HostedChannel(record, self._memory, self.now, self.sweep.touch)
         self._channels[record.channel_id] = hosted
         return hosted
 
@@ -211,10 +213,8 @@ class ChannelStore:
         hosted = self._channels.pop(channel_id, None)
         if hosted is not None:
             hosted.end(error)
-
-    def footprint_bytes(self) -> int:
-        """What all channels take of the host's memory."""
-        return sum(hosted.footprint_bytes() for hosted in self._channels.values())
+            hosted.let_go()
+            self.sweep.forget(hosted)
 
 
 def _check_spec(held: channel_pb2.ChannelSpec, change: channel_pb2.ChannelSpec) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import random
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
 from stampede_rt.v1 import queue_pb2
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import (
     Batch,
     Enqueue,
@@ -22,6 +24,7 @@ from stampede_rt_channel_host.queues.refusals import shown
 from stampede_rt_channel_host.queues.specs import limits_of
 
 TAKERS_MAX = 4096
+_orders = itertools.count()
 FIRST_DELIVERY_IDS = range(1, 2**62)  # the last ids, too, fit into the signed integers of other languages
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 
@@ -48,8 +51,9 @@ class HostedQueue:
         memory: MemoryBudget,
         now: Callable[[], int],
         on_departures: Callable[[HostedQueue], None],
+        deadlines: Deadlines[HostedQueue],
     ) -> None:
-        """Raises InvalidArgument if the record's limits cannot hold."""
+        """`deadlines` are those of all queues. Raises InvalidArgument if the record's limits cannot hold."""
         self.record = record
         self.epoch: int = record.epoch
         self.queue = Queue(
@@ -58,7 +62,11 @@ class HostedQueue:
             name=shown(record),
             first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
         )
+        self.due: int | None = None
+        self.order = next(_orders)
+        self._deadlines = deadlines
         self._memory = memory
+        self._charge = Charge(memory)
         self._now = now
         self._on_departures = on_departures
         self._streams: dict[Taker, TakerStream] = {}
@@ -80,7 +88,7 @@ class HostedQueue:
 
         Raises InvalidArgument, Overloaded.
         """
-        self._memory.claim(sum(run.lengths), len(run.lengths))
+        self._memory.claim(run.charged_bytes)
         done: asyncio.Future[None] | None = None
         try:
             self.queue.enqueue(run, self._now())
@@ -140,7 +148,9 @@ class HostedQueue:
 
     def tick(self) -> None:
         """Look after what is due by the host's clock."""
-        self.queue.tick(self._now())
+        now = self._now()
+        self.queue.tick(now)
+        self.queue.expire(now)
         self._follow_up()
 
     def end(self, error: StampedeError) -> None:
@@ -159,6 +169,8 @@ class HostedQueue:
         self.end(error)
         if self._timer is not None:
             self._timer.cancel()
+        self._deadlines.disarm(self)
+        self._charge.set(0)
 
     def _follow_up(self) -> None:
         """After every call of the core: hand on what came of it, and see when something is due."""
@@ -170,9 +182,14 @@ class HostedQueue:
                 _finish(done)
         if self._is_forgotten:
             return
+        self._charge.set(self.queue.footprint_bytes)
         if self.queue.is_moving_out:
             self._on_departures(self)
-        self._arm(self.queue.next_deadline())
+        due = self.queue.next_deadline()
+        self._arm(due)
+        due = self.queue.next_expiry() if due is None else due
+        if due is not None and (self.due is None or due < self.due):  # one that comes too early only looks again
+            self._deadlines.arm(self, due)
 
     def _arm(self, due: int | None) -> None:
         """A timer that fires too early only looks again, so that it is set anew only for what is due sooner."""

@@ -13,6 +13,7 @@ from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.refusals import shown
@@ -51,6 +52,7 @@ class QueueStore:
         self._asking = Asking()
         self._closing: StampedeError | None = None
         self._registrations = 0
+        self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set once a queue is used here
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
@@ -139,10 +141,6 @@ class QueueStore:
         """The queue is this host's, and the host may serve."""
         return self._lease_held() and self._queues.get(hosted.record.queue_id) is hosted
 
-    def footprint_bytes(self) -> int:
-        """What all queues take of the host's memory."""
-        return sum(hosted.queue.footprint_bytes for hosted in self._queues.values())
-
     def _check_lease(self) -> None:
         if self._closing is not None:
             raise self._closing
@@ -191,7 +189,7 @@ class QueueStore:
             self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, which is the most; use another")
-        self._queues[record.queue_id] = HostedQueue(record, self._memory, self.now, self._on_departures)
+        self._queues[record.queue_id] = HostedQueue(record, self._memory, self.now, self._on_departures, self.deadlines)
         self.in_use.set()
 
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:

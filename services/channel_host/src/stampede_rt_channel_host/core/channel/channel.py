@@ -9,7 +9,7 @@ from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consumed, ConsumerPlace
-from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.holdings import Cut, Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
@@ -57,16 +57,25 @@ class Channel:
     puts again and looks after its subscriptions; after each consume it offers waiting puts again. Seqs start at 1.
     """
 
-    def __init__(self, policy: Policy, *, incarnation: int, name: str = "", lost_before: int | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        incarnation: int,
+        name: str = "",
+        lost_before: int | None = None,
+        cut: Cut | None = None,
+    ) -> None:
         """An empty channel. Raises InvalidArgument if the policy cannot hold (see `Limits.of`).
 
         `lost_before`: when this incarnation began, if one before it was lost with its host; readers of the time before
-        are told.
+        are told. `cut` gives the body of some items of a run, from the run's; without it a run is kept as long as any
+        item of it.
         """
         self._policy = policy
         self._incarnation = incarnation
         self.lost_before = lost_before
-        self._held = Holdings()
+        self._held = Holdings(cut)
         self._retention = Retention(Limits.of(policy), self._held)
         self._acceptance = Acceptance(self._held, self._retention, name)
         self._reading = Reading(self._held, self._retention, incarnation, lost_before)
@@ -291,6 +300,11 @@ class Channel:
         """What is held, aged to `now`, and under which limits, for views of the channel: to be read, not changed."""
         self._settle(self._tick(now))
         return self._held, self._retention
+
+    @property
+    def footprint_bytes(self) -> int:
+        """What is kept of the host's memory, as of the last call: whole runs, also of items that are not freed yet."""
+        return self._held.footprint_bytes
 
     @property
     def policy(self) -> Policy:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel import tally
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, OneRun, Run, Slice
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
 from stampede_rt_channel_host.core.channel.snapshot import Snapshot
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
@@ -34,6 +34,14 @@ class Front(NamedTuple):
 
 Going = Callable[[Slice], int]
 
+Cut = Callable[[bytes, int, int], bytes]
+"""Gives the body of the items from one place up to, not including, another."""
+
+LIVE_SHARE_MIN = 4
+COPIED_BYTES_MIN = 4096
+COPIED_PARTS_MAX = 4
+"""Of a run larger than COPIED_BYTES_MIN a quarter is copied out of it when no more than that is left, in few parts."""
+
 
 class Holdings:
     """Held items and counts. Invariant: `accepted == items + sum(collected.values())`.
@@ -45,12 +53,14 @@ class Holdings:
     """
 
     __slots__ = (
-        "_came_up_to", "_following", "_newest_is_open", "_newest_longest", "_snapshots", "_stored_bytes", "_tally",
+        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest", "_snapshots",
+        "_stored_bytes", "_stored_items", "_tally",
         "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
         "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
     )  # fmt: skip
 
-    def __init__(self) -> None:
+    def __init__(self, cut: Cut | None = None) -> None:
+        """`cut` copies a part of a run's body; None: runs are kept whole."""
         self.index = ChannelIndex()
         self.floor: Place = FIRST_PLACE
         self.items = 0
@@ -73,6 +83,9 @@ class Holdings:
         self._snapshots: dict[Snapshot, None] = {}
         self._tally = Tally()  # of what is held, without the newest items
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
+        self._stored_items = 0  # their items
+        self._kept_body_bytes = 0  # of every run with an entry in the index
+        self._cut = cut
 
     @property
     def next_seq(self) -> int:
@@ -88,6 +101,11 @@ class Holdings:
     def backlog_bytes(self) -> int:
         """Charged bytes of outdated items whose memory is not freed."""
         return self._stored_bytes - self.charged_bytes
+
+    @property
+    def footprint_bytes(self) -> int:
+        """What is really kept: the bodies of all runs of which an item is left, and 64 bytes for each item."""
+        return self._kept_body_bytes + self._stored_items * ITEM_OVERHEAD_BYTES
 
     @property
     def has_backlog(self) -> bool:
@@ -122,6 +140,10 @@ class Holdings:
         if low < self.floor[0]:
             self._make_way()
         self.index.insert(run)
+        self._stored_items += len(run)
+        if isinstance(run, ColumnRun):
+            run.kept = len(run)
+        self._kept_body_bytes += len(run.body)
         if low < self._tally.end[0]:
             self._split_block(self._tally.add_late(run.first_seq, run.times, run.lengths))
         self._count_in(len(run), payload_bytes, low)
@@ -133,12 +155,20 @@ class Holdings:
             for time, duration in zip(run.times, run.durations, strict=True):
                 self._meet(time, duration)
 
-    def store_item(self, run: Run, at: int, payload_bytes: int) -> None:
+    def sealed(self, run: ColumnRun) -> None:
+        """A run whose items were stored one by one has its body."""
+        if run.kept:
+            self._kept_body_bytes += len(run.body)
+            self._trim()
+
+    def store_item(self, run: ColumnRun, at: int, payload_bytes: int) -> None:
         """Add the item at place `at` of a run of which exactly those before it are in."""
         time = run.times[at]
         if time < self.floor[0]:
             self._make_way()
         self.index.insert_item(run, at)
+        run.kept += 1
+        self._stored_items += 1
         if time < self._tally.end[0]:
             self._split_block(self._tally.add_late(run.first_seq + at, (time,), (payload_bytes,)))
         self._count_in(1, payload_bytes, time)
@@ -331,6 +361,7 @@ class Holdings:
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 break
             if not self._free_entry():
+                self._trim()
                 return False
         return self.has_backlog
 
@@ -340,8 +371,40 @@ class Holdings:
             self._forget(Slice(entry.run, entry.lo, entry.hi))
         return entry is not None
 
+    def _trim(self) -> None:
+        """Let go of the outdated items of a run that is held for a few of them only."""
+        floor = self._free_floor
+        share = self.index.share_below(floor) if self._cut is not None else None
+        if share is not None and len(share.run.body) > COPIED_BYTES_MIN and share.items * 4 >= len(share.run) * 3:
+            trimmed = self.index.trim_below(floor)
+            if trimmed is not None:
+                self._forget(trimmed)
+
     def _forget(self, part: Slice) -> None:
         self._stored_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
+        self._stored_items -= part.items
+        run = part.run
+        if not isinstance(run, ColumnRun):
+            self._kept_body_bytes -= len(run.body)
+            return
+        run.kept -= part.items
+        if not run.kept:
+            self._kept_body_bytes -= len(run.body)
+        elif run.kept * LIVE_SHARE_MIN <= len(run) and len(run.body) > COPIED_BYTES_MIN:
+            self._copy_rest(run)
+
+    def _copy_rest(self, run: ColumnRun) -> None:
+        """What is left of a run goes on in bodies of its own, if that saves as much as it costs."""
+        parts = self.index.parts_of(run, COPIED_PARTS_MAX + 1)
+        if self._cut is None or len(parts) > COPIED_PARTS_MAX:
+            return
+        bodies = [self._cut(run.body, part.lo, part.hi) for part in parts]
+        if 2 * sum(len(body) for body in bodies) > len(run.body):
+            return
+        self._kept_body_bytes -= len(run.body)
+        for part, body in zip(parts, bodies, strict=True):
+            part.go_on_in(run.part(part.lo, part.hi, body))
+            self._kept_body_bytes += len(body)
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:

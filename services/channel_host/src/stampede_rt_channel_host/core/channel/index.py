@@ -51,6 +51,10 @@ class Part:
         """The last item's time."""
         return self.run.times[self.hi - 1]
 
+    def go_on_in(self, run: Run) -> None:
+        """Its items are all of this run now, and the same as before."""
+        self.run, self.lo, self.hi = run, 0, len(run)
+
 
 Entry = Part | OneRun
 
@@ -265,6 +269,18 @@ class ChannelIndex:
         else:
             self._by_seq.remove(entry)
         return entry
+
+    def share_below(self, floor: Place) -> Slice | None:
+        """The items below `floor` of the first entry, if that has others, too; None: it is whole."""
+        entry: Entry | None = self._by_time[0] if self._by_time else None
+        if not isinstance(entry, Part) or entry.first_time > floor[0]:
+            return None
+        return Slice(entry.run, entry.lo, index_of(entry, floor))
+
+    def parts_of(self, run: Run, parts_max: int) -> list[Part]:
+        """The first entries of a run of several items, at most so many."""
+        end_seq = run.first_seq + len(run)
+        return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
 
     def trim_below(self, floor: Place) -> Slice | None:
         """Take out the items below `floor` of the first entry, if it is the only one that has such; what was taken."""

@@ -54,9 +54,9 @@ class Run(ABC):
 
 
 class ColumnRun(Run):
-    """A run of any number of items."""
+    """A run of any number of items. `kept` of them are in an index, held or not freed yet."""
 
-    __slots__ = ("durations", "lengths", "times")
+    __slots__ = ("durations", "kept", "lengths", "times")
 
     def __init__(
         self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
@@ -66,10 +66,18 @@ class ColumnRun(Run):
         self.durations: Sequence[int] | None = durations
         self.lengths: Sequence[int] = lengths
         self.body = body
+        self.kept = 0
 
     def payload_bytes(self, lo: int, hi: int) -> int:
         """The payload bytes of the items from place `lo` up to, not including, `hi`."""
         return sum(self.lengths[lo:hi])
+
+    def part(self, lo: int, hi: int, body: bytes) -> ColumnRun:
+        """The items from place `lo` up to, not including, `hi` as a run of their own."""
+        durations = None if self.durations is None else self.durations[lo:hi]
+        run = ColumnRun(self.first_seq + lo, self.times[lo:hi], durations, self.lengths[lo:hi], body)
+        run.kept = hi - lo
+        return run
 
 
 class OneRun(Run):

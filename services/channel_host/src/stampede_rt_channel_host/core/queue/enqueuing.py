@@ -9,9 +9,9 @@ from collections import OrderedDict
 from collections.abc import Sequence
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
+from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Judging
-from stampede_rt_channel_host.core.queue.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.queue.shelf import Shelf

@@ -9,8 +9,8 @@ from bisect import insort
 from collections.abc import Iterable
 
 from stampede_rt.errors import LeaseExpired
+from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries
-from stampede_rt_channel_host.core.queue.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.items import TouchedItem
 from stampede_rt_channel_host.core.queue.shelf import Shelf
 from stampede_rt_channel_host.core.queue.values import (

@@ -168,6 +168,14 @@ class Queue:
         due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline())
         return min((one for one in due if one is not None), default=None)
 
+    def expire(self, now: int) -> None:
+        """Forget producers that have put nothing for long."""
+        self._enqueuing.retries.expire(now)
+
+    def next_expiry(self) -> int | None:
+        """When `expire` is next useful."""
+        return self._enqueuing.retries.next_expiry()
+
     def take_dealt(self) -> list[tuple[Taker, Batch]]:
         """Who was given what since the last call. Each batch is to be sent: say `sending`, then `sent`."""
         dealt, self._dealing.dealt = self._dealing.dealt, []

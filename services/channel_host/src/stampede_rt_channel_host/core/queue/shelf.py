@@ -12,7 +12,7 @@ from typing import Any
 
 from sortedcontainers import SortedDict, SortedList
 
-from stampede_rt_channel_host.core.queue.deadlines import Deadlines
+from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, QueueLimits
 
