@@ -71,6 +71,7 @@ def _applied(state: StoredState, changes: StoreChanges, pieces: Mapping[tuple[in
         voted_for=changes.voted_for,
         commit_index=changes.commit_index,
         snapshot=_sealed(changes.seal, pieces) if changes.seal else state.snapshot,
+        promises=changes.promises,
     )
 
 

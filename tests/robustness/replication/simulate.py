@@ -10,13 +10,18 @@ import random
 import sys
 import time
 import traceback
+from dataclasses import fields, replace
 
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.member_changes import HandOver
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.world import SimMember, Weather, World
 
 STORM_SECONDS = 12.0
+[PRODUCTION] = (one.default for one in fields(ReplicationSettings) if one.name == "snapshot_every_entries")
+OFTEN = 15  # entries between two snapshots, so that most seeds have many
 PROCESSES_MAX = 12
 # After everything is healed every member must serve, and then hold everything, within this time. Twice the worst
 # of 120 seeds; the promise for the first of it, an election included, is 5 s.
@@ -52,6 +57,7 @@ class Storm:
             (weather.freezes, self._freeze),
             (weather.link_breaks, self._break_wire),
             (weather.changes, self._change),
+            (weather.snapshots, self._snapshot),
             (25.0, self._propose),
             (8.0, self._read),
         ):
@@ -120,6 +126,11 @@ class Storm:
         else:
             world.change(leader, dice.choice(list(world.members.values())).member, is_removal=False)
 
+    def _snapshot(self) -> None:
+        """Somebody asks a member for a snapshot, as for a backup."""
+        if (member := self._some()) is not None and member.replica is not None:
+            member.replica.take_snapshot(SnapshotRequest(lambda outcome: None))
+
     def _propose(self) -> None:
         if (member := self._some()) is not None:
             self._commands += 1
@@ -142,7 +153,10 @@ def _revive(world: World) -> None:
 def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
     """One seed: storm, calm, check. Raises PromiseBroken. `rules` and `forgets` plant faults."""
     dice = random.Random(f"weather-{seed}")
-    world = World(seed, size=dice.choice([3, 3, 3, 5]), weather=weather_of(dice), rules=rules)
+    size, weather, every = dice.choice([3, 3, 3, 5]), weather_of(dice), OFTEN
+    if seed % 5 == 4:  # as in production: a snapshot is old, and much has happened since
+        weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
+    world = World(seed, size=size, weather=weather, rules=rules, snapshot_every=every)
     for member in world.members.values():
         member.disk.forgets = forgets
         member.start()

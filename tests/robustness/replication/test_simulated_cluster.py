@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from stampede_rt_supernode.replication.codec import Message
 from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.member_changes import ChangeOutcome
+from stampede_rt_supernode.replication.proposals import Outcome
 from stampede_rt_supernode.replication.raft_node import InvariantViolation
+from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest
 from tests.robustness.replication.machine import PromiseBroken
-from tests.robustness.replication.simulate import run
-from tests.robustness.replication.world import Weather, World
+from tests.robustness.replication.simulate import PRODUCTION, run
+from tests.robustness.replication.world import SimMember, Weather, World
 
 SEEDS_IN_SUITE = 40
 
@@ -104,6 +110,134 @@ def test_a_new_leader_serves_within_five_seconds_of_the_loss_of_the_old_one() ->
         assert isinstance(outcomes[0], bytes)
 
 
+@pytest.mark.parametrize("leader_restarts", [False, True])
+def test_a_member_whose_disk_was_put_back_is_found_out_and_nothing_is_lost(leader_restarts: bool) -> None:
+    world, name, _ = calm_cluster()
+    leader = world.members[name]
+    victim, away = (member for member in world.members.values() if member is not leader)
+    former = replace(victim.disk.states[-1], entries=list(victim.disk.states[-1].entries))
+    away.crash()
+    for number in range(20):
+        outcomes = world.propose(leader, b"%d" % number, timeout=5.0)
+        assert world.run_until(world.now + 5.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+    for member in [victim, leader] if leader_restarts else [victim]:
+        member.crash()
+    victim.disk.states, victim.rolled_back = [former], True
+    world.restart(victim)
+    world.restart(leader)
+    assert world.run_until(world.now + 10.0, lambda: victim.refused)
+    world.restart(away)
+    after = world.propose(leader, b"after", timeout=10.0)
+    assert world.run_until(world.now + 10.0, lambda: bool(after))
+    assert isinstance(after[0], bytes)
+    world.run_until(world.now + 2.0)
+    world.history.check_end([leader.machine, away.machine])
+
+
+class KeepsItsDistance(TrialElections):
+    """A member that takes nothing from a leader of whom nobody has told it yet."""
+
+    def on_introduced(self, member: Member) -> None:
+        pass
+
+
+class ForgetsWhoLedItIn(TrialElections):
+    """A newcomer that knows only whom its snapshot names, which may be from before its leader came."""
+
+    def open_snapshot(self) -> None:
+        self._told = {}
+        super().open_snapshot()
+
+    def on_members_told(self, members: tuple[Member, ...]) -> None:
+        if any(self.peers.get(member.member_id) != member for member in members):
+            super().on_members_told(members)
+
+
+def replaced(world: World, old: list[str], new: int) -> None:
+    """Have so many members come and the old ones go, which end; all of it between two snapshots."""
+    for _ in range(new):
+        leader = leading(world)
+        assert leader.replica is not None
+        newcomer = world.volunteer(leader.replica.status().members)
+        changes(world, newcomer, is_removal=False)
+    for name in old:
+        changes(world, world.members[name], is_removal=True)
+        world.members[name].refused = True
+        if world.members[name].replica is not None:
+            world.members[name].crash()
+
+
+def changes(world: World, member: SimMember, *, is_removal: bool) -> None:
+    """Have a member come or go, whoever leads."""
+    outcomes: list[ChangeOutcome] = []
+    end = world.now + 30.0
+    while not any(isinstance(outcome, int) for outcome in outcomes):
+        assert world.now < end, outcomes
+        outcomes = world.change(leading(world), member.member, is_removal=is_removal)
+        world.run_until(world.now + 5.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+        world.run_until(world.now + 0.1)
+
+
+def leading(world: World) -> SimMember:
+    assert world.run_until(world.now + 10.0, lambda: leader_of(world) is not None)
+    leader = leader_of(world)
+    assert leader is not None
+    return world.members[leader[0]]
+
+
+def with_snapshot(rules: type) -> World:
+    """Three members that have just written snapshots, and write none by themselves for long."""
+    world = World(1, size=3, weather=Weather(), rules=rules, snapshot_every=PRODUCTION)
+    for member in world.members.values():
+        member.start()
+    outcomes = world.propose(leading(world), b"before", timeout=5.0)
+    assert world.run_until(world.now + 5.0, lambda: bool(outcomes))
+    taken: list[object] = []
+    for member in world.members.values():
+        assert member.replica is not None
+        member.replica.take_snapshot(SnapshotRequest(taken.append))
+    assert world.run_until(world.now + 5.0, lambda: len(taken) == len(world.members))
+    return world
+
+
+def serves(world: World, member: SimMember) -> bool:
+    """Whether a write through this member is acknowledged within 10 s; one whose leader is lost is tried again."""
+    outcomes: list[Outcome] = []
+    end = world.now + 10.0
+    while world.now < end and not any(isinstance(outcome, bytes) for outcome in outcomes):
+        outcomes = world.propose(member, b"%f" % world.now, timeout=5.0)
+        world.run_until(end, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+    return any(isinstance(outcome, bytes) for outcome in outcomes)
+
+
+@pytest.mark.parametrize(
+    "rules", [TrialElections, pytest.param(ForgetsWhoLedItIn, marks=pytest.mark.xfail(strict=True))]
+)
+def test_a_member_joins_after_all_whom_the_snapshot_names_were_replaced(rules: type) -> None:
+    world = with_snapshot(rules)
+    replaced(world, ["m0", "m1", "m2"], 3)
+    newcomer = world.volunteer(leading(world).replica.status().members)  # type: ignore[union-attr]
+    changes(world, newcomer, is_removal=False)
+    newcomer.crash()
+    world.restart(newcomer)
+    assert serves(world, newcomer)
+
+
+@pytest.mark.parametrize(
+    "rules", [TrialElections, pytest.param(KeepsItsDistance, marks=pytest.mark.xfail(strict=True))]
+)
+def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rules: type) -> None:
+    world = with_snapshot(rules)
+    away = next(member for member in world.members.values() if member is not leading(world))
+    away.crash()
+    replaced(world, [name for name in world.members if name != away.member.member_id], 2)
+    world.restart(away)
+    assert serves(world, away)
+    leading(world).crash()
+    [other] = [member for member in world.alive() if member is not away]
+    assert serves(world, other)
+
+
 class CutsOffWhatAgrees(TrialElections):
     """The unchanged library's way with late appends."""
 
@@ -152,7 +286,7 @@ class HearsMembersOnly(TrialElections):
     ("fault", "first_seed"),
     [
         (CutsOffWhatAgrees, 5),
-        (CommitsByPieces, 17),
+        (CommitsByPieces, 15),
         (ReadsTooEarly, 5),
         (VotesTwice, 29),
         (HearsMembersOnly, 2),

@@ -12,10 +12,12 @@ from typing import Generic, TypeVar
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.codec import decode_message
 from stampede_rt_supernode.replication.elections import TrialElections
+from stampede_rt_supernode.replication.greetings import introduction, newly_met
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, Unavailable
 from stampede_rt_supernode.replication.mailroom import (
     Connected,
     Disconnected,
+    Introduced,
     MembersTold,
     Outgoing,
     Received,
@@ -28,7 +30,7 @@ from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica, Roster
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.disk import Crash, Disk, DiskStore
-from tests.robustness.replication.machine import History, ListMachine
+from tests.robustness.replication.machine import History, ListMachine, PromiseBroken
 
 T = TypeVar("T")
 
@@ -48,6 +50,8 @@ class Weather:
     link_breaks: float = 0.0
     # Members that are to come or go.
     changes: float = 0.0
+    # Snapshots that somebody wants, beside those that the log takes by itself.
+    snapshots: float = 0.0
 
 
 @dataclass
@@ -88,19 +92,31 @@ class SimMember:
             initial_members=seeds,
             joining=joining,
             timing=world.timing,
-            snapshot_every_entries=15,
+            cluster_id="simulated",
+            snapshot_every_entries=world.snapshot_every,
             snapshot_piece_bytes=200,
         )
         self.disk = Disk(crash_at_commit=self._dice_for_disk)
         self.machine = ListMachine(world.history)
         self.replica: Replica | None = None
         self.frozen_until = 0.0
+        # Whether the disk was put back to an earlier state, and whether another member found that out.
+        self.rolled_back = self.refused = False
         self._next_step = float("inf")
 
     def start(self) -> None:
         """Come up from the disk, with every connection still to be made."""
         self.machine = ListMachine(self.world.history)
-        self.replica = Replica(
+        try:
+            self.replica = self._open()
+        except Crash:
+            self.crash()
+            return
+        self._next_step = float("inf")
+        self._plan(0.0)
+
+    def _open(self) -> Replica:
+        return Replica(
             self.settings,
             self.machine,
             store=DiskStore(self.disk),
@@ -111,8 +127,6 @@ class SimMember:
             rules=self.world.rules,
             run_aside=self._run_aside,
         )
-        self._next_step = float("inf")
-        self._plan(0.0)
 
     def _run_aside(self, work: Callable[[], T], /) -> LateResult[T]:
         return LateResult(work, self.world.dice.randint(0, 20))
@@ -167,10 +181,13 @@ class SimMember:
 class World:
     """Time, members and wires. `at` plans a call; `run_until` makes time pass."""
 
-    def __init__(self, seed: int, *, size: int, weather: Weather, rules: type = TrialElections) -> None:
+    def __init__(
+        self, seed: int, *, size: int, weather: Weather, rules: type = TrialElections, snapshot_every: int = 15
+    ) -> None:
         self.dice = random.Random(seed)
         self.weather = weather
         self.rules = rules
+        self.snapshot_every = snapshot_every
         self.now = 0.0
         self.timing = RaftTiming(tick_seconds=0.05)
         self.history = History()
@@ -286,13 +303,27 @@ class World:
         if ends[1] not in sender.roster.peers or ends[0] in receiver.roster.removed:
             self._plan_connect(ends)
             return
+        if not receiver.promise_of(ends[0]).is_kept_by(*sender.standing):
+            self._refuse(self.members[ends[0]])
+            return
         sender.deliver(MembersTold(ends[1], receiver.roster.members))
         if ends[0] not in receiver.roster.peers:
+            settings = self.members[ends[0]].settings
+            hello = introduction(settings, ends[1], store_id="", standing=sender.standing, roster=sender.roster)
+            if (met := newly_met(hello, self.members[ends[1]].settings)) is not None:
+                receiver.deliver(Introduced(met.member_id, met))
             self._plan_connect(ends)
             return
         wire.up = True
         sender.deliver(Connected(ends[1]))
         receiver.deliver(StreamOpened(ends[0]))
+
+    def _refuse(self, member: SimMember) -> None:
+        """Its store lacks what it has promised: it ends, for good."""
+        if not member.rolled_back:
+            raise PromiseBroken(f"{member.member.member_id} is refused though its disk kept what it should")
+        member.refused = True
+        member.crash()
 
     def block(self, pairs: Sequence[tuple[str, str]]) -> None:
         """Nothing passes on these wires; their senders notice some time later, or never."""
@@ -319,7 +350,7 @@ class World:
                 self.after(self.dice.random() * 0.2, lambda ends=ends: self.break_wire(ends))
 
     def restart(self, member: SimMember) -> None:
-        if member.replica is not None:
+        if member.replica is not None or member.refused:
             return
         for ends, wire in self.wires.items():
             if member.member.member_id in ends and wire.up:

@@ -20,11 +20,21 @@ def test_a_member_is_admitted_with_the_store_that_it_came_with_first_also_after_
     assert (again.admits("b", "one"), again.admits("b", "two"), again.admits("c", "two")) == (True, False, True)
 
 
-def test_one_that_does_not_say_is_admitted(tmp_path: Path) -> None:
+def test_one_that_never_had_a_store_is_admitted_without_and_with_one(tmp_path: Path) -> None:
     stores = KnownStores.open(tmp_path, had_store=False)
     stores.note("b", "")
+    assert (stores.admits("b", ""), stores.admits("b", "one")) == (True, True)
+
+
+def test_one_that_came_with_a_store_before_is_refused_without_one(tmp_path: Path) -> None:
+    stores = KnownStores.open(tmp_path, had_store=False)
     stores.note("c", "one")
-    assert (stores.admits("b", "one"), stores.admits("c", "")) == (True, True)
+    assert not stores.admits("c", "")
+
+
+def test_a_store_that_others_refuse_knows_it_after_a_restart(tmp_path: Path) -> None:
+    KnownStores.open(tmp_path, had_store=False).refuse_own("it is an older copy")
+    assert KnownStores.open(tmp_path, had_store=True).refused == "it is an older copy"
 
 
 def test_a_new_store_is_another_one_even_if_the_note_of_the_former_is_left(tmp_path: Path) -> None:

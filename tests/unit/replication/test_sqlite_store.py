@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import shutil
 import sqlite3
@@ -12,8 +13,22 @@ import pytest
 from stampede_rt_supernode.replication import storage
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.journal import Journal
-from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME, WATERMARK_NAME, SqliteStore, holds_store
-from stampede_rt_supernode.replication.storage import StoreDamaged, StoredSnapshot, StoredState, StoreRefused
+from stampede_rt_supernode.replication.known_stores import KnownStores
+from stampede_rt_supernode.replication.sqlite_store import (
+    DATABASE_NAME,
+    WATERMARK_NAME,
+    SqliteStore,
+    _entry_checksum,
+    holds_store,
+)
+from stampede_rt_supernode.replication.storage import (
+    Entry,
+    Promise,
+    StoreDamaged,
+    StoredSnapshot,
+    StoredState,
+    StoreRefused,
+)
 
 
 def open_store(folder: Path, *, member_id: str = "m", cluster_id: str = "c", create: bool = True) -> SqliteStore:
@@ -203,24 +218,106 @@ def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkey
     assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
 
 
-def test_a_store_of_the_first_form_is_taken_over_with_its_snapshot(tmp_path: Path) -> None:
+def test_a_store_of_another_form_is_left_alone_and_the_way_out_is_told(tmp_path: Path) -> None:
     fill(tmp_path)
+    edit(tmp_path, "UPDATE identity SET format_version = 2")
+    with pytest.raises(StoreRefused, match="run the version that wrote it"):
+        open_store(tmp_path)
+
+
+def test_last_entries_that_are_missing_are_found_though_nobody_called_them_committed(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM entry WHERE log_index > 3")
+    assert "holds 1 to 3, and held 1 to 5" in damage_found(tmp_path)
+
+
+def test_an_entry_of_an_earlier_term_between_later_ones_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    earlier = Entry(b"\x00command 3", 3, 0)
+    edit(tmp_path, f"UPDATE entry SET term = 0, checksum = {_entry_checksum(earlier)} WHERE log_index = 3")
+    assert "entry 3 is of an earlier time" in damage_found(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE entry SET checksum = x'00' WHERE log_index = 2",
+        "UPDATE entry SET command = NULL WHERE log_index = 2",
+        "UPDATE entry SET term = 'one' WHERE log_index = 2",
+        "UPDATE hard_state SET commits = NULL",
+        "UPDATE hard_state SET promises = 7",
+    ],
+)
+def test_a_value_of_another_kind_is_damage_and_no_defect(tmp_path: Path, statement: str) -> None:
+    fill(tmp_path)
+    schema = (
+        "UPDATE sqlite_master SET sql = replace(replace(replace(sql, 'INTEGER NOT NULL', 'ANY'), 'BLOB NOT NULL', "
+        "'ANY'), 'TEXT NOT NULL', 'ANY') WHERE name IN ('entry', 'hard_state')"
+    )
     with sqlite3.connect(tmp_path / DATABASE_NAME) as db:
-        for statement in (
-            "DROP TABLE snapshot",
-            "DROP TABLE snapshot_piece",
-            "CREATE TABLE snapshot (id INTEGER PRIMARY KEY CHECK (id = 1), last_log_index INTEGER NOT NULL, "
-            "record BLOB NOT NULL, sha256 BLOB NOT NULL) STRICT",
-            "UPDATE identity SET format_version = 1",
-            "DELETE FROM entry WHERE log_index < 2",
-        ):
-            db.execute(statement)
-        snapshot = StoredSnapshot.of(3, b"state" * 500_000)
-        db.execute("INSERT INTO snapshot VALUES (1, 3, ?, ?)", (snapshot.record, snapshot.sha256))
+        db.execute("PRAGMA writable_schema = 1")
+        db.execute(schema)
     db.close()
-    for _ in range(2):
-        state = open_and_close(tmp_path)
-        assert (state.snapshot, [entry.log_index for entry in state.entries]) == (snapshot, [2, 3, 4, 5])
+    edit(tmp_path, statement)
+    assert damage_found(tmp_path)
+
+
+def test_a_database_that_was_emptied_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
+    fill(tmp_path)
+    for file in tmp_path.iterdir():
+        file.unlink() if file.name == WATERMARK_NAME else file.write_bytes(b"")
+    with pytest.raises(StoreDamaged, match="is empty and was not"):
+        open_store(tmp_path, create=False)
+    KnownStores.open(tmp_path, had_store=True)  # as a member that nobody told of its first start leaves it
+    with pytest.raises(StoreDamaged, match="is empty and was not"):
+        open_store(tmp_path, create=True)
+
+
+def test_a_database_without_term_and_entries_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM hard_state")
+    edit(tmp_path, "DELETE FROM entry")
+    (tmp_path / WATERMARK_NAME).unlink()
+    store = open_store(tmp_path, create=False)
+    with pytest.raises(StoreDamaged, match="lost its term and vote"):
+        store.load()
+    store.close()
+
+
+def test_what_others_have_promised_outlives_the_process(tmp_path: Path) -> None:
+    fill(tmp_path)
+    journal = Journal(open_store(tmp_path))
+    journal.note_promise("b", 3, 0)
+    journal.note_promise("b", 1, 7)
+    journal.close()
+    assert open_and_close(tmp_path).promises == {"b": Promise(3, 7)}
+
+
+def test_no_flipped_bit_is_applied_and_none_ends_in_a_defect(tmp_path: Path) -> None:
+    copy_as_after_a_crash(tmp_path / "a", tmp_path / "crashed")
+    fill(tmp_path / "closed")
+    dice = random.Random(5)
+    for original in (tmp_path / "crashed", tmp_path / "closed"):
+        told = sorted(file.name for file in original.iterdir() if "shm" not in file.name)
+        whole = read_copy(original, tmp_path / "copy")
+        for _ in range(300):
+            data = bytearray((original / (name := dice.choice(told))).read_bytes())
+            place = dice.randrange(len(data))
+            data[place] ^= 1 << dice.randrange(8)
+            found = read_copy(original, tmp_path / "copy", name, bytes(data))
+            assert found in (None, whole), (original, name, place)
+
+
+def read_copy(original: Path, copy: Path, name: str = "", data: bytes = b"") -> StoredState | None:
+    """What a copy holds in which one file has changed; None if it is refused with a reason."""
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(original, copy)
+    if name:
+        (copy / name).write_bytes(data)
+    try:
+        return open_and_close(copy)
+    except (StoreDamaged, StoreRefused):
+        return None
 
 
 def open_and_close(folder: Path) -> StoredState:

@@ -9,6 +9,10 @@ from stampede_rt.timeline import format_duration
 
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
 UNKNOWN = "unknown"  # how the clock of a peer is shown that told nothing of it
+STORE_ADVICE = (
+    "start it with the folder as it was last, or, if that is lost, let it go (stampede supernode remove) and "
+    "have it join under a new id (runbook: replace one)"
+)
 FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "peer", "this caller"
 
 
@@ -20,7 +24,7 @@ class Observation:
     directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end. A peer cannot
     be asked: it told the leader, and its round trip is the caller's and its own to the supernode between them.
     `is_member`: whether the other supernodes list this one. `refuses_caller`: it runs, but this caller's secret or
-    certificate, or its own, keeps them from talking.
+    certificate, or its own, keeps them from talking. `refused_because`: why other supernodes do not take its store.
     """
 
     kind: str
@@ -33,6 +37,7 @@ class Observation:
     knows_supernodes: bool = True
     is_member: bool = True
     refuses_caller: bool = False
+    refused_because: str = ""
     round_trip_nanos: int | None = None
     clock_offset_nanos: int | None = None
     version: str = ""
@@ -83,6 +88,8 @@ def _state(one: Observation) -> tuple[str, str]:
         return "no supernode", one.failure
     if not one.is_member:
         return "no member", "the supernodes do not list it: it was removed, or never joined; leave it out"
+    if one.refused_because:
+        return "store refused", f"{one.refused_because}; {STORE_ADVICE}"
     if one.failure:
         return "refused" if one.refuses_caller else "unreachable", one.failure
     if not one.ready:

@@ -73,7 +73,9 @@ class Examination:
         found = {one.response.supernode_id for one in first if one.response is not None}
         rest = {address: name for address, name in listed.items() if address not in named and name not in found}
         more = self._ask(_supernode(name, address) for address, name in rest.items())
-        return sorted((_named(one, listed) for one in (*first, *more)), key=lambda one: one.seen.name)
+        refused = {name: why for one in (*first, *more) for name, why in _refused_by(one).items()}
+        answers = [_named(one, listed, refused) for one in (*first, *more)]
+        return sorted(answers, key=lambda one: one.seen.name)
 
     def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
         response = self._first(answers, "ListSupernodes", directory_pb.ListSupernodesRequest())
@@ -210,8 +212,13 @@ def _gatekeeper(host: Any) -> str:
     return host.gatekeepers[0].target if host.gatekeepers else "-"
 
 
-def _named(answer: _Answer, listed: dict[str, str]) -> _Answer:
-    """The answer with what the list of members says of it: whose address that is, and whether it is a member."""
+def _refused_by(answer: _Answer) -> Mapping[str, str]:
+    """Supernodes whose stores this one does not take, and why."""
+    return answer.response.refused_supernodes if answer.response is not None else {}
+
+
+def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) -> _Answer:
+    """The answer with what others say of it: whose address that is, whether it is a member, and why not as it is."""
     seen = answer.seen
     expected = listed.get(seen.address, "")
     said = answer.response.supernode_id if answer.response is not None else expected
@@ -219,4 +226,5 @@ def _named(answer: _Answer, listed: dict[str, str]) -> _Answer:
         failure = f"{said} answers there, which is another supernode; start {expected} where it should be, or remove it"
         return answer._replace(seen=replace(seen, name=expected, failure=failure))
     name = said or seen.name
-    return answer._replace(seen=replace(seen, name=name, is_member=not listed or name in listed.values()))
+    is_member = not listed or name in listed.values()
+    return answer._replace(seen=replace(seen, name=name, is_member=is_member, refused_because=refused.get(name, "")))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.backup_file import write_backup
+from stampede_rt.cli.diagnosis import STORE_ADVICE
 from stampede_rt.cli.members import Cluster, is_there, no_member, reached
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import StampedeError, Unavailable
@@ -77,26 +78,36 @@ def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], 
 def _run_status(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members()
-        rows = [_row(cluster, record, arguments.output) for record in listed.supernodes]
+        pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
+    refused = {name: why for pong, _ in pongs.values() if pong for name, why in pong.refused_supernodes.items()}
+    rows = [_row(record, *pongs[record.supernode_id], refused, arguments.output) for record in listed.supernodes]
     print_rows(rows, arguments.output, none="no supernode")
     serving = sum(row["state"] in SERVING for row in rows)
     enough = 2 * serving > len(rows)
     if arguments.output == "table":
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
         print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}.")
+        for name, why in sorted(refused.items()):
+            print(f"{name} is refused: {why}; {STORE_ADVICE}.")
         if serving < len(rows):
             print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED
 
 
-def _row(cluster: Cluster, record: Any, form: str) -> dict[str, Any]:
+def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
+    """What it says of itself, and how long that took; None if it says nothing."""
     began = time.monotonic_ns()
     pong = cluster.ping(record.endpoint.target)
-    nanos = time.monotonic_ns() - began if pong is not None else None
+    return pong, time.monotonic_ns() - began if pong is not None else None
+
+
+def _row(
+    record: SupernodeRecord, pong: Any, nanos: int | None, refused: Mapping[str, str], form: str
+) -> dict[str, Any]:
     return {
         "supernode": record.supernode_id,
         "address": record.endpoint.target,
-        "state": _state(record, pong),
+        "state": "store refused" if record.supernode_id in refused else _state(record, pong),
         "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
         "version": pong.version if pong is not None else None,
     }

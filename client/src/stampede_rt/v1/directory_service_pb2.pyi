@@ -14,18 +14,27 @@ class DirectoryServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class DirectoryServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version")
+    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes")
+    class RefusedSupernodesEntry(_message.Message):
+        __slots__ = ("key", "value")
+        KEY_FIELD_NUMBER: _ClassVar[int]
+        VALUE_FIELD_NUMBER: _ClassVar[int]
+        key: str
+        value: str
+        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
     READY_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_SUPERNODES_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     supernode_id: str
     ready: bool
     cluster_id: str
     version: str
-    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ...) -> None: ...
+    refused_supernodes: _containers.ScalarMap[str, str]
+    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
     __slots__ = ("request_id", "name", "spec", "create", "host_name")

@@ -65,18 +65,24 @@ class RaftSpentTicket(_message.Message):
     def __init__(self, ticket_sha256: _Optional[str] = ..., member_id: _Optional[str] = ...) -> None: ...
 
 class RaftHello(_message.Message):
-    __slots__ = ("cluster_id", "member_id", "peer_member_id", "protocol_version", "store_id")
+    __slots__ = ("cluster_id", "member_id", "peer_member_id", "protocol_version", "store_id", "term", "last_log_index", "address")
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     MEMBER_ID_FIELD_NUMBER: _ClassVar[int]
     PEER_MEMBER_ID_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     STORE_ID_FIELD_NUMBER: _ClassVar[int]
+    TERM_FIELD_NUMBER: _ClassVar[int]
+    LAST_LOG_INDEX_FIELD_NUMBER: _ClassVar[int]
+    ADDRESS_FIELD_NUMBER: _ClassVar[int]
     cluster_id: str
     member_id: str
     peer_member_id: str
     protocol_version: int
     store_id: str
-    def __init__(self, cluster_id: _Optional[str] = ..., member_id: _Optional[str] = ..., peer_member_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., store_id: _Optional[str] = ...) -> None: ...
+    term: int
+    last_log_index: int
+    address: str
+    def __init__(self, cluster_id: _Optional[str] = ..., member_id: _Optional[str] = ..., peer_member_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., store_id: _Optional[str] = ..., term: _Optional[int] = ..., last_log_index: _Optional[int] = ..., address: _Optional[str] = ...) -> None: ...
 
 class RaftMessage(_message.Message):
     __slots__ = ("append_entries", "append_reply", "vote_request", "vote_reply", "forwarded_command", "forwarded_command_reply", "read_index_request", "read_index_reply", "timeout_now")

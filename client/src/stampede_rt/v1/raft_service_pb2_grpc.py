@@ -54,8 +54,8 @@ class RaftServiceServicer(object):
         same member ends the first. Nothing is repeated after a break: the log itself catches up.
         Not idempotent.
         Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
-        a member, is one no longer (then the message says "removed"), or comes with another store than before ("another
-        store"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
+        a member, is one no longer (then the message says "removed"), comes with another store than before ("another
+        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
         RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
         replaced by a newer one.
         """

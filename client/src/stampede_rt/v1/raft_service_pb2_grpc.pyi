@@ -43,8 +43,8 @@ class RaftServiceStub:
     same member ends the first. Nothing is repeated after a break: the log itself catches up.
     Not idempotent.
     Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
-    a member, is one no longer (then the message says "removed"), or comes with another store than before ("another
-    store"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
+    a member, is one no longer (then the message says "removed"), comes with another store than before ("another
+    store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
     RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
     replaced by a newer one.
     """
@@ -62,8 +62,8 @@ class RaftServiceAsyncStub(RaftServiceStub):
     same member ends the first. Nothing is repeated after a break: the log itself catches up.
     Not idempotent.
     Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
-    a member, is one no longer (then the message says "removed"), or comes with another store than before ("another
-    store"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
+    a member, is one no longer (then the message says "removed"), comes with another store than before ("another
+    store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
     RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
     replaced by a newer one.
     """
@@ -84,8 +84,8 @@ class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
         same member ends the first. Nothing is repeated after a break: the log itself catches up.
         Not idempotent.
         Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
-        a member, is one no longer (then the message says "removed"), or comes with another store than before ("another
-        store"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
+        a member, is one no longer (then the message says "removed"), comes with another store than before ("another
+        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
         RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
         replaced by a newer one.
         """

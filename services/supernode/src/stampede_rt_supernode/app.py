@@ -67,7 +67,7 @@ async def serve(settings: SupernodeSettings) -> None:
             parts.leases.run(),
             parts.probe.run(),
             _follow_leader(server, parts.members),
-            _watch_removal(server, log),
+            _watch_removal(server, log, keeps=settings.data_dir is not None),
         ]
         if founding.token and settings.data_dir is not None:
             work.append(_enter(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
@@ -173,8 +173,11 @@ async def _enter(volunteering: Coroutine[Any, Any, None]) -> None:
     await asyncio.Event().wait()
 
 
-async def _watch_removal(server: ServiceServer, log: ReplicatedLog) -> None:
-    """End the service when this supernode is told that it was removed, or that its folder is not the one it had."""
+async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bool) -> None:
+    """End the service when this supernode is told that it was removed, or that its folder is not the one it had.
+
+    `keeps`: whether it was started with a folder.
+    """
     while not server.stopping.is_set():
         status = log.status()
         if status.removed:
@@ -182,11 +185,17 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog) -> None:
                 f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
                 "and let it join under a new id"
             )
+        anew = f"let it go (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"
         if status.has_lost_store:
+            here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
             raise StampedeError(
-                f"supernode {status.self_id} was here before with another data folder, which holds what it promised: "
-                f"start it with that one, or, if it is lost, let it go (stampede supernode remove {status.self_id}), "
-                "empty this one, and join under a new id"
+                f"supernode {status.self_id} was here before with {here}; that folder holds what it promised: start it "
+                f"with --data-dir and that one, or, if it is lost, {anew}"
+            )
+        if status.has_old_store:
+            raise StampedeError(
+                f"supernode {status.self_id} has promised more than its data folder holds, which is an older copy, "
+                f"as of a backup or a machine that was restored; start it with the folder as it was last, or {anew}"
             )
         await asyncio.sleep(HEALTH_SECONDS)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from stampede_rt.v1 import directory_pb2
 from stampede_rt_supernode.joining.probe import Probe
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -29,6 +31,10 @@ class Members:
         """Whether this supernode can serve: it knows a leader, and that the cluster is founded."""
         founded = self._replica.read(lambda directory: directory.tenure > 0)
         return founded and self._log.status().leader_id is not None
+
+    def refused(self) -> Mapping[str, str]:
+        """Members whose stores this one refuses, and why."""
+        return self._log.status().refused
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
         """Every member, in the order of ids, and the term of the consensus."""

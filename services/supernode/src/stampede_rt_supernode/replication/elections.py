@@ -25,6 +25,7 @@ class RaftRules(Following, Leading):
     def _SyncObj__onMessageReceived(self, node: Any, message: Message) -> None:  # noqa: N802
         if self.mailroom.node(node.id) is None:
             return
+        self._note_promise(node.id, message)
         match message["type"]:
             case "append_entries":
                 self._on_append(node, message)
@@ -42,6 +43,20 @@ class RaftRules(Following, Leading):
                 self._on_timeout_now(node, message)
             case kind:
                 raise InvariantViolation(f"a message of kind {kind!r} came through")
+
+    def _note_promise(self, member_id: str, message: Message) -> None:
+        """Remember what a member says of itself: it was on its disk before it was said.
+
+        A leader holds all that it calls committed. What followers hold is noted when it is committed.
+        """
+        match message["type"]:
+            case "append_entries":
+                self._SyncObj__raftLog.note_promise(member_id, message["term"], message["commit_index"])
+            case "next_node_idx":
+                self._SyncObj__raftLog.note_promise(member_id, message["term"], 0)
+            case "request_vote" | "response_vote":
+                term = message.get("voter_term", 0) if message["trial"] else message["term"]
+                self._SyncObj__raftLog.note_promise(member_id, term, 0)
 
     def _on_timeout_now(self, node: Any, message: Message) -> None:
         """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""

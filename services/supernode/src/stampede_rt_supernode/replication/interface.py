@@ -6,8 +6,8 @@ replicated log can take its place (paper, section 4.3: "standard consensus techn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 
@@ -48,7 +48,8 @@ class ReplicationStatus:
 
     `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may be
     committed or not yet. `removed`: another member has said that this one was removed, for good; `has_lost_store`: that
-    it was here before with another store.
+    it was here before with another store; `has_old_store`: that its store lacks what it has promised. `refused`: by id,
+    why this one does not take the store with which another member came last.
     """
 
     self_id: str
@@ -60,6 +61,8 @@ class ReplicationStatus:
     members: Sequence[Member]
     removed: bool = False
     has_lost_store: bool = False
+    has_old_store: bool = False
+    refused: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

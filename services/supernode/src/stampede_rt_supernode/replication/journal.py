@@ -9,6 +9,7 @@ tick loop calls it before any message or result leaves the process; that is also
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import overload
 
 from stampede_rt_supernode.replication.codec import decode_configuration
@@ -16,12 +17,16 @@ from stampede_rt_supernode.replication.configuration import Configuration, Confi
 from stampede_rt_supernode.replication.library import CONFIGURATION
 from stampede_rt_supernode.replication.storage import (
     Entry,
+    Promise,
     SnapshotPiece,
     SnapshotSeal,
     Store,
     StoreChanges,
     StoredSnapshot,
 )
+
+# More than there can be members at any time; those of removed ones make room.
+PROMISES_MAX = 64
 
 
 class Journal:
@@ -35,6 +40,8 @@ class Journal:
         self._voted_for = state.voted_for
         self._commit_index = state.commit_index
         self.snapshot = state.snapshot
+        self._promises = dict(state.promises)
+        self._promises_changed = False
         # Who the members are; it follows every change of the entries.
         self.configurations = Configurations(Configuration(()))
         # Lowest log index from which the store differs from `_entries`; None when they agree.
@@ -114,8 +121,32 @@ class Journal:
         """The vote last noted."""
         return self._voted_for
 
+    @property
+    def promises(self) -> Mapping[str, Promise]:
+        """What the other members have said that they hold, by id."""
+        return self._promises
+
+    def note_promise(self, member_id: str, term: int, held: int) -> None:
+        """Remember it, if it is more than before; it reaches the disk with the next change that must, or a flush."""
+        known = self._promises.get(member_id, Promise(0, 0))
+        if term > known.term or held > known.held:
+            # A new dictionary: other threads read the one before.
+            promises = {one: promise for one, promise in self._promises.items() if one != member_id}
+            promises[member_id] = Promise(max(term, known.term), max(held, known.held))
+            self._promises = dict(list(promises.items())[-PROMISES_MAX:])
+            self._promises_changed = True
+
+    def flush_promises(self) -> None:
+        """Have promises on the disk with the next sync, even if nothing else is."""
+        self._dirty = self._dirty or self._promises_changed
+
+    def end(self) -> tuple[int, int]:
+        """(term, last index): what this log says for itself wherever it introduces itself."""
+        return self._term, self._entries[-1].log_index if self._entries else 0
+
     def onOneSecondTimer(self) -> None:
-        """Nothing: the library's own journal saves its commit index here."""
+        """Called about once a second; the library's own journal saves its commit index here."""
+        self.flush_promises()
 
     def _destroy(self) -> None:
         """Nothing: the store is closed by whoever opened it."""
@@ -161,7 +192,7 @@ class Journal:
             return False
         self._store.commit(self._changes())
         self._replace_from, self._pending_seal, self._dirty = None, None, False
-        self._pending_pieces = []
+        self._pending_pieces, self._promises_changed = [], False
         return True
 
     def close(self) -> None:
@@ -179,13 +210,17 @@ class Journal:
         fresh: list[Entry] = []
         if self._replace_from is not None:
             fresh = self._entries[max(0, self._replace_from - first) :]
+        last = self._entries[-1] if self._entries else Entry(b"", 0, 0)
         return StoreChanges(
             replace_from=self._replace_from,
             entries=fresh,
             first_index=first,
+            last_index=last.log_index,
+            last_term=last.term,
             term=self._term,
             voted_for=self._voted_for,
             commit_index=min(self._commit_index, first + len(self._entries) - 1),
+            promises=self._promises,
             pieces=self._pending_pieces,
             seal=self._pending_seal,
         )

@@ -16,6 +16,7 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_members
+from stampede_rt_supernode.replication.greetings import ANOTHER_STORE, OLDER_STORE, REMOVED, UNKNOWN
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
@@ -25,16 +26,12 @@ from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, Replica
 logger = logging.getLogger(__name__)
 
 Dial = Callable[[str], grpc.aio.Channel]
+# What to say to the member with an id.
+Introduce = Callable[[str], pb.RaftHello]
 
 REQUEST_MESSAGES_MAX = 256
 REQUEST_BYTES = 1 << 20
 HELLO_SECONDS = 2.0
-# In the refusal of a member that was removed for good.
-REMOVED = "was removed from this cluster"
-# In the refusal of a member that was here before with another store.
-ANOTHER_STORE = "has come with another store before"
-# In the refusal of one that is not known, as who just joins is not for a moment.
-UNKNOWN = "is no other member of this cluster"
 # A snapshot is fed to a link only while less than this waits in it.
 ROOM_BYTES = 4 << 20
 
@@ -68,12 +65,11 @@ class Link:
         dial: Dial,
         deliver: Callable[[NetworkEvent], None],
         on_refused: Callable[[str], None],
-        *,
-        store_id: str,
+        introduce: Introduce,
     ) -> None:
         self.member = self._member = member
         self._on_refused = on_refused
-        self._store_id = store_id
+        self._introduce = introduce
         self._settings = settings
         self._dial = dial
         self._deliver = deliver
@@ -131,13 +127,7 @@ class Link:
             await channel.close()
 
     async def _greet(self, call: Any) -> None:
-        hello = pb.RaftHello(
-            cluster_id=self._settings.cluster_id,
-            member_id=self._settings.self_member.member_id,
-            peer_member_id=self._member.member_id,
-            protocol_version=PROTOCOL_VERSION,
-            store_id=self._store_id,
-        )
+        hello = self._introduce(self._member.member_id)
         async with asyncio.timeout(HELLO_SECONDS):
             await call.write(pb.RaftServiceExchangeRequest(hello=hello))
             answer = await call.read()
@@ -242,8 +232,6 @@ class Links:
         on_fatal: Callable[[BaseException], None],
     ) -> None:
         self._settings = settings
-        # Of this member's own store; set before `start`.
-        self.store_id = ""
         self._dial = dial
         self._bridge = bridge
         self._on_fatal = on_fatal
@@ -251,12 +239,21 @@ class Links:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
-        # True since a member has said that this one was removed for good, or that it had another store before.
-        self.removed = self.has_lost_store = False
+        self._introduce: Introduce | None = None
+        # True since a member has said that this one was removed for good, that it had another store before, or that
+        # its store is an older copy.
+        self.removed = self.has_lost_store = self.has_old_store = False
+        # Told once why others do not take this member's store; blocks for one small file.
+        self.on_store_refused: Callable[[str], None] = lambda why: None
 
-    def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member]) -> None:
-        """Begin to connect to every peer; on the loop."""
-        self._deliver = deliver
+    @property
+    def is_refused(self) -> bool:
+        """Whether a member has refused this one for good."""
+        return self.removed or self.has_lost_store or self.has_old_store
+
+    def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member], introduce: Introduce) -> None:
+        """Begin to connect to every peer, by what `introduce` says; on the loop."""
+        self._deliver, self._introduce = deliver, introduce
         self._follow(peers)
 
     def follow(self, roster: Roster) -> None:
@@ -264,7 +261,7 @@ class Links:
         self._bridge.post(lambda: self._follow(roster.peers))
 
     def _follow(self, peers: Mapping[str, Member]) -> None:
-        if self._deliver is None:
+        if self._deliver is None or self._introduce is None:
             return  # not started, or closed
         for member_id, link in list(self._links.items()):
             if peers.get(member_id) != link.member:
@@ -275,15 +272,19 @@ class Links:
                 task.cancel()
         for member_id, member in peers.items():
             if member_id not in self._links:
-                link = Link(member, self._settings, self._dial, self._deliver, self._on_refused, store_id=self.store_id)
+                link = Link(member, self._settings, self._dial, self._deliver, self._on_refused, self._introduce)
                 self._links[member_id] = link
                 task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member_id}")
                 task.add_done_callback(self._on_end)
                 self._tasks[member_id] = task
 
     def _on_refused(self, why: str) -> None:
+        took_store = not (self.has_lost_store or self.has_old_store)
         self.removed = self.removed or REMOVED in why
         self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why
+        self.has_old_store = self.has_old_store or OLDER_STORE in why
+        if took_store and (self.has_lost_store or self.has_old_store):
+            self.on_store_refused(why)
 
     def release(self, messages: Sequence[Outgoing]) -> None:
         """Queue messages on their links; from the tick thread."""

@@ -62,7 +62,15 @@ class MembersTold:
     members: tuple[Member, ...]
 
 
-NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold
+@dataclass(frozen=True, slots=True)
+class Introduced:
+    """Somebody unknown has said that it is a member of this cluster, and where it listens."""
+
+    member_id: str
+    member: Member
+
+
+NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced
 Outgoing = tuple[str, pb.RaftMessage]
 NodeCallback = Callable[[Any], None]
 
@@ -87,12 +95,17 @@ class Mailroom:
         self.on_stream_opened: NodeCallback = lambda node: None
         # Called when a member has said who the members are.
         self.on_members_told: Callable[[tuple[Member, ...]], None] = lambda members: None
+        # Called when a stranger has said that it is a member.
+        self.on_introduced: Callable[[Member], None] = lambda member: None
         # Stamped on every append message; the replies echo it (see reads.py).
         self.round = 0
 
     def deliver(self, event: NetworkEvent) -> None:
         """Hand one network event to the library; events about strangers are dropped."""
         self._note_links(event)
+        if isinstance(event, Introduced):
+            self.on_introduced(event.member)
+            return
         node = self._nodes.get(event.member_id)
         if node is None or not (self._on_message and self._on_connected and self._on_disconnected):
             return

@@ -30,7 +30,7 @@ class Membership(NodeState):
     # Who is catching up in order to be added; only while this node leads.
     learner: Member | None = None
 
-    # Members of whom others told us, by id.
+    # Members of whom others told us, by id, the last told of last; at first those of whom the settings told.
     _told: dict[str, Member]
     # Everybody whom this node hears, itself excepted, by id.
     peers: dict[str, Member]
@@ -64,12 +64,21 @@ class Membership(NodeState):
             self._adopt()
 
     def on_members_told(self, members: tuple[Member, ...]) -> None:
-        """A known member has said who the members are."""
-        if any(self.peers.get(member.member_id) != member for member in members):
-            self._told.update({member.member_id: member for member in members})
+        """A known member has said who the members are.
+
+        Those known already are noted, too: a snapshot from before they came may take them off the log's own list.
+        """
+        if any(self._told.get(member.member_id) != member for member in members):
+            for member in members:
+                self._told.pop(member.member_id, None)
+                self._told[member.member_id] = member
             for member_id in list(self._told)[:-TOLD_MEMBERS_MAX]:
                 del self._told[member_id]
             self._adopt()
+
+    def on_introduced(self, member: Member) -> None:
+        """A stranger has said that it is a member: hear it, as requests are heard from whoever leads."""
+        self.on_members_told((member,))
 
     def set_learner(self, learner: Member | None) -> None:
         """Begin or end to send the log to a node that is no member yet."""
@@ -162,6 +171,12 @@ class Membership(NodeState):
         """Up to where a member or the learner has acknowledged this leader's log; 0 for others."""
         node = self.mailroom.node(member_id)
         return 0 if node is None else self._SyncObj__raftMatchIndex.get(node, 0)
+
+    def note_promises(self) -> None:
+        """Remember what every follower has acknowledged of what is committed: it must never come back without it."""
+        for node, match in self._SyncObj__raftMatchIndex.items():
+            held = min(match, self._SyncObj__raftCommitIndex)
+            self._SyncObj__raftLog.note_promise(node.id, 0, held)
 
     def term_at(self, log_index: int) -> int | None:
         """The term of an entry, None when it is not held."""

@@ -49,7 +49,7 @@ def build_node(
     node = node_class.__new__(node_class)
     node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
     node.unknown_outcome = UNKNOWN_OUTCOME
-    node.self_member, node.make_node, node.peers, node._told = settings.self_member, node_type, peers, {}
+    node.self_member, node.make_node, node.peers, node._told = settings.self_member, node_type, peers, dict(peers)
     node.keeper = SnapshotKeeper(
         journal, state_machine, has_room, run_aside=run_aside, chunk_bytes=settings.snapshot_piece_bytes
     )
@@ -69,6 +69,7 @@ def _attach_mail_and_reads(
     node.mailroom = Mailroom(others)
     node.mailroom.on_stream_opened = node.on_stream_opened
     node.mailroom.on_members_told = node.on_members_told
+    node.mailroom.on_introduced = node.on_introduced
     node.reads = ConfirmedReads(
         node, node.mailroom, clock, retry_seconds=timing.read_retry_seconds, first_request_id=first_request_id
     )

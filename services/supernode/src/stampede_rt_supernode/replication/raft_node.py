@@ -35,6 +35,9 @@ class BytesNode:
     def on_members_told(self, members: tuple[Member, ...]) -> None:
         """A member has said who the members are; the library itself would not care."""
 
+    def on_introduced(self, member: Member) -> None:
+        """A stranger has said that it is a member; the library itself would not care."""
+
     def _SyncObj__doApplyCommand(self, command: bytes) -> bytes | None:  # noqa: N802
         # The library unpickles here and picks a method by number.
         if command[0] != COMMAND:

@@ -21,7 +21,7 @@ from stampede_rt_supernode.replication.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest, SnapshotRequests
-from stampede_rt_supernode.replication.storage import Store
+from stampede_rt_supernode.replication.storage import Promise, Store
 
 CHANGES_MAX = 100
 SNAPSHOTS_MAX = 10
@@ -105,6 +105,10 @@ class Replica:
         self._snapshots = SnapshotRequests(self._node, self._journal, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
         self.roster = Roster((), {}, frozenset())
+        # Whoever opens the store again finds that it was used.
+        self._journal.sync()
+        # (term, last log index) on stable storage: what this member can be held to.
+        self.standing = self._journal.end()
         self._publish_roster()
         self._status = self._observe()
 
@@ -175,6 +179,10 @@ class Replica:
         """Whether this replica leads and no change of the members is on its way; after the last step."""
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._new.changes
 
+    def promise_of(self, member_id: str) -> Promise:
+        """What another member has said that it holds."""
+        return self._journal.promises.get(member_id, Promise(0, 0))
+
     def status(self) -> ReplicationStatus:
         """The view after the last step."""
         return self._status
@@ -200,6 +208,8 @@ class Replica:
         self._node.reads.finish()
         self._changes.advance()
         self._snapshots.advance()
+        if self._node._isLeader():
+            self._node.note_promises()
         self._journal.sync()
         self._release()
         return bool(self._new.events) or self._commits_alone()
@@ -240,6 +250,7 @@ class Replica:
         return Read(read.deadline, lambda index: self._completions.append(lambda: done(index)))
 
     def _release(self) -> None:
+        self.standing = self._journal.end()
         self._publish_roster()
         messages = self._node.mailroom.take_outbox()
         if messages:

@@ -11,7 +11,9 @@ from typing import TypeVar
 
 import grpc.aio
 
+from stampede_rt.v1.raft_service_pb2 import RaftHello
 from stampede_rt_supernode.replication.aside import AsideThread, RunAside
+from stampede_rt_supernode.replication.greetings import introduction
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     Member,
@@ -31,7 +33,7 @@ from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.sqlite_store import SqliteStore, holds_store
-from stampede_rt_supernode.replication.storage import MemoryStore, Store
+from stampede_rt_supernode.replication.storage import REJOIN, MemoryStore, Store, StoreRefused
 from stampede_rt_supernode.replication.tick_thread import TickThread, end_process
 
 T = TypeVar("T")
@@ -61,11 +63,16 @@ class PySyncObjLog:
 
     def start(self, settings: ReplicationSettings, server: grpc.aio.Server, stores: KnownStores) -> None:
         """Join the network and begin to tick; once."""
-        self._links.store_id = stores.own
-        self._servicer = RaftServicer(settings, self._replica.deliver, lambda: self._replica.roster, stores)
+        replica = self._replica
+        self._servicer = RaftServicer(settings, replica, stores)
         self._servicer.add_to_server(server)
-        self._links.start(self._replica.deliver, self._replica.roster.peers)
-        self._thread.start(self._replica)
+
+        def introduce(to: str) -> RaftHello:
+            return introduction(settings, to, store_id=stores.own, standing=replica.standing, roster=replica.roster)
+
+        self._links.on_store_refused = stores.refuse_own
+        self._links.start(replica.deliver, replica.roster.peers, introduce)
+        self._thread.start(replica)
 
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
         """See ReplicatedLog. A command that finds no leader waits for one until the time is up."""
@@ -98,11 +105,17 @@ class PySyncObjLog:
 
     def status(self) -> ReplicationStatus:
         """See ReplicatedLog."""
-        status = self._replica.status()
-        links = self._links
-        if not (links.removed or links.has_lost_store):
+        status, links = self._replica.status(), self._links
+        refused = self._servicer.refused() if self._servicer is not None else {}
+        if not (links.is_refused or refused):
             return status
-        return replace(status, removed=links.removed, has_lost_store=links.has_lost_store)
+        return replace(
+            status,
+            removed=links.removed,
+            has_lost_store=links.has_lost_store,
+            has_old_store=links.has_old_store,
+            refused=refused,
+        )
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """See ReplicatedLog."""
@@ -199,6 +212,8 @@ async def open_replicated_log(
     replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, aside.run)
     try:
         stores = await asyncio.to_thread(KnownStores.open, settings.data_dir, had_store=had_store)
+        if stores.refused:
+            raise StoreRefused(f"{settings.data_dir} is of no use any more: {stores.refused}: {REJOIN}")
     except BaseException:
         replica.close()
         raise

@@ -62,6 +62,8 @@ def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> Stor
         replace_from=0,
         entries=[*state.entries, entry],
         first_index=state.entries[0].log_index,
+        last_index=entry.log_index,
+        last_term=entry.term,
         term=term,
         voted_for=None,
         commit_index=state.commit_index,

@@ -6,7 +6,7 @@ the cluster's secret and the certificate's role before.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import logging
 from typing import Any
 
 import grpc
@@ -16,15 +16,18 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_message, encode_members
+from stampede_rt_supernode.replication.greetings import ANOTHER_STORE, OLDER_STORE, Refusal, newly_met, refusal_of
 from stampede_rt_supernode.replication.known_stores import KnownStores
-from stampede_rt_supernode.replication.links import ANOTHER_STORE, REMOVED, REQUEST_MESSAGES_MAX, UNKNOWN
-from stampede_rt_supernode.replication.mailroom import NetworkEvent, Received, StreamEnded, StreamOpened
-from stampede_rt_supernode.replication.replica import InboxFull, Roster
+from stampede_rt_supernode.replication.links import REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.mailroom import Introduced, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.replica import InboxFull, Replica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
 HELLO_SECONDS = 5.0
 # How often a member that sends is told that it is heard.
 ANSWER_SECONDS = 0.5
+
+logger = logging.getLogger(__name__)
 
 # The generated function carries no types.
 _register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
@@ -33,18 +36,12 @@ _register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
 class RaftServicer:
     """Takes in the streams of the other members. Runs on the loop."""
 
-    def __init__(
-        self,
-        settings: ReplicationSettings,
-        deliver: Callable[[NetworkEvent], None],
-        roster: Callable[[], Roster],
-        stores: KnownStores,
-    ) -> None:
+    def __init__(self, settings: ReplicationSettings, replica: Replica, stores: KnownStores) -> None:
         self._settings = settings
         self._stores = stores
-        self._deliver = deliver
-        # Whom the replica knows at this moment.
-        self._roster = roster
+        self._replica = replica
+        # Member id -> why its store was refused when it came last.
+        self._refused: dict[str, str] = {}
         # Member id -> what reads its present stream. At most one each.
         self._readers: dict[str, asyncio.Task[None]] = {}
         self._closed = False
@@ -59,7 +56,7 @@ class RaftServicer:
         replaced = self._readers.pop(member_id, None)
         if replaced is not None:
             replaced.cancel()
-        self._deliver(StreamOpened(member_id))
+        self._replica.deliver(StreamOpened(member_id))
         reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
         self._readers[member_id] = reader
         try:
@@ -68,8 +65,13 @@ class RaftServicer:
             reader.cancel()
             if self._readers.get(member_id) is reader:
                 del self._readers[member_id]
-                self._deliver(StreamEnded(member_id))
+                self._replica.deliver(StreamEnded(member_id))
         await self._explain(reader, context)
+
+    def refused(self) -> dict[str, str]:
+        """Members whose stores were refused when they came last, and why; not those that are heard beside a copy."""
+        members = {member.member_id for member in self._replica.roster.members} - self._readers.keys()
+        return {member_id: why for member_id, why in self._refused.items() if member_id in members}
 
     def close(self) -> None:
         """End every stream, and refuse new ones."""
@@ -94,46 +96,48 @@ class RaftServicer:
     def _greeting(self, *, knows_caller: bool) -> pb.RaftServiceExchangeResponse:
         return pb.RaftServiceExchangeResponse(
             protocol_version=PROTOCOL_VERSION,
-            members=encode_members(self._roster().members),
+            members=encode_members(self._replica.roster.members),
             unknown_caller=not knows_caller,
         )
 
     async def _check(self, hello: pb.RaftHello, context: Any) -> None:
-        settings, failed = self._settings, grpc.StatusCode.FAILED_PRECONDITION
         if self._closed:
             await context.abort(grpc.StatusCode.UNAVAILABLE, "this member is closing")
-        if hello.protocol_version != PROTOCOL_VERSION:
-            await context.abort(failed, f"this member speaks protocol {PROTOCOL_VERSION}, not {hello.protocol_version}")
-        if hello.cluster_id != settings.cluster_id:
-            await context.abort(failed, f"this member is of cluster {settings.cluster_id!r}, not {hello.cluster_id!r}")
         caller = caller_identity(context)
         if caller is not None and caller.name != hello.member_id:
             await context.abort(
                 grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} bears the certificate of {caller}"
             )
-        if hello.peer_member_id != settings.self_member.member_id:
-            await context.abort(
-                failed, f"this is member {settings.self_member.member_id!r}, not {hello.peer_member_id!r}"
-            )
-        if hello.member_id in self._roster().removed:
-            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {REMOVED}")
-        if not self._stores.admits(hello.member_id, hello.store_id):
-            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {ANOTHER_STORE}")
-        if hello.member_id not in self._roster().peers:
+        roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
+        refusal = refusal_of(hello, self._settings, roster=roster, stores=self._stores, promise=promise)
+        self._note_outcome(hello, refusal)
+        if refusal is None:
+            return
+        if refusal.hears:
+            if (met := newly_met(hello, self._settings)) is not None:
+                self._replica.deliver(Introduced(met.member_id, met))
             # Perhaps it does not know those who know it.
             await context.write(self._greeting(knows_caller=False))
-            await context.abort(grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} {UNKNOWN}")
+        await context.abort(refusal.code, refusal.why)
+
+    def _note_outcome(self, hello: pb.RaftHello, refusal: Refusal | None) -> None:
+        """Remember, and say once, that a member may not come back with the store that it has."""
+        if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
+            self._refused.pop(hello.member_id, None)
+        elif self._refused.get(hello.member_id) != refusal.why:
+            self._refused[hello.member_id] = refusal.why
+            logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
 
     async def _receive(self, member_id: str, context: Any) -> None:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
-            if member_id not in self._roster().peers:
+            if member_id not in self._replica.roster.peers:
                 raise MalformedMessage(f"{member_id!r} is no member any more")
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
                 raise MalformedMessage("a second hello, or too many messages at once")
             for message in request.messages:
-                self._deliver(Received(member_id, decode_message(message)))
+                self._replica.deliver(Received(member_id, decode_message(message)))
             if loop.time() - answered_at >= ANSWER_SECONDS:
                 answered_at = loop.time()
                 await context.write(self._greeting(knows_caller=True))

@@ -1,7 +1,8 @@
 """The store on disk: one SQLite database for log, term, vote, commit index and snapshot.
 
-Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Everything carries a checksum, and
-every commit is counted, so that damage is found when the store is opened, and never applied.
+Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Everything carries a checksum, the
+first and the last entry are written down with term and vote, and every commit is counted: so damage is found when the
+store is opened, and never applied.
 
 A snapshot is written piece by piece, in commits of its own; the one that seals it also drops the entries it stands for.
 Until then the one before is whole, and its pieces go, a few with each commit, after that. Whenever the process is
@@ -10,15 +11,21 @@ killed, one snapshot is sealed, and the log goes on where it ends.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import os
+import json
 import sqlite3
 import zlib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
+from stampede_rt_supernode.replication.known_stores import FILE_NAME as NOTES_NAME
+from stampede_rt_supernode.replication.known_stores import force_folder
 from stampede_rt_supernode.replication.storage import (
+    REJOIN,
     Entry,
+    Promise,
     SnapshotPiece,
     SnapshotSeal,
     StoreChanges,
@@ -29,8 +36,7 @@ from stampede_rt_supernode.replication.storage import (
 )
 from stampede_rt_supernode.replication.watermark import Watermark
 
-FORMAT_VERSION = 2
-FORMAT_VERSION_WITH_WHOLE_SNAPSHOTS = 1  # the record was a column of `snapshot`
+FORMAT_VERSION = 3
 OLD_PIECES_PER_COMMIT = 2
 DATABASE_NAME = "replicated_log.sqlite3"
 WATERMARK_NAME = "replicated_log.watermark"
@@ -41,11 +47,10 @@ CREATE TABLE identity (
     cluster_id TEXT NOT NULL, member_id TEXT NOT NULL) STRICT;
 CREATE TABLE hard_state (
     id INTEGER PRIMARY KEY CHECK (id = 1), term INTEGER NOT NULL, voted_for TEXT,
-    commit_index INTEGER NOT NULL, commits INTEGER NOT NULL, checksum INTEGER NOT NULL) STRICT;
+    commit_index INTEGER NOT NULL, commits INTEGER NOT NULL, first_index INTEGER NOT NULL,
+    last_index INTEGER NOT NULL, last_term INTEGER NOT NULL, promises TEXT NOT NULL, checksum INTEGER NOT NULL) STRICT;
 CREATE TABLE entry (
     log_index INTEGER PRIMARY KEY, term INTEGER NOT NULL, command BLOB NOT NULL, checksum INTEGER NOT NULL) STRICT;
-"""
-_SNAPSHOT_SCHEMA = """
 CREATE TABLE snapshot (
     id INTEGER PRIMARY KEY CHECK (id = 1), last_log_index INTEGER NOT NULL,
     pieces_count INTEGER NOT NULL, sha256 BLOB NOT NULL) STRICT;
@@ -53,6 +58,27 @@ CREATE TABLE snapshot_piece (
     last_log_index INTEGER NOT NULL, number INTEGER NOT NULL, data BLOB NOT NULL,
     PRIMARY KEY (last_log_index, number)) STRICT;
 """
+
+_HARD_STATE = "term, voted_for, commit_index, commits, first_index, last_index, last_term, promises, checksum"
+# What SQLite and a row in which a bit has changed may raise.
+_UNREADABLE = (sqlite3.Error, TypeError, ValueError, OverflowError)
+
+
+class _HardState(NamedTuple):
+    """The row that every commit writes anew: what is voted, and between which entries the log lies."""
+
+    term: int
+    voted_for: str | None
+    commit_index: int
+    commits: int
+    first_index: int
+    last_index: int
+    last_term: int
+    promises: str
+
+    def checksum(self) -> int:
+        """Of all of it."""
+        return zlib.crc32(repr(tuple(self)).encode())
 
 
 def holds_store(data_dir: Path) -> bool:
@@ -73,7 +99,7 @@ def read_identity(data_dir: Path) -> tuple[str, str]:
         if "locked" in str(error):
             raise StoreRefused(f"{path} is in use by another process: stop that one first") from error
         raise StoreDamaged(f"{path} cannot be opened ({error})") from error
-    except sqlite3.DatabaseError as error:
+    except _UNREADABLE as error:
         raise StoreDamaged(f"{path} is not a sound database ({error})") from error
     if row is None:
         raise StoreDamaged(f"{path} does not say whose it is")
@@ -97,103 +123,108 @@ class SqliteStore:
                 "disk, let it join again under a new id"
             )
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._watermark = Watermark(data_dir / WATERMARK_NAME)
+        # A store that was used once holds something: whoever began it has forced that to the disk before the rest.
+        notes = data_dir / NOTES_NAME
+        self._was_used = not create or notes.exists() or self._watermark.read() > 0
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._watermark.close)
+            self._open(cluster_id, member_id, undo)
+            undo.pop_all()
+        if not existed:
+            # The files are on the disk; their names must be too.
+            force_folder(data_dir)
+            force_folder(data_dir.parent)
+
+    def _open(self, cluster_id: str, member_id: str, undo: contextlib.ExitStack) -> None:
         try:
-            self._db = self._connect()
+            # The log hands the store to its own thread, and nobody else uses it then.
+            self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.2)
+            undo.callback(self._db.close)
+            self._db.execute("PRAGMA locking_mode=EXCLUSIVE")
+            self._db.execute("PRAGMA journal_mode=WAL")
+            self._db.execute("PRAGMA synchronous=FULL")
             self._claim(cluster_id, member_id)
         except sqlite3.OperationalError as error:
             if "locked" in str(error):
                 raise StoreRefused(f"{self._path} is in use by another process: stop that one first") from error
-            raise StoreDamaged(f"{self._path} cannot be opened ({error}): {_REJOIN}") from error
-        except sqlite3.DatabaseError as error:
-            raise StoreDamaged(f"{self._path} is not a sound database ({error}): {_REJOIN}") from error
-        self._watermark = Watermark(data_dir / WATERMARK_NAME)
-        if not existed:
-            # The files are on the disk; their names must be too.
-            _force_folder(data_dir)
-            _force_folder(data_dir.parent)
-
-    def _connect(self) -> sqlite3.Connection:
-        # The log hands the store to its own thread, and nobody else uses it then.
-        db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.2)
-        db.execute("PRAGMA locking_mode=EXCLUSIVE")
-        db.execute("PRAGMA journal_mode=WAL")
-        db.execute("PRAGMA synchronous=FULL")
-        return db
+            raise StoreDamaged(f"{self._path} cannot be opened ({error}): {REJOIN}") from error
+        except _UNREADABLE as error:
+            raise StoreDamaged(f"{self._path} is not a sound database ({error}): {REJOIN}") from error
 
     def _claim(self, cluster_id: str, member_id: str) -> None:
         self._db.execute("BEGIN IMMEDIATE")
         has_schema = self._db.execute("SELECT 1 FROM sqlite_master WHERE name = 'identity'").fetchone()
         if not has_schema:
+            if self._was_used:
+                raise StoreDamaged(f"{self._path} is empty and was not: {REJOIN}")
             # A file without a schema was left by a crash within the very first transaction: nothing was promised.
-            self._create(_SCHEMA + _SNAPSHOT_SCHEMA)
+            for statement in _SCHEMA.split(";")[:-1]:
+                self._db.execute(statement)
             self._db.execute("INSERT INTO identity VALUES (1, ?, ?, ?)", (FORMAT_VERSION, cluster_id, member_id))
-        self._split_whole_snapshot()
         self._db.execute("COMMIT")
         row = self._db.execute("SELECT format_version, cluster_id, member_id FROM identity").fetchone()
         if row is None:
-            raise StoreDamaged(f"{self._path} does not say whose it is: {_REJOIN}")
-        if row != (FORMAT_VERSION, cluster_id, member_id):
-            self._db.close()
+            raise StoreDamaged(f"{self._path} does not say whose it is: {REJOIN}")
+        if row[0] != FORMAT_VERSION:
             raise StoreRefused(
-                f"{self._path} has format {row[0]} and belongs to member {row[2]!r} of cluster {row[1]!r}, not to "
-                f"{member_id!r} of {cluster_id!r} (format {FORMAT_VERSION}): use that member's own folder"
+                f"{self._path} has form {row[0]}, and this version reads form {FORMAT_VERSION}: run the version that "
+                "wrote it, or, if that is this one, the file is damaged; then " + REJOIN
             )
-
-    def _create(self, schema: str) -> None:
-        for statement in schema.split(";")[:-1]:
-            self._db.execute(statement)
-
-    def _split_whole_snapshot(self) -> None:
-        """Bring a store of an earlier version to the present form, within the transaction that is open."""
-        where = "WHERE format_version = ?"
-        if not self._db.execute(f"SELECT 1 FROM identity {where}", (FORMAT_VERSION_WITH_WHOLE_SNAPSHOTS,)).fetchone():
-            return
-        row = self._db.execute("SELECT last_log_index, record, sha256 FROM snapshot").fetchone()
-        self._db.execute("DROP TABLE snapshot")
-        self._create(_SNAPSHOT_SCHEMA)
-        if row is not None:
-            whole = StoredSnapshot(last_log_index=row[0], record=row[1], sha256=row[2])
-            self._write_pieces(whole.pieces())
-            self._write_seal(whole.seal())
-        self._db.execute("UPDATE identity SET format_version = ?", (FORMAT_VERSION,))
+        if row[1:] != (cluster_id, member_id):
+            raise StoreRefused(
+                f"{self._path} belongs to member {row[2]!r} of cluster {row[1]!r}, not to {member_id!r} of "
+                f"{cluster_id!r}: use that member's own folder, or, if this is it, the file is damaged; then {REJOIN}"
+            )
 
     def load(self) -> StoredState:
         """Read everything and check it; blocks. Raises StoreDamaged."""
         try:
             return self._load()
-        except sqlite3.DatabaseError as error:
-            raise StoreDamaged(f"{self._path} cannot be read ({error}): {_REJOIN}") from error
+        except _UNREADABLE as error:
+            raise StoreDamaged(f"{self._path} cannot be read ({error}): {REJOIN}") from error
 
     def _load(self) -> StoredState:
         entries = self._load_entries()
         snapshot = self._load_snapshot()
-        row = self._db.execute("SELECT term, voted_for, commit_index, commits, checksum FROM hard_state").fetchone()
+        row = self._db.execute(f"SELECT {_HARD_STATE} FROM hard_state").fetchone()
         if row is None:
-            if entries or snapshot or self._watermark.read():
-                raise StoreDamaged(f"{self._path} has lost its term and vote: {_REJOIN}")
+            if entries or snapshot or self._was_used:
+                raise StoreDamaged(f"{self._path} has lost its term and vote: {REJOIN}")
             return StoredState()
-        term, voted_for, commit_index, self._commits, checksum = row
-        if checksum != _hard_state_checksum(*row[:-1]):
-            raise StoreDamaged(f"{self._path}: term and vote fail their checksum: {_REJOIN}")
+        facts = _HardState(*row[:-1])
+        if row[-1] != facts.checksum():
+            raise StoreDamaged(f"{self._path}: term and vote fail their checksum: {REJOIN}")
+        self._commits = facts.commits
         if self._commits < self._watermark.read():
             raise StoreDamaged(
-                f"{self._path} holds {self._commits} commits and has held {self._watermark.read()}: {_REJOIN}"
+                f"{self._path} holds {self._commits} commits and has held {self._watermark.read()}: {REJOIN}"
             )
         if not entries:
-            raise StoreDamaged(f"{self._path} has lost its entries: {_REJOIN}")
-        self._check_shape(entries, snapshot, commit_index)
+            raise StoreDamaged(f"{self._path} has lost its entries: {REJOIN}")
+        self._check_shape(entries, snapshot, facts)
         return StoredState(
-            entries=entries, term=term, voted_for=voted_for, commit_index=commit_index, snapshot=snapshot
+            entries=entries,
+            term=facts.term,
+            voted_for=facts.voted_for,
+            commit_index=facts.commit_index,
+            snapshot=snapshot,
+            promises=_read_promises(facts.promises),
         )
 
-    def _check_shape(self, entries: list[Entry], snapshot: StoredSnapshot | None, commit_index: int) -> None:
-        first = entries[0].log_index
+    def _check_shape(self, entries: list[Entry], snapshot: StoredSnapshot | None, facts: _HardState) -> None:
+        first, last = entries[0].log_index, entries[-1]
         if snapshot is None and first != 1:
-            raise StoreDamaged(f"{self._path} starts at entry {first} without a snapshot: {_REJOIN}")
+            raise StoreDamaged(f"{self._path} starts at entry {first} without a snapshot: {REJOIN}")
         if snapshot is not None and snapshot.last_log_index != first + 1:
-            raise StoreDamaged(f"{self._path}: snapshot and log do not meet: {_REJOIN}")
-        if commit_index > entries[-1].log_index:
-            raise StoreDamaged(f"{self._path} has lost committed entries: {_REJOIN}")
+            raise StoreDamaged(f"{self._path}: snapshot and log do not meet: {REJOIN}")
+        if (first, last.log_index, last.term) != (facts.first_index, facts.last_index, facts.last_term):
+            raise StoreDamaged(
+                f"{self._path} has lost entries: it holds {first} to {last.log_index}, and held {facts.first_index} to "
+                f"{facts.last_index}: {REJOIN}"
+            )
+        if facts.commit_index > last.log_index:
+            raise StoreDamaged(f"{self._path} has lost committed entries: {REJOIN}")
 
     def _load_entries(self) -> list[Entry]:
         entries: list[Entry] = []
@@ -201,9 +232,11 @@ class SqliteStore:
         for log_index, term, command, checksum in rows:
             entry = Entry(command, log_index, term)
             if checksum != _entry_checksum(entry):
-                raise StoreDamaged(f"{self._path}: entry {log_index} fails its checksum: {_REJOIN}")
+                raise StoreDamaged(f"{self._path}: entry {log_index} fails its checksum: {REJOIN}")
             if entries and log_index != entries[-1].log_index + 1:
-                raise StoreDamaged(f"{self._path}: entries before {log_index} are missing: {_REJOIN}")
+                raise StoreDamaged(f"{self._path}: entries before {log_index} are missing: {REJOIN}")
+            if entries and term < entries[-1].term:
+                raise StoreDamaged(f"{self._path}: entry {log_index} is of an earlier time: {REJOIN}")
             entries.append(entry)
         return entries
 
@@ -217,7 +250,7 @@ class SqliteStore:
         )
         record = b"".join(data for (data,) in pieces)
         if hashlib.sha256(record).digest() != seal.sha256:
-            raise StoreDamaged(f"{self._path}: the snapshot fails its checksum: {_REJOIN}")
+            raise StoreDamaged(f"{self._path}: the snapshot fails its checksum: {REJOIN}")
         return StoredSnapshot(last_log_index=seal.last_log_index, record=record, sha256=seal.sha256)
 
     def commit(self, changes: StoreChanges) -> None:
@@ -229,9 +262,9 @@ class SqliteStore:
             rows = ((entry.log_index, entry.term, entry.command, _entry_checksum(entry)) for entry in changes.entries)
             db.executemany("INSERT INTO entry VALUES (?, ?, ?, ?)", rows)
         db.execute("DELETE FROM entry WHERE log_index < ?", (changes.first_index,))
-        hard_state = (changes.term, changes.voted_for, changes.commit_index, self._commits + 1)
-        row = (*hard_state, _hard_state_checksum(*hard_state))
-        db.execute("INSERT OR REPLACE INTO hard_state VALUES (1, ?, ?, ?, ?, ?)", row)
+        facts = _hard_state(changes, self._commits + 1)
+        values = ", ".join("?" * (len(facts) + 1))
+        db.execute(f"INSERT OR REPLACE INTO hard_state VALUES (1, {values})", (*facts, facts.checksum()))
         self._write_pieces(changes.pieces)
         if changes.seal is not None:
             self._write_seal(changes.seal)
@@ -263,19 +296,21 @@ class SqliteStore:
         self._watermark.close()
 
 
-_REJOIN = "empty the folder and let this member join again under a new id"
+def _hard_state(changes: StoreChanges, commits: int) -> _HardState:
+    return _HardState(
+        changes.term,
+        changes.voted_for,
+        changes.commit_index,
+        commits,
+        changes.first_index,
+        changes.last_index,
+        changes.last_term,
+        json.dumps(changes.promises),
+    )
 
 
-def _force_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _hard_state_checksum(term: int, voted_for: str | None, commit_index: int, commits: int) -> int:
-    return zlib.crc32(repr((term, voted_for, commit_index, commits)).encode())
+def _read_promises(text: str) -> dict[str, Promise]:
+    return {member_id: Promise(*facts) for member_id, facts in json.loads(text).items()}
 
 
 def _entry_checksum(entry: Entry) -> int:

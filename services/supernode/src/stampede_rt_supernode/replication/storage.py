@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -17,6 +17,23 @@ class Entry(NamedTuple):
     command: bytes
     log_index: int
     term: int
+
+
+class Promise(NamedTuple):
+    """What another member has said that it holds: its term, and committed entries up to `held`.
+
+    Both only grow. A store of that member that has less is an older copy of it.
+    """
+
+    term: int
+    held: int
+
+    def is_kept_by(self, term: int, last_index: int) -> bool:
+        """Whether a store with this term and this last entry can be the one that was spoken of."""
+        return term >= self.term and last_index >= self.held
+
+
+REJOIN = "empty the folder and let this member join again under a new id"
 
 
 class StoreDamaged(RuntimeError):
@@ -85,6 +102,7 @@ class StoredState:
     voted_for: str | None = None
     commit_index: int = 1
     snapshot: StoredSnapshot | None = None
+    promises: Mapping[str, Promise] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -92,15 +110,19 @@ class StoreChanges:
     """What one sync makes durable, all or nothing.
 
     Entries at or past `replace_from` are replaced by `entries`; then those before `first_index` are dropped. Pieces of
-    a snapshot may come with any number of commits before, and at the latest with, the one that has its seal.
+    a snapshot may come with any number of commits before, and at the latest with, the one that has its seal. The log
+    then ends with the entry of `last_index` and `last_term`. `promises` are those of the other members, by id.
     """
 
     replace_from: int | None
     entries: list[Entry]
     first_index: int
+    last_index: int
+    last_term: int
     term: int
     voted_for: str | None
     commit_index: int
+    promises: Mapping[str, Promise] = field(default_factory=dict)
     pieces: list[SnapshotPiece] = field(default_factory=list)
     seal: SnapshotSeal | None = None
 

@@ -65,6 +65,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             ready=self._members.ready(),
             cluster_id=self._replica.read(lambda directory: directory.cluster_id),
             version=software_version(),
+            refused_supernodes=self._members.refused(),
         )
 
     @refusing
