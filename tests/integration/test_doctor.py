@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -33,7 +35,8 @@ class Doctor:
         self._capsys = capsys
 
     def __call__(self, *words: str) -> tuple[int, str]:
-        """Its exit status and what it printed; pytest shows that if a test fails."""
+        """Its exit status and what it printed; pytest shows the last of it if a test fails."""
+        self._capsys.readouterr()
         code = stampede(["doctor", *words])
         said = self._capsys.readouterr().out
         print(said)
@@ -66,6 +69,63 @@ def test_a_lost_quorum_is_told_with_whom_to_start_and_then_without_any_front_end
     assert (code, "start s2 and s3" in said, "host h1" in said) == (1, True, True)
     for supernode in cluster.supernodes:
         assert supernode.address in said.partition("start a front-end: stampede frontend --supernodes ")[2]
+
+
+def test_a_host_that_was_killed_and_what_it_held_are_told_until_it_is_back(
+    cluster: LocalCluster, doctor: Doctor
+) -> None:
+    empty = cluster.add_host()
+    with st.connect(cluster.address) as rt:
+        rt.channel("cam/left", max_age="10s", host="h1").put(b"gone soon")
+        rt.queue("jobs", host="h1").put(b"gone soon")
+        code, said = doctor("--url", cluster.address)
+        assert (code, "1, none lost" in said) == (0, True)
+        for host in cluster.hosts:
+            host.kill()
+        wait_until(lambda: doctor("--url", cluster.address)[1].count(" ago") == 2)
+    code, said = doctor("--url", cluster.address)
+    assert (code, "Everything is well." in said) == (1, False)
+    assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", said, re.M), "it held nothing, and is missed all the same"
+    assert "channels: cam/left belonged to host h1, which is gone" in said
+    assert "queues: jobs belonged to host h1, which is gone" in said
+    empty.restart()
+    code, said = doctor("--url", cluster.address)
+    assert (code, "lost" in row(said, "host h2"), "lost" in row(said, "host h1")) == (1, False, True)
+    cluster.hosts[0].restart()  # without a data folder: as another one
+    code, said = doctor("--url", cluster.address)
+    assert (code, "came back without its data folder" in said) == (1, True)
+    with st.connect(cluster.address) as rt:
+        rt.channel("cam/left").put(b"anew")
+        rt.queue("jobs").put(b"anew")
+    code, said = doctor("--url", cluster.address)
+    assert (code, "Everything is well." in said, row(said, "channels").split()[2]) == (0, True, "1,"), said
+
+
+def test_puts_that_a_full_host_refuses_are_counted_logged_and_told(cluster: LocalCluster, doctor: Doctor) -> None:
+    words = ["--frontend", cluster.address, "--name", "small", "--memory-bytes-max", "1MiB"]
+    words += ["--secret-file", str(cluster.secret_file)]
+    small = ServiceProcess("host small", "stampede_rt_channel_host", words)
+    small.start()
+    try:
+        small.wait_ready(PATIENCE_SECONDS)
+        with st.connect(cluster.address) as rt:
+            channel = rt.channel("big", max_age="1h", host="small")
+            jobs = rt.queue("big-jobs", host="small")
+            channel.put(bytes(900_000))
+            with ThreadPoolExecutor(2) as pool:  # each is tried again for some seconds
+                puts = [pool.submit(one.put, bytes(200_000)) for one in (channel, jobs)]
+                failures = [put.exception() for put in puts]
+            assert [type(failure) for failure in failures] == [st.Overloaded, st.Overloaded]
+            refused = [one.stats().rejected["overloaded"] for one in (channel, jobs)]
+            assert min(refused) > 1, "each try counts"
+        code, said = doctor("--url", cluster.address)
+        assert (code, f"{sum(refused)} puts refused" in row(said, "host small")) == (1, True)
+        assert re.search(r"refused puts as Overloaded, the last one \S+ m?s ago; it holds \S+ KiB of 1.0 MiB", said)
+        told = [line for line in small.last_lines if "puts are refused" in line]
+        assert 1 <= len(told) < sum(refused), "the first at once, then one line for many"
+        assert "last_for=big" in told[0] or "big-jobs" in told[0]
+    finally:
+        small.stop()
 
 
 def test_a_front_end_whose_seeds_do_not_answer_is_not_taken_for_one_that_is_down(
@@ -102,6 +162,11 @@ def wait_until(holds: Callable[[], bool]) -> None:
     while not holds():
         assert time.monotonic() < deadline
         pause.wait(0.05)
+
+
+def row(said: str, part: str) -> str:
+    """The line of the table that tells of that part."""
+    return next((line for line in said.splitlines() if line.startswith(f"{part} ")), "")
 
 
 def use(files: st.TlsFiles, patch: pytest.MonkeyPatch) -> None:

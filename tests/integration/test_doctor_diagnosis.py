@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.cli.diagnosis import FRONTEND, HOST, PEER, SUPERNODE, Finding, Observation, diagnose
+from stampede_rt.cli.diagnosis import FRONTEND, HOST, PEER, SUPERNODE, Finding, Holdings, Observation, diagnose
 
 DAY_S = 86400.0
 MS = 1_000_000
@@ -137,11 +137,34 @@ def test_a_certificate_that_ends_soon_or_has_ended_is_told(left_s: float, advice
 
 @pytest.mark.parametrize(
     ("facts", "state"),
-    [({"alive": False}, "lost"), ({"lease_held": False}, "fenced"), ({"failure": "gone"}, "unreachable")],
+    [
+        ({"alive": False, "lost_for_nanos": 11_000 * MS}, "lost 11 s ago"),
+        ({"alive": False}, "gone"),
+        ({"lease_held": False}, "fenced"),
+        ({"failure": "gone"}, "unreachable"),
+    ],
 )
 def test_a_host_without_its_lease_or_out_of_reach_is_told(facts: dict[str, Any], state: str) -> None:
     host = found(changed("h1", **facts), "host h1")
     assert (host.state, bool(host.advice)) == (state, True)
+
+
+def test_puts_that_a_host_refused_lately_are_told_with_how_full_it_is_and_older_ones_as_well() -> None:
+    facts = {"refused_items": 12, "held_bytes": 2**30, "memory_bytes_max": 2**30}
+    host = found(changed("h1", refused_ago_nanos=3000 * MS, **facts), "host h1")
+    assert host.state == "12 puts refused"
+    assert "the last one 3 s ago; it holds 1.0 GiB of 1.0 GiB: raise --memory-bytes-max" in host.advice
+    host = found(changed("h1", refused_ago_nanos=3600_000 * MS, **facts), "host h1")
+    assert (host.state, host.advice) == ("ok, 12 puts refused before", "")
+
+
+def test_lost_channels_and_queues_are_told_by_name_and_host() -> None:
+    lost = [(f"cam/{number}", "host h7") for number in range(7)]
+    held = [Holdings(kind="channel", count=9, lost=lost), Holdings(kind="queue", count=4)]
+    findings = diagnose(WELL, held, own_version="1.0", certificate_s_min=14 * DAY_S)
+    [channels, queues] = [finding for finding in findings if finding.part in ("channels", "queues")]
+    assert (channels.state, queues) == ("7 of 9 lost", Finding("queues", "-", "4, none lost"))
+    assert channels.advice.startswith("cam/0, cam/1, cam/2, cam/3, cam/4 and 2 more belonged to host h7, which is gone")
 
 
 def test_a_majority_that_runs_without_a_leader_is_no_lack_of_supernodes() -> None:

@@ -55,7 +55,8 @@ class OracleChannel:
         self.collected = {"age": 0, "count": 0, "bytes": 0, "consumption": 0}
         self.collected_times: list[int] = []
         self.collected_ends: list[int] = []
-        self.rejected = {"TOO_OLD": 0, "IN_FUTURE": 0, "ITEM_TOO_LARGE": 0, "CHANNEL_FULL": 0, "MALFORMED_RUN": 0}
+        reasons = ("TOO_OLD", "IN_FUTURE", "ITEM_TOO_LARGE", "CHANNEL_FULL", "MALFORMED_RUN", "OVERLOADED")
+        self.rejected = dict.fromkeys(reasons, 0)
         self.advanced_to: int | None = None
         self.consumed_times: list[int] = []
         self.came_up_to = 0  # when the last collection was, or the latest item that consumption took then

@@ -89,7 +89,8 @@ class OracleQueue:
         self.acked: dict[int, tuple[int, int]] = {}
         self.counts = dict.fromkeys(
             ("accepted", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
-             "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes"), 0
+             "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "rejected_overloaded",
+             "accepted_bytes"), 0
         )  # fmt: skip
         self.dealt: list[Dealt] = []
         self.finished: list[Run] = []

@@ -39,13 +39,14 @@ class Log:
         self.directory = Directory()
         self._index = 0
         self._op_ids = count(1)
+        self.time_unix_nano = 0
         if founded:
             self.apply(begin_tenure(1))
 
     def apply(self, deed: Deed, op_id: bytes | None = None) -> Result:
         self._index += 1
         op_id = op_id or id_of(10_000 + next(self._op_ids))
-        return self.directory.apply(self._index, Command(op_id=op_id, time_unix_nano=0, deed=deed))
+        return self.directory.apply(self._index, Command(op_id=op_id, time_unix_nano=self.time_unix_nano, deed=deed))
 
 
 def begin_tenure(tenure: int = 1) -> BeginTenure:

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import pytest
 
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core import host_transitions
 from stampede_rt_supernode.core.commands import (
     ChannelOpened,
@@ -12,6 +13,7 @@ from stampede_rt_supernode.core.commands import (
     RegisterHost,
     TenureBegun,
 )
+from stampede_rt_supernode.core.queries import host_page
 from stampede_rt_supernode.core.records import Channel, Endpoint, Host
 from tests.unit.supernode.deeds import Log, begin_tenure, deregister, expire, id_of, open_channel, register
 
@@ -126,7 +128,69 @@ def test_an_expiry_counts_only_for_its_boot_registration_and_tenure(log: Log) ->
         assert log.apply(deed) == HostExpired(expired=False)
     assert log.directory.tables.hosts[id_of(1)].alive
     assert log.apply(expire(1, registered_index=again.registered_index)) == HostExpired(expired=True)
-    assert id_of(1) not in log.directory.tables.hosts
+    assert not log.directory.tables.hosts[id_of(1)].alive
+
+
+def lost(log: Log, number: int, *, name: str = "", boot: int = 1) -> Host:
+    """A host that has registered and whose lease was ended, as it is remembered then."""
+    host = registered(log, register(number, name=name, boot=boot))
+    assert log.apply(expire(number, boot=boot, registered_index=host.registered_index)) == HostExpired(expired=True)
+    return log.directory.tables.hosts[host.host_id]
+
+
+def test_a_host_that_was_lost_is_remembered_with_when_and_one_that_left_is_not(log: Log) -> None:
+    log.time_unix_nano = 77
+    assert lost(log, 1).lease_ended_unix_nano == 77
+    registered(log, register(2))
+    log.apply(deregister(2))
+    assert set(log.directory.tables.hosts) == {id_of(1)}
+
+
+def test_a_lost_host_that_comes_back_or_says_that_it_leaves_is_lost_no_more(log: Log) -> None:
+    lost(log, 1)
+    assert not registered(log, register(1)).is_lost
+    lost(log, 2)
+    assert isinstance(log.apply(deregister(2, boot=9)), Refused), "another process may not say so"
+    log.apply(deregister(2))
+    assert set(log.directory.tables.hosts) == {id_of(1)}
+    assert log.directory.tables.lost == set()
+
+
+def test_who_takes_the_name_of_a_lost_host_takes_its_place(log: Log) -> None:
+    lost(log, 1, name="rig")
+    registered(log, register(2, name="rig"))
+    assert set(log.directory.tables.hosts) == {id_of(2)}
+
+
+def test_only_so_many_lost_hosts_are_remembered_and_every_replica_forgets_the_same(
+    log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt_supernode.core.tables.LOST_HOSTS_MAX", 2)
+    for number, ended in ((1, 30), (2, 10)):
+        log.time_unix_nano = ended
+        lost(log, number)
+    log.time_unix_nano = 20
+    channel_at_lost = registered(log, register(3, name="three"))
+    channel = channel_at(log, "three", "cam")
+    log.apply(expire(3, registered_index=channel_at_lost.registered_index))
+    assert set(log.directory.tables.hosts) == {id_of(1), id_of(3)}
+    log.time_unix_nano = 40
+    lost(log, 4)
+    assert log.directory.tables.lost == {id_of(1), id_of(4)}
+    assert channel.host_id in log.directory.tables.hosts, "it owns a channel still"
+    restored = decode_snapshot(encode_snapshot(log.directory))
+    assert restored.tables.lost == log.directory.tables.lost
+    assert restored.tables.hosts == log.directory.tables.hosts
+
+
+def test_hosts_that_own_nothing_and_were_lost_long_ago_are_not_listed(log: Log) -> None:
+    log.time_unix_nano = 50
+    lost(log, 1)
+
+    def listed(since: int, *, include_dead: bool = True) -> int:
+        return len(host_page(log.directory.tables, ("", b""), 0, include_dead=include_dead, lost_since=since).hosts)
+
+    assert [listed(50), listed(51), listed(50, include_dead=False)] == [1, 0, 0]
 
 
 def test_an_expiry_of_a_replaced_leader_is_ignored(log: Log) -> None:
@@ -144,7 +208,7 @@ def test_the_first_tenure_founds_the_cluster_and_no_tenure_goes_back(log: Log) -
     "change",
     [
         {"host_id": b"short"},
-        {"name": "Rig"},
+        {"name": "-rig"},
         {"gatekeepers": ()},
         {"gatekeepers": (Endpoint(target=""),)},
         {"gatekeepers": (Endpoint(target="a b:1"),)},

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from stampede_rt.cli.output import bytes_text
 from stampede_rt.timeline import format_duration
 
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
+REFUSED_LATELY_NANOS = 600 * 10**9
+NAMED_MAX = 5
 UNKNOWN = "unknown"  # how the clock of a peer is shown that told nothing of it
 STORE_ADVICE = (
     "start it with the folder as it was last, or, if that is lost, let it go (stampede supernode remove) and "
@@ -23,6 +26,8 @@ class Observation:
     `clock_offset_nanos` is of its clock against the caller's, give or take half of the round trip. `alive`: what the
     directory says of a host; `lease_held`: what the host says itself. `knows_supernodes`: of a front-end. A peer cannot
     be asked: it told the leader, and its round trip is the caller's and its own to the supernode between them.
+    `lost_for_nanos`: how long ago the directory ended the lease of a host that did not say that it leaves.
+    `refused_items`: what a host refused as Overloaded since its start, the last one `refused_ago_nanos` ago.
     `is_member`: whether the other supernodes list this one. `refuses_caller`: it runs, but this caller's secret or
     certificate, or its own, keeps them from talking. `refused_because`: why other supernodes do not take its store.
     """
@@ -36,6 +41,11 @@ class Observation:
     lease_held: bool = True
     knows_supernodes: bool = True
     is_member: bool = True
+    lost_for_nanos: int | None = None
+    refused_items: int = 0
+    refused_ago_nanos: int | None = None
+    held_bytes: int = 0
+    memory_bytes_max: int = 0
     refuses_caller: bool = False
     refused_because: str = ""
     round_trip_nanos: int | None = None
@@ -54,6 +64,15 @@ class Observation:
         return f"{self.kind} {self.name}".strip()
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Holdings:
+    """The channels, or the queues, of the whole directory: how many, and the names and hosts of those that are lost."""
+
+    kind: str
+    count: int
+    lost: Sequence[tuple[str, str]] = ()
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One thing that was looked at; `advice` is empty if it is well."""
@@ -65,10 +84,13 @@ class Finding:
     seen: Observation | None = None
 
 
-def diagnose(seen: Sequence[Observation], *, own_version: str, certificate_s_min: float) -> list[Finding]:
+def diagnose(
+    seen: Sequence[Observation], held: Sequence[Holdings] = (), *, own_version: str, certificate_s_min: float
+) -> list[Finding]:
     """Everything that was looked at: first the parts, one by one, then what concerns them together."""
     parts = [_of_part(one, certificate_s_min) for one in seen]
-    return [*parts, *_frontends(seen), *_quorum(seen), *_hosts(seen), *_clocks(seen), *_versions(seen, own_version)]
+    of_all = [*_frontends(seen), *_quorum(seen), *_hosts(seen), *map(_holdings, held), *_clocks(seen)]
+    return [*parts, *of_all, *_versions(seen, own_version)]
 
 
 def _of_part(one: Observation, certificate_s_min: float) -> Finding:
@@ -83,7 +105,7 @@ def _of_part(one: Observation, certificate_s_min: float) -> Finding:
 
 def _state(one: Observation) -> tuple[str, str]:
     if not one.alive:
-        return "lost", "its lease has ended; start it again, or open its channels anew"
+        return _lost(one)
     if not one.knows_supernodes:
         return "no supernode", one.failure
     if not one.is_member:
@@ -96,7 +118,32 @@ def _state(one: Observation) -> tuple[str, str]:
         return "no leader", "it runs, but knows no leader; see the quorum"
     if not one.lease_held:
         return "fenced", "it cannot renew its lease; look at its way to the supernodes"
-    return "ok", ""
+    return _load(one)
+
+
+def _lost(one: Observation) -> tuple[str, str]:
+    if one.lost_for_nanos is None:
+        advice = (
+            "it left, or came back without its data folder, and channels or queues are still its own: open them anew"
+        )
+        return "gone", advice
+    advice = "its lease has ended without a word from it: it was killed, hangs, or is cut off; start it again"
+    return f"lost {_roughly(one.lost_for_nanos)} ago", advice
+
+
+def _load(one: Observation) -> tuple[str, str]:
+    """How a host that serves stands with what it may hold."""
+    if not one.refused_items:
+        return "ok", ""
+    state = f"{one.refused_items} puts refused"
+    if one.refused_ago_nanos is None or one.refused_ago_nanos > REFUSED_LATELY_NANOS:
+        return f"ok, {state} before", ""
+    advice = (
+        f"it refused puts as Overloaded, the last one {_roughly(one.refused_ago_nanos)} ago; it holds "
+        f"{bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max, tighten the "
+        "retention of its channels, or start another host (`stampede ls -l` shows who holds what)"
+    )
+    return state, advice
 
 
 def _of(kind: str, seen: Sequence[Observation]) -> list[Observation]:
@@ -167,6 +214,19 @@ def _hosts(seen: Sequence[Observation]) -> Iterator[Finding]:
         yield Finding(HOST, "-", "none", "no channel host has registered; start one with `stampede host`")
 
 
+def _holdings(held: Holdings) -> Finding:
+    if not held.lost:
+        return Finding(f"{held.kind}s", "-", f"{held.count}, none lost")
+    names = [name for name, _ in held.lost[:NAMED_MAX]]
+    more = f" and {len(held.lost) - NAMED_MAX} more" if len(held.lost) > NAMED_MAX else ""
+    hosts = _joined(sorted({host for _, host in held.lost}))
+    advice = (
+        f"{', '.join(names)}{more} belonged to {hosts}, which is gone, and what they held with it; start it again, or "
+        f"open them anew: the next put into a {held.kind}, or a handle that may create it, does"
+    )
+    return Finding(f"{held.kind}s", "-", f"{len(held.lost)} of {held.count} lost", advice)
+
+
 def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
     """Whose clock is off, against the services' and the caller's. Those of most services are taken to be right.
 
@@ -203,9 +263,14 @@ def _apart(offsets: Mapping[Observation, int]) -> str:
     known = [(offset, one.clock_doubt_nanos) for one, offset in offsets.items()] + [(0, 0)]
     (high, high_doubt), (low, low_doubt) = max(known), min(known, key=lambda one: (one[0], -one[1]))
     return (
-        f"{format_duration(high - low)} apart, give or take {format_duration(high_doubt + low_doubt)}, "
+        f"{_roughly(high - low)} apart, give or take {_roughly(high_doubt + low_doubt)}, "
         f"{format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
     )
+
+
+def _roughly(nanos: int) -> str:
+    """To two digits, which is as much as people need of it."""
+    return format_duration(int(float(f"{nanos:.2g}")))
 
 
 def is_off(offset_nanos: int, uncertainty_nanos: int) -> bool:

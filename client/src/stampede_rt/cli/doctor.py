@@ -34,10 +34,10 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     frontends = target.frontends if url or not members else ()
     ports = Ports(target.credentials)
     try:
-        seen = Examination(ports).look(frontends, members)
+        seen, held = Examination(ports).look(frontends, members)
     finally:
         ports.close()
-    findings = diagnose(seen, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN)
+    findings = diagnose(seen, held, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN)
     print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
     advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
     if arguments.output == "table":

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from stampede_rt._sync.ports import Ports
-from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Observation
+from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Holdings, Observation
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import DETAILS_KEY
 from stampede_rt.tls_diagnosis import certificate_end_unix_s, check_own_certificate, explain_refusal, seconds_of
@@ -20,6 +20,7 @@ from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
+from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for 2 s before it answers
@@ -51,8 +52,8 @@ class Examination:
         self._ports = ports
         self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
 
-    def look(self, frontends: Sequence[str], members: Sequence[str]) -> list[Observation]:
-        """Ask the front-ends and the members that are named, and whoever they know; some 6 * TIMEOUT_S at most."""
+    def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Holdings]]:
+        """Ask the front-ends and the members that are named, and whoever they know; some 8 * TIMEOUT_S at most."""
         with self._pool:
             bound = self._ask(map(_frontend, frontends))
             named = dict.fromkeys(members, "")
@@ -63,7 +64,26 @@ class Examination:
             hosts = self._hosts(supernodes)
             by_name = {answer.seen.name: answer.seen for answer in supernodes}
             peers = [_peer(record, by_name) for record in self._peers(supernodes)]
-        return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts)), *peers]
+            held = self._held(supernodes)
+        return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts)), *peers], held
+
+    def _held(self, supernodes: Sequence[_Answer]) -> list[Holdings]:
+        """All channels and queues, as far as a supernode tells them."""
+        channels = directory_pb.ListChannelsRequest(stale_ok=True)
+        queues = queue_directory_pb.ListQueuesRequest(stale_ok=True, include_mailboxes=True)
+        of_channels = self._pages(supernodes, "ListChannels", channels)
+        of_queues = self._pages(supernodes, "ListQueues", queues)
+        found = [_holdings("channel", "channels", of_channels), _holdings("queue", "queues", of_queues)]
+        return [one for one in found if one is not None]
+
+    def _pages(self, supernodes: Sequence[_Answer], method: str, request: Any) -> Iterator[Any]:
+        """The pages of a listing; None in the place of one that nobody gives."""
+        for _ in range(PAGES_MAX):
+            page = self._first(supernodes, method, request)
+            yield page
+            if page is None or not page.next_page_token:
+                return
+            request.page_token = page.next_page_token
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
         """Those that are named and those that they name: who has lost its majority still knows the others."""
@@ -85,11 +105,7 @@ class Examination:
         response = self._first(supernodes, "ListHosts", directory_pb.ListHostsRequest(include_dead=True, stale_ok=True))
         hosts = response.hosts if response else ()
         alive = [host for host in hosts if host.alive]
-        lost = [
-            Observation(kind=HOST, name=one.name, address=_gatekeeper(one), alive=False)
-            for one in hosts
-            if not one.alive
-        ]
+        lost = [_lost(one) for one in hosts if not one.alive]
         return [*self._ask(map(_host, alive)), *(_Answer(None, one) for one in lost)]
 
     def _peers(self, supernodes: Sequence[_Answer]) -> Iterator[Any]:
@@ -142,6 +158,7 @@ class Examination:
                 seen,
                 ready=getattr(response, "ready", True),
                 lease_held=getattr(response, "lease_held", True),
+                **(_load(response) if part.kind == HOST else {}),
                 round_trip_nanos=round_trip,
                 clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
                 version=response.version,
@@ -206,6 +223,36 @@ def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
         round_trip_nanos=between.round_trip_nanos + 2 * record.clock.uncertainty_nanos,
         clock_offset_nanos=between.clock_offset_nanos + record.clock.offset_nanos,
     )
+
+
+def _lost(host: Any) -> Observation:
+    ended = host.lease_ended_unix_nano if host.HasField("lease_ended_unix_nano") else None
+    for_nanos = None if ended is None else max(0, time.time_ns() - ended)
+    return Observation(kind=HOST, name=host.name, address=_gatekeeper(host), alive=False, lost_for_nanos=for_nanos)
+
+
+def _load(response: Any) -> dict[str, Any]:
+    """What a host tells of its memory and of what it refused."""
+    return {
+        "refused_items": response.refused_items,
+        "refused_ago_nanos": response.refused_ago_nanos if response.HasField("refused_ago_nanos") else None,
+        "held_bytes": response.held_bytes,
+        "memory_bytes_max": response.memory_bytes_max,
+    }
+
+
+def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Holdings | None:
+    """None if nobody could say."""
+    count, lost = 0, []
+    for page in pages:
+        if page is None:
+            return None
+        hosts = {host.host_id: host for host in page.hosts}
+        records = getattr(page, field)
+        count += len(records)
+        gone = (one for one in records if one.host_id in hosts and not hosts[one.host_id].alive)
+        lost += [(one.name or "a mailbox", f"host {hosts[one.host_id].name}") for one in gone]
+    return Holdings(kind=kind, count=count, lost=lost)
 
 
 def _gatekeeper(host: Any) -> str:

@@ -67,7 +67,7 @@ class ChannelRecord(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class ChannelCounters(_message.Message):
-    __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed")
+    __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed", "rejected_overloaded")
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     HELD_FIELD_NUMBER: _ClassVar[int]
     COLLECTED_BY_AGE_FIELD_NUMBER: _ClassVar[int]
@@ -82,6 +82,7 @@ class ChannelCounters(_message.Message):
     HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
     DELIVERED_BYTES_FIELD_NUMBER: _ClassVar[int]
     REJECTED_MALFORMED_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_OVERLOADED_FIELD_NUMBER: _ClassVar[int]
     accepted: int
     held: int
     collected_by_age: int
@@ -96,7 +97,8 @@ class ChannelCounters(_message.Message):
     held_bytes: int
     delivered_bytes: int
     rejected_malformed: int
-    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ...) -> None: ...
+    rejected_overloaded: int
+    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., collected_by_age: _Optional[int] = ..., collected_by_count: _Optional[int] = ..., collected_by_bytes: _Optional[int] = ..., collected_by_consumption: _Optional[int] = ..., rejected_too_old: _Optional[int] = ..., rejected_in_future: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_full: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., delivered_bytes: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ...) -> None: ...
 
 class ChannelStatus(_message.Message):
     __slots__ = ("record", "counters", "newest_unix_nano", "oldest_unix_nano", "frontier_unix_nano", "advance_unix_nano", "subscriptions", "waiting_gets", "waiting_puts", "host_time_unix_nano", "consumers")

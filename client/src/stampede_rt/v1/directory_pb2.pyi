@@ -30,7 +30,7 @@ class Endpoint(_message.Message):
     def __init__(self, target: _Optional[str] = ..., zone: _Optional[str] = ...) -> None: ...
 
 class HostRecord(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -38,6 +38,7 @@ class HostRecord(_message.Message):
     ALIVE_FIELD_NUMBER: _ClassVar[int]
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
+    LEASE_ENDED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[Endpoint]
@@ -45,7 +46,8 @@ class HostRecord(_message.Message):
     alive: bool
     channels: int
     version: str
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ...) -> None: ...
+    lease_ended_unix_nano: int
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SupernodeRecord(_message.Message):
     __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos")

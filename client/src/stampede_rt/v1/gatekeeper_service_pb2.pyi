@@ -22,18 +22,26 @@ class GatekeeperServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GatekeeperServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version")
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max")
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     LEASE_HELD_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_ITEMS_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_BYTES_MAX_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     host_id: bytes
     name: str
     lease_held: bool
     version: str
-    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ...) -> None: ...
+    refused_items: int
+    refused_ago_nanos: int
+    held_bytes: int
+    memory_bytes_max: int
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
     __slots__ = ("transport", "target")

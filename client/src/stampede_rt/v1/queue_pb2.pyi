@@ -63,7 +63,7 @@ class QueueRecord(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[QueueSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., mailbox_peer_id: _Optional[bytes] = ...) -> None: ...
 
 class QueueCounters(_message.Message):
-    __slots__ = ("accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back", "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes", "held_bytes")
+    __slots__ = ("accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back", "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes", "held_bytes", "rejected_overloaded")
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     HELD_FIELD_NUMBER: _ClassVar[int]
     LEASED_FIELD_NUMBER: _ClassVar[int]
@@ -79,6 +79,7 @@ class QueueCounters(_message.Message):
     REJECTED_MALFORMED_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_BYTES_FIELD_NUMBER: _ClassVar[int]
     HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    REJECTED_OVERLOADED_FIELD_NUMBER: _ClassVar[int]
     accepted: int
     held: int
     leased: int
@@ -94,7 +95,8 @@ class QueueCounters(_message.Message):
     rejected_malformed: int
     accepted_bytes: int
     held_bytes: int
-    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., leased: _Optional[int] = ..., consumed: _Optional[int] = ..., dropped: _Optional[int] = ..., dead_lettered: _Optional[int] = ..., expelled: _Optional[int] = ..., delivered: _Optional[int] = ..., given_back: _Optional[int] = ..., leases_expired: _Optional[int] = ..., rejected_full: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ...) -> None: ...
+    rejected_overloaded: int
+    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., leased: _Optional[int] = ..., consumed: _Optional[int] = ..., dropped: _Optional[int] = ..., dead_lettered: _Optional[int] = ..., expelled: _Optional[int] = ..., delivered: _Optional[int] = ..., given_back: _Optional[int] = ..., leases_expired: _Optional[int] = ..., rejected_full: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ...) -> None: ...
 
 class QueueStatus(_message.Message):
     __slots__ = ("record", "counters", "waiting_takers", "waiting_enqueues", "oldest_accepted_unix_nano", "host_time_unix_nano")

@@ -24,7 +24,7 @@ _COUNTED = (
     "accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
     "leases_expired", "accepted_bytes", "held_bytes",
 )  # fmt: skip
-REJECTED_REASONS = ("full", "too_large", "malformed")
+REJECTED_REASONS = ("full", "too_large", "malformed", "overloaded")
 
 
 def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:

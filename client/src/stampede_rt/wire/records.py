@@ -29,7 +29,7 @@ CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
     directory_pb2.CHANGE_KIND_REMOVED: "removed",
 }
 COLLECTED_CAUSES = ("age", "count", "bytes", "consumption")
-REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed")
+REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "overloaded")
 
 
 def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:

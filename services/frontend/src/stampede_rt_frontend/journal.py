@@ -33,16 +33,20 @@ class Journal:
         """What has changed since the last call; `now_s` on a clock that never goes back."""
         if self._starts_until_s is None:
             self._starts_until_s = now_s + START_SECONDS
-        if self._any_served is None and now_s < self._starts_until_s and not roster.any_healthy():
-            return
+        is_starting = now_s < self._starts_until_s
         states = roster.states()
+        served = {target: self._served[target] for target in states if target in self._served}
         for target, why in states.items():
-            if self._served.get(target) is not (why is None):
+            if why is not None and is_starting and target not in served:
+                continue
+            if served.get(target) is not (why is None):
                 yield _of_one(target, why)
-        self._served = {target: why is None for target, why in states.items()}
-        any_serves = roster.any_healthy()
-        all_heard = len(states) == len(roster.targets())
-        if any_serves is not self._any_served and (any_serves or all_heard):
+            served[target] = why is None
+        self._served = served
+        yield from self._of_all(roster.any_healthy(), may_tell=len(served) == len(roster.targets()))
+
+    def _of_all(self, any_serves: bool, *, may_tell: bool) -> Iterator[Note]:
+        if any_serves is not self._any_served and (any_serves or may_tell):
             self._any_served = any_serves
             yield _of_all(any_serves)
 

@@ -44,6 +44,7 @@ def _counters(hosted: HostedChannel, now: int) -> channel_pb2.ChannelCounters:
         rejected_too_large=rejected["ITEM_TOO_LARGE"],
         rejected_full=rejected["CHANNEL_FULL"],
         rejected_malformed=rejected["MALFORMED_RUN"],
+        rejected_overloaded=rejected["OVERLOADED"],
         accepted_bytes=counted.accepted_bytes,
         held_bytes=counted.held_bytes,
         delivered_bytes=hosted.delivered_bytes,

@@ -71,6 +71,11 @@ class IncomingRun:
         if self.judging.resume(known) and not known.is_whole:
             self.offer = self.offer.rest(known.settled - offered, now)
 
+    @property
+    def unsettled(self) -> int:
+        """How many of its items are neither accepted nor refused."""
+        return self.items - self.judging.settled
+
     def refuse_rest(self, error: StampedeError) -> None:
         """What has not been settled never will be."""
         for index in range(self.judging.settled, self.items):
@@ -150,6 +155,9 @@ class ChannelPuts:
         """
         try:
             return self._put(run, now)
+        except Overloaded as error:
+            self._count_overloaded(run, error)
+            raise
         finally:
             self._on_touched()
 
@@ -220,6 +228,10 @@ class ChannelPuts:
         except StampedeError as error:
             self._fail(run, error, now)
             return True
+
+    def _count_overloaded(self, run: IncomingRun, error: Overloaded) -> None:
+        self._channel.reject_overloaded(run.unsettled)
+        self._memory.refused(self._channel.name, run.unsettled, error)
 
     def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
         """A run that waits is not taken.

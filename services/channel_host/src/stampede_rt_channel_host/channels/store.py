@@ -53,7 +53,7 @@ class ChannelStore:
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
         self._registrations = 0
-        self._memory = memory
+        self.memory = memory
         self.sweep = Sweep(self.now)
 
     def now(self) -> int:
@@ -205,7 +205,7 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
-        hosted = HostedChannel(record, self._memory, self.now, self.sweep.touch)
+        hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch)
         self._channels[record.channel_id] = hosted
         return hosted
 

@@ -29,12 +29,17 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self, request: pb.GatekeeperServicePingRequest, context: Any
     ) -> pb.GatekeeperServicePingResponse:
         """The clock that stamps items, and who answers."""
+        memory = self._store.memory
         return pb.GatekeeperServicePingResponse(
             time_unix_nano=self._store.now(),
             host_id=self._identity.host_id,
             name=self._identity.name,
             lease_held=self._store.lease_held(),
             version=software_version(),
+            refused_items=memory.overload.refused_items,
+            refused_ago_nanos=memory.refused_ago_nanos(),
+            held_bytes=memory.used_bytes,
+            memory_bytes_max=memory.bytes_max,
         )
 
     async def BindChannel(self, request: pb.BindChannelRequest, context: Any) -> pb.BindChannelResponse:  # noqa: N802

@@ -88,12 +88,16 @@ class HostedQueue:
 
         Raises InvalidArgument, Overloaded.
         """
-        self._memory.claim(run.charged_bytes)
         done: asyncio.Future[None] | None = None
         try:
+            self._memory.claim(run.charged_bytes)
             self.queue.enqueue(run, self._now())
             if not run.is_through:
                 done = self._waiting[run] = asyncio.get_running_loop().create_future()
+        except Overloaded as error:
+            self.queue.reject_overloaded(len(run.lengths))
+            self._memory.refused(shown(self.record), len(run.lengths), error)
+            raise
         finally:
             self._follow_up()  # what was due is looked after, even if the run is refused
         if done is None:

@@ -28,6 +28,7 @@ def host_record(host: Host) -> directory_pb2.HostRecord:
         alive=host.alive,
         channels=host.channels,
         version=host.version,
+        lease_ended_unix_nano=host.lease_ended_unix_nano,
     )
 
 
@@ -48,4 +49,5 @@ def host_from(entry: directory_command_pb2.HostEntry) -> Host:
         alive=record.alive,
         channels=record.channels,
         registered_index=entry.registered_index,
+        lease_ended_unix_nano=record.lease_ended_unix_nano if record.HasField("lease_ended_unix_nano") else None,
     )

@@ -195,7 +195,7 @@ class Directory:
                 deregister_host(self.tables, deed)
                 return HostDeregistered()
             case ExpireHost():
-                return HostExpired(expired=expire_host(self.tables, deed, self.tenure))
+                return HostExpired(expired=expire_host(self.tables, deed, self.tenure, command.time_unix_nano))
             case BeginTenure():
                 return self._begin_tenure(deed)
             case RegisterPeer():

@@ -49,6 +49,7 @@ def register_host(tables: Tables, deed: RegisterHost) -> Host:
             registered_index=tables.index,
         )
     )
+    tables.find_again(deed.name)
     if before is not None and before.boot_incarnation != deed.boot_incarnation:
         end_registration(tables, deed.host_id)
         _renew_channels(tables, deed)
@@ -89,14 +90,17 @@ def deregister_host(tables: Tables, deed: DeregisterHost) -> None:
     """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes. Its
     mailboxes go to other hosts.
 
-    Who is not there has left already. Raises LeaseExpired for another boot.
+    Who is not there has left already; one that was lost is so no more. Raises LeaseExpired for another boot.
     """
     check_id(deed.host_id, "host_id")
     host = tables.hosts.get(deed.host_id)
-    if host is None or not host.alive:
+    if host is None or not (host.alive or host.is_lost):
         return
     check_boot(host, deed.boot_incarnation)
-    _end(tables, host)
+    if host.alive:
+        _end(tables, host)
+    else:
+        tables.put_host(replace(host, lease_ended_unix_nano=None))
 
 
 def check_boot(host: Host, boot_incarnation: int) -> None:
@@ -109,17 +113,20 @@ def check_boot(host: Host, boot_incarnation: int) -> None:
         )
 
 
-def expire_host(tables: Tables, deed: ExpireHost, tenure: int) -> bool:
-    """End a lease, unless the words come too late: `tenure` is the one in force. Returns whether it ended."""
+def expire_host(tables: Tables, deed: ExpireHost, tenure: int, now_unix_nano: int) -> bool:
+    """End a lease, unless the words come too late: `tenure` is the one in force. Returns whether it ended.
+
+    The host is remembered as lost until it comes back, says that it leaves, or too many others are lost after it.
+    """
     host = tables.hosts.get(deed.host_id)
     if host is None or not host.alive or deed.tenure != tenure:
         return False
     if (host.boot_incarnation, host.registered_index) != (deed.boot_incarnation, deed.registered_index):
         return False
-    _end(tables, host)
+    _end(tables, host, lost_unix_nano=now_unix_nano)
     return True
 
 
-def _end(tables: Tables, host: Host) -> None:
-    tables.put_host(replace(host, alive=False))
+def _end(tables: Tables, host: Host, lost_unix_nano: int | None = None) -> None:
+    tables.put_host(replace(host, alive=False, lease_ended_unix_nano=lost_unix_nano))
     end_registration(tables, host.host_id)

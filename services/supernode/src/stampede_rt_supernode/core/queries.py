@@ -64,13 +64,25 @@ def _owners(tables: Tables, channels: list[Channel]) -> tuple[Host, ...]:
     return tuple(tables.hosts[host_id] for host_id in dict.fromkeys(channel.host_id for channel in channels))
 
 
-def host_page(tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, include_dead: bool) -> HostPage:
-    """Up to `hosts_max` (0: the most) hosts behind `after_key`. O(hosts)."""
+def host_page(
+    tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, include_dead: bool, lost_since: int = 0
+) -> HostPage:
+    """Up to `hosts_max` (0: the most) hosts behind `after_key`. O(hosts).
+
+    Those that own nothing and whose lease ended before `lost_since` (a time of the epoch) are left out.
+    """
     limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
-    asked = tables.hosts.values() if include_dead else tables.live_hosts()
+    dead = (one for one in tables.hosts.values() if not one.alive and _is_of_interest(tables, one, lost_since))
+    asked = [*tables.live_hosts(), *(dead if include_dead else ())]
     keys = sorted(key for host in asked if (key := (host.name, host.host_id)) > after_key)
     page = tuple(tables.hosts[host_id] for _, host_id in keys[:limit])
     return HostPage(page, keys[limit - 1] if len(keys) > limit else None)
+
+
+def _is_of_interest(tables: Tables, host: Host, lost_since: int) -> bool:
+    if host.channels or tables.queues.count_at(host.host_id):
+        return True
+    return host.lease_ended_unix_nano is not None and host.lease_ended_unix_nano >= lost_since
 
 
 def channels_of(tables: Tables, host_id: bytes) -> tuple[Channel, ...]:

@@ -28,6 +28,7 @@ class Host:
 
     `name` is unique among the live ones. `channels` is the number of channels that it owns. `registered_index` is the
     log position of its last registration: a lease belongs to one registration, and so does its end.
+    `lease_ended_unix_nano`: when its lease was ended, by the leader's clock; None while it lives, and if it left.
     """
 
     host_id: bytes
@@ -38,6 +39,12 @@ class Host:
     alive: bool
     channels: int
     registered_index: int
+    lease_ended_unix_nano: int | None = None
+
+    @property
+    def is_lost(self) -> bool:
+        """Its lease has ended without a word from it."""
+        return self.lease_ended_unix_nano is not None
 
     @property
     def holder_id(self) -> bytes:

@@ -20,6 +20,8 @@ from stampede_rt_supernode.core.queues.table import QueueTable
 from stampede_rt_supernode.core.records import ChangeKind, Channel, Group, Host, Peer, Queue, Replica
 from stampede_rt_supernode.core.replicas.table import ReplicaTable
 
+LOST_HOSTS_MAX = 100
+
 
 class Tables:
     """Edits are atomic: they check nothing that could fail half-way. O(log n) each."""
@@ -42,6 +44,7 @@ class Tables:
         # By name; exactly the channels. Made at once: name by name takes twenty times as long.
         self.channel_ids: SortedDict[str, bytes] = SortedDict({one.name: key for key, one in self.channels.items()})
         self.host_ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live hosts
+        self.lost: set[bytes] = {host.host_id for host in self.hosts.values() if host.is_lost}
         self._channel_ids_at: dict[bytes, set[bytes]] = {host_id: set() for host_id in self.hosts}
         for host in self.hosts.values():
             if host.alive:
@@ -114,7 +117,8 @@ class Tables:
     def put_host(self, host: Host) -> None:
         """Add or replace a host; if it is alive, no other live host has its name.
 
-        A host that is not alive stays for as long as it has channels or queues: they remember where their items were.
+        A host that is not alive stays for as long as it has channels or queues, which remember where their items were,
+        or is one of the last LOST_HOSTS_MAX that were lost.
         """
         before = self.hosts.get(host.host_id)
         if before is not None and before.alive:
@@ -124,7 +128,22 @@ class Tables:
         if host.alive:
             self.host_ids[host.name] = host.host_id
         self.changes.note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, host)
+        self._note_lost(host)
         self._drop_if_done(host)
+
+    def find_again(self, name: str) -> None:
+        """A live host has that name: those that were lost under it are looked for no more."""
+        for host in [self.hosts[one] for one in self.lost if self.hosts[one].name == name]:
+            self.put_host(replace(host, lease_ended_unix_nano=None))
+
+    def _note_lost(self, host: Host) -> None:
+        if not host.is_lost:
+            self.lost.discard(host.host_id)
+            return
+        self.lost.add(host.host_id)
+        if len(self.lost) > LOST_HOSTS_MAX:
+            first = min((self.hosts[one] for one in self.lost), key=_when_lost)
+            self.put_host(replace(first, lease_ended_unix_nano=None))
 
     def put_queue(self, queue: Queue) -> None:
         """Add a queue or mailbox, or replace the one of that id; its host is known, and may be another than before."""
@@ -144,7 +163,14 @@ class Tables:
         self._drop_if_done(host)
 
     def _drop_if_done(self, host: Host) -> None:
-        if not host.alive and host.channels == 0 and self.queues.count_at(host.host_id) == 0:
+        if host.alive or host.is_lost:
+            return
+        if host.channels == 0 and self.queues.count_at(host.host_id) == 0 and host.host_id in self.hosts:
             del self.hosts[host.host_id]
             del self._channel_ids_at[host.host_id]
             self.changes.note(ChangeKind.REMOVED, host)
+
+
+def _when_lost(host: Host) -> tuple[int, bytes]:
+    """The same order on every replica."""
+    return host.lease_ended_unix_nano or 0, host.host_id

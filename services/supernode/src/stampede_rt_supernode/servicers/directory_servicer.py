@@ -36,6 +36,8 @@ from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
 
+LOST_SHOWN_NANOS = 3600 * 10**9
+
 
 class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     """One supernode's answers. Reads are linearizable unless `stale_ok`; updates are done once for each request id."""
@@ -192,9 +194,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def ListHosts(self, request: pb.ListHostsRequest, context: Any) -> pb.ListHostsResponse:
         """See the contract."""
         after = page_tokens.read_host(request.page_token)
+        since, with_dead = self._clock.time_unix_nano() - LOST_SHOWN_NANOS, request.include_dead
 
         def find(directory: Directory) -> tuple[HostPage, int]:
-            page = host_page(directory.tables, after, request.page_size, include_dead=request.include_dead)
+            page = host_page(directory.tables, after, request.page_size, include_dead=with_dead, lost_since=since)
             return page, directory.applied_index
 
         page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)

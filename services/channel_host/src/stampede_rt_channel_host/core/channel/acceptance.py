@@ -26,7 +26,8 @@ class Acceptance:
         self._retention = retention
         self._channel = f"channel {name!r}" if name else "the channel"
         self.advance: int | None = None
-        self.rejected = {"TOO_OLD": 0, "IN_FUTURE": 0, "ITEM_TOO_LARGE": 0, "CHANNEL_FULL": 0, "MALFORMED_RUN": 0}
+        reasons = ("TOO_OLD", "IN_FUTURE", "ITEM_TOO_LARGE", "CHANNEL_FULL", "MALFORMED_RUN", "OVERLOADED")
+        self.rejected = dict.fromkeys(reasons, 0)
 
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item. Age is settled where it matters; a whole run leaves the excess to the caller."""

@@ -77,6 +77,7 @@ class Channel:
         self.lost_before = lost_before
         self._held = Holdings(cut)
         self._retention = Retention(Limits.of(policy), self._held)
+        self.name = name
         self._acceptance = Acceptance(self._held, self._retention, name)
         self._reading = Reading(self._held, self._retention, incarnation, lost_before)
         self._clock: int | None = None
@@ -109,6 +110,10 @@ class Channel:
     def reject_malformed(self, items: int) -> None:
         """Count items that the shell refused before they became an offer."""
         self._acceptance.rejected["MALFORMED_RUN"] += items
+
+    def reject_overloaded(self, items: int) -> None:
+        """Count items that the shell refused because a bound of the host is reached."""
+        self._acceptance.rejected["OVERLOADED"] += items
 
     def read(self, query: Query, now: int) -> Answer:
         """What the channel holds of the query, at once. Changes nothing that another reader could see.

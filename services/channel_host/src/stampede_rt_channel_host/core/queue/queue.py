@@ -89,6 +89,10 @@ class Queue:
         """Count a run that the shell could not read."""
         self._shelf.tally.rejected_malformed += 1
 
+    def reject_overloaded(self, items: int) -> None:
+        """Count items that were refused because a bound of the host or of its waiting line is reached."""
+        self._shelf.tally.rejected_overloaded += items
+
     def reject_too_large(self) -> None:
         """Count an item that the shell refused: no queue could hold it."""
         self._shelf.tally.rejected_too_large += 1

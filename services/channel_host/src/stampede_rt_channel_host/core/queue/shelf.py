@@ -33,6 +33,7 @@ class Tally:
     rejected_full: int = 0
     rejected_too_large: int = 0
     rejected_malformed: int = 0
+    rejected_overloaded: int = 0
 
 
 class Shelf:

@@ -108,5 +108,6 @@ class QueueCounters:
     rejected_full: int = 0
     rejected_too_large: int = 0
     rejected_malformed: int = 0
+    rejected_overloaded: int = 0
     accepted_bytes: int = 0
     held_bytes: int = 0

@@ -1,0 +1,14 @@
+"""What a host refuses is counted each time and told in the log now and then."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.channels.overload import LOG_PERIOD_NANOS, Overload
+
+
+def test_every_refused_item_counts_and_a_line_tells_of_all_since_the_last_one() -> None:
+    overload = Overload()
+    assert overload.ago_nanos(5) is None
+    assert overload.note(3, 100) == 3
+    assert [overload.note(1, 100 + step) for step in range(10)] == [None] * 10
+    assert overload.note(2, 100 + LOG_PERIOD_NANOS) == 12
+    assert (overload.refused_items, overload.ago_nanos(110 + LOG_PERIOD_NANOS)) == (15, 10)
