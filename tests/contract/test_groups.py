@@ -185,6 +185,26 @@ async def test_a_get_of_the_group_takes_one_cut_on_all_hosts(surface: Surface) -
     assert [newest[channel.name].payload for channel in (left, right)] == [b"1", b"1"]
 
 
+async def test_the_newest_of_a_group_that_shows_nothing_yet_comes_with_why(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    nothing = await group.newest()
+    assert list(nothing.values()) == [None, None]
+    assert [bool(nothing.reasons[channel.name].detail) for channel in (left, right)] == [True, True]
+    await left.put(b"l0", time=base)
+    await right.put(b"r0", time=base + 5)
+    hidden = await group.newest()
+    while "its cut is at" not in hidden.reasons[right.name].detail:  # until the hosts have told each other
+        hidden = await group.newest()
+    assert [hidden[channel.name] for channel in (left, right)] == [None, None]
+    assert [hidden.reasons[channel.name] for channel in (left, right)] == ["HIDDEN", "HIDDEN"]
+    assert f"held back by {left.name}" in hidden.reasons[right.name].detail
+    await left.put(b"l1", time=base + 9)
+    await group[left].get(base, base, match="start", timeout=10)
+    shown = await group.newest()
+    assert shown[left.name].payload == b"l0"
+    assert [channel.name for channel in shown.reasons] == [right.name]
+
+
 async def test_a_subscription_through_a_group_comes_in_the_order_of_becoming_visible(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     async with group[left].subscribe() as items:

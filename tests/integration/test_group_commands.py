@@ -82,6 +82,17 @@ def test_what_a_group_shows_is_printed_with_who_holds_it_back(run: Command, rt: 
     assert shown.count("rig/left") == shown.count("rig/right") == 2
 
 
+def test_why_a_group_shows_nothing_is_told_for_each_channel(run: Command, rt: st.Connection) -> None:
+    for name, host in zip(("early", "late"), sorted(host.name for host in rt.hosts()), strict=True):
+        rt.channel(name, max_age="60s", host=host).put(b"first")
+    run("create", "young", "early", "late")
+    for words in (("newest", "young"), ("get", "young", "oldest", "newest"), ("newest", "young", "-o", "json")):
+        status, _, told = run(*words)
+        assert status == 3
+        for name in ("early", "late"):
+            assert any(line.startswith(f"stampede: {name}: HIDDEN: the group hides it") for line in told.splitlines())
+
+
 def test_cuts_and_matches_are_printed_as_they_come(
     cluster: LocalCluster, run: Command, rt: st.Connection, base: int
 ) -> None:

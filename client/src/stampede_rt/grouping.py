@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, TypeVar, get_args
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import ChannelInfo, Item, Items
+from stampede_rt.model import ChannelInfo, Item, Items, Reason
 from stampede_rt.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64
@@ -85,6 +85,16 @@ class Matched(ByChannel[Key, Item]):
         super().__init__(channels, values)
         self.missing = tuple(missing)
         self.time = time
+
+
+class NewestItems(ByChannel[Key, Item | None]):
+    """The newest visible item of each channel, or None; `reasons[channel]` says why there is none."""
+
+    def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items]) -> None:
+        """`answers`: of each channel what was asked for, its newest item first."""
+        super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
+        told = {one: items.reason for one, items in answers.items() if not items and items.reason is not None}
+        self.reasons: ByChannel[Key, Reason] = ByChannel(channels, told)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

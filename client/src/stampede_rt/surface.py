@@ -53,7 +53,16 @@ from stampede_rt.errors import (
     VersionMismatch,
     WatchRestart,
 )
-from stampede_rt.grouping import ByChannel, CrossSection, Cut, GroupInfo, GroupStatus, Matched, MemberStatus
+from stampede_rt.grouping import (
+    ByChannel,
+    CrossSection,
+    Cut,
+    GroupInfo,
+    GroupStatus,
+    Matched,
+    MemberStatus,
+    NewestItems,
+)
 from stampede_rt.model import (
     Change,
     ChannelInfo,
@@ -141,6 +150,7 @@ __all__ = [
     "Matched",
     "MemberStatus",
     "Message",
+    "NewestItems",
     "OnFull",
     "Overloaded",
     "PeerChange",

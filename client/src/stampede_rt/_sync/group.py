@@ -31,6 +31,7 @@ from stampede_rt.grouping import (
     GroupStatus,
     GroupView,
     Named,
+    NewestItems,
     is_named_by,
     parse_max_wait,
     parse_members,
@@ -38,7 +39,7 @@ from stampede_rt.grouping import (
     shown_name,
 )
 from stampede_rt.handles import Reference, shown
-from stampede_rt.model import Item, Items
+from stampede_rt.model import Items
 from stampede_rt.reading import Read, parse_limit
 from stampede_rt.timeline import (
     MAX_INSTANT,
@@ -137,12 +138,15 @@ class Group(Reference):
             )
         )
 
-    def newest(self, *, payloads: bool = True) -> ByChannel[Channel, Item | None]:
-        """The newest visible item of each channel, all at one cut; None where nothing is visible."""
+    def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
+        """The newest visible item of each channel, all at one cut; None where nothing is visible.
+
+        `.reasons[channel]` of the answer says why: the cut lies at the earliest of the members' newest items, and shows
+        what is before it, so right after the first ones nothing is visible.
+        """
         interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
         answers = self._read(Read(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
-        found = {channel.info.channel_id: (items[0] if items else None) for channel, items in answers.items()}
-        return ByChannel(self.channels, found)
+        return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
 
     def _read(self, query: Read) -> ByChannel[Channel, Items]:
         return self._with_members_of_now(functools.partial(self._read_all, query))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import (
@@ -16,8 +17,9 @@ from stampede_rt.cli.arguments import (
     parse_count,
 )
 from stampede_rt.cli.output import item_line, item_row, print_rows
+from stampede_rt.cli.terminal import escaped
 from stampede_rt.grouping import Cut, GroupInfo, GroupStatus, Matched
-from stampede_rt.model import Item
+from stampede_rt.model import Item, Reason
 from stampede_rt.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
@@ -154,22 +156,27 @@ def run_newest(arguments: argparse.Namespace) -> int:
     with connected(arguments) as rt:
         found = rt.group(arguments.group).newest()
     items = {channel.name: ([] if item is None else [item]) for channel, item in found.items()}
-    return _print_items(items, arguments.output)
+    reasons = {channel.name: reason for channel, reason in found.reasons.items()}
+    return _print_items(items, reasons, arguments.output)
 
 
 def run_get(arguments: argparse.Namespace) -> int:
     """Print what each channel shows in an interval."""
     with connected(arguments) as rt:
         found = rt.group(arguments.group).get(arguments.start, arguments.end)
-    return _print_items({channel.name: list(items) for channel, items in found.items()}, arguments.output)
+    reasons = {channel.name: items.reason for channel, items in found.items() if items.reason is not None}
+    return _print_items({channel.name: list(items) for channel, items in found.items()}, reasons, arguments.output)
 
 
-def _print_items(items: dict[str, list[Item]], form: str) -> int:
+def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form: str) -> int:
+    """What each channel shows, and on standard error why one shows nothing, or not all."""
     if form == "table":
         for name, held in items.items():
             print("\n".join(f"{name}  {item_line(item)}" for item in held) or f"{name}  nothing visible")
     else:
         print(json.dumps({name: [item_row(one) for one in held] for name, held in items.items()}))
+    for name, reason in reasons.items():
+        print(f"stampede: {name}: {reason}: {escaped(reason.detail)}", file=sys.stderr)
     return 0 if any(items.values()) else NOTHING
 
 
