@@ -256,11 +256,13 @@ class OracleView(OracleReader):
         """Why an answer is empty or partial: as for a channel, but what the cut holds back is HIDDEN."""
         answer = self.read(query, interval)
         if interval is None:
-            return "HIDDEN" if self.full.held else "NOT_YET"
+            return "HIDDEN" if self.full.held else answer.reason
         hides = self.hides_an_item_of(query, interval)
-        if answer.reason == "NOT_YET":
-            passed = OracleReader(self.full, self.real_clock)._is_finished(_remaining(query, interval))
-            return "HIDDEN" if hides or passed else "NOT_YET"
+        region = _remaining(query, interval)
+        lost_so_far = answer.reason == "LOST" and not answer.items and not self._is_finished(region)
+        if answer.reason == "NOT_YET" or lost_so_far:
+            passed = OracleReader(self.full, self.real_clock)._is_finished(region)
+            return "HIDDEN" if hides or passed else answer.reason
         if answer.items and answer.reason is None and hides and not (answer.more and not query.newest_first):
             return "HIDDEN"
         return answer.reason

@@ -58,7 +58,8 @@ class OracleReader:
 
     def read(self, query: Query, interval: ResolvedInterval | None) -> OracleAnswer:
         if interval is None:
-            return OracleAnswer([], [], None, False, False, False, "NOT_YET")
+            unresolved = "NOT_YET" if self.channel.lost_before is None else "LOST"
+            return OracleAnswer([], [], None, False, False, False, unresolved)
         found = [item for item in self.channel.held if self.matches(item, Instants.of(interval), query.match)]
         found = [item for item in found if self._is_asked_for(item, query)]
         chosen = found
@@ -126,7 +127,9 @@ class OracleReader:
             return "NEVER"
         if self._is_below_frontier(region) or (finished and truncated):
             return gone
-        return "NEVER" if finished else unfinished
+        if finished:
+            return "NEVER"
+        return "LOST" if self._reaches_into_loss(region) else "NOT_YET"
 
 
 class OracleGet:

@@ -217,8 +217,11 @@ def test_what_an_incarnation_before_this_one_held_is_lost_and_not_never_or_not_y
     before = get(channel, CLOCK - 20, CLOCK - 10)
     assert (before.reason, before.complete, before.truncated) == ("LOST", False, True)
     assert "incarnation abc began then" in (before.reason.detail if before.reason else "")
-    assert get(channel, CLOCK - 20, CLOCK + 10).reason == "NOT_YET"
-    assert "was lost" in (get(channel, OLDEST, NEWEST).reason or Reason("NEVER", "")).detail
+    assert get(channel, CLOCK - 20, CLOCK + 10).reason == "LOST"
+    assert get(channel, CLOCK, CLOCK + 10).reason == "NOT_YET"
+    unresolved = get(channel, OLDEST, NEWEST).reason or Reason("NEVER", "")
+    assert unresolved == "LOST"
+    assert "was lost" in unresolved.detail
     put(channel, CLOCK + 5, now=CLOCK + 5)
     assert get(channel, CLOCK - 20, CLOCK - 10, now=CLOCK + 5).reason == "LOST"
     partial = get(channel, CLOCK - 20, CLOCK + 5, now=CLOCK + 5)

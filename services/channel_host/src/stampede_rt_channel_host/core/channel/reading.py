@@ -130,10 +130,10 @@ class Reading:
         )  # fmt: skip
 
     def _no_anchor(self) -> Reason:
-        but = "" if self._lost_before is None else f": {self._loss}"
-        return Reason(
-            "NOT_YET", f"the channel holds no item, so that there is no newest or oldest one to go by yet{but}"
-        )
+        nothing = "the channel holds no item, so that there is no newest or oldest one to go by yet"
+        if self._lost_before is not None:
+            return Reason("LOST", f"{nothing}: {self._loss}")
+        return Reason("NOT_YET", nothing)
 
     def _is_over(self, region: ResolvedInterval) -> bool:
         """Nothing more can come: an item or an advance is past its end, or it is empty, or below the frontier."""
@@ -149,7 +149,11 @@ class Reading:
         return frontier is not None and region.end + (not region.end_exclusive) <= frontier
 
     def _is_truncated(self, region: ResolvedInterval) -> bool:
-        return any(mark is not None and region.start < mark for mark in (self._held.frontier, self._lost_before))
+        frontier = self._held.frontier
+        return self._reaches_into_loss(region) or (frontier is not None and region.start < frontier)
+
+    def _reaches_into_loss(self, region: ResolvedInterval) -> bool:
+        return self._lost_before is not None and region.start < self._lost_before
 
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
@@ -168,7 +172,7 @@ class Reading:
         if self._is_below_frontier(region):
             return self._collected()
         if not self._is_over(region):
-            return self._not_yet(query, region)
+            return self._nothing_yet(query, region)
         if self._is_truncated(region):
             return self._gone(region)
         consumed = self.consumed_up_to is not None and self.consumed_up_to >= region.start
@@ -193,6 +197,10 @@ class Reading:
         policy = self._retention.limits.describe(held.collected_by)
         before = format_instant(held.frontier or 0)
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
+
+    def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
+        """Whoever reaches back hears what was lost, though more may come."""
+        return self._lost() if self._reaches_into_loss(region) else self._not_yet(query, region)
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
         if self._lost_before is not None and region.end + (not region.end_exclusive) <= self._lost_before:

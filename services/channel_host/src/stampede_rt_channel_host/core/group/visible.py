@@ -123,6 +123,12 @@ class VisibleReading(Reading):
             return self._hidden()
         return reason
 
+    def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
+        """What is there and hidden comes before what was lost."""
+        if self._is_passed(region) or self._hides():
+            return self._hidden()
+        return super()._nothing_yet(query, region)
+
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
         if self._is_passed(region) or self._hides():
             return self._hidden()
