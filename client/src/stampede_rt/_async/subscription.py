@@ -186,8 +186,8 @@ class Subscription(OfOneProcess):
         if self._cursor is None:  # it never held: what the caller named is of another incarnation
             return error
         lost = IncarnationLost(
-            f"the host of channel {self._state.info.name!r} was lost, and what it held; everything after seq "
-            f"{self._cursor.next_seq - 1} may be missing: subscribe again to go on with the new incarnation"
+            f"channel {self._state.info.name!r} has begun anew: its host was lost, and what it held; everything after "
+            f"seq {self._cursor.next_seq - 1} may be missing; subscribe again to go on with the new incarnation"
         )
         lost.concerning("channel", self._state.info.name)
         return lost

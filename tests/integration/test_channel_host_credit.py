@@ -1,0 +1,158 @@
+"""What readers let a channel host send, by raw streams: none, one item, too much, and nonsense."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels import subscription
+from stampede_rt_channel_host.channels.credit import CREDIT_MAX, Credit
+from tests.unit.channel_host.rig import Opened, Rig, S, payloads_of, run_of, running_host
+
+
+@pytest.fixture
+async def rig() -> AsyncIterator[Rig]:
+    async with running_host() as rig:
+        yield rig
+
+
+async def begun(channel: Opened, **fields: Any) -> Any:
+    """A subscription that holds, without credit."""
+    call = await channel.subscribe_slowly(**fields)
+    async with asyncio.timeout(10):
+        assert (await call.read()).HasField("opened")
+    return call
+
+
+async def grant(call: Any, credit_bytes: int) -> None:
+    await call.write(pb.SubscribeRequest(credit_bytes=credit_bytes))
+
+
+async def read(call: Any) -> pb.SubscribeResponse:
+    async with asyncio.timeout(10):
+        response: pb.SubscribeResponse = await call.read()
+    return response
+
+
+def payloads(response: pb.SubscribeResponse) -> list[bytes]:
+    return [payload for delivered in response.runs for payload in payloads_of(delivered.run)]
+
+
+async def test_a_reader_that_grants_nothing_is_sent_nothing_and_costs_no_memory(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.0)  # a sign of life would be due at any time
+    monkeypatch.setattr(subscription, "WRITE_SECONDS_MAX", 0.1)
+    channel = await rig.open()
+    call = await begun(channel)
+    for number in range(50):
+        await channel.put(run_of(b"%02d" % number + b"x" * 2**18, number=number + 1))
+    status = await channel.status()
+    assert (status.counters.delivered_bytes, status.subscriptions) == (0, 1)
+    await grant(call, 1)
+    assert [payload[:2] for payload in payloads(await read(call))] == [b"00"]  # what came first, and nothing before it
+    call.cancel()
+
+
+async def test_each_item_takes_its_payload_and_64_bytes_and_the_last_one_may_take_more_than_is_left(rig: Rig) -> None:
+    channel = await rig.open()
+    call = await begun(channel)
+    await channel.put(run_of(*(b"%06d" % number for number in range(10))))
+    await grant(call, 2 * 70 + 1)
+    assert payloads(await read(call)) == [b"000000", b"000001", b"000002"]
+    await grant(call, 69)  # the last one is owed: nothing yet
+    await grant(call, 1)
+    assert payloads(await read(call)) == [b"000003"]
+    call.cancel()
+
+
+async def test_the_newest_is_chosen_when_the_credit_comes_and_what_was_passed_over_is_told_with_it(rig: Rig) -> None:
+    channel = await rig.open()
+    t = rig.now() - S
+    call = await begun(channel, mode=pb.SUBSCRIBE_MODE_NEWEST)
+    for number in range(30):
+        await channel.put(run_of(b"%d" % number, number=number + 1, times=[t + number]))
+    await grant(call, 1)
+    response = await read(call)
+    assert (payloads(response), response.progress.skipped) == ([b"29"], 29)
+    assert response.cursor.next_seq == response.progress.next_seq == 31
+    call.cancel()
+
+
+async def test_a_reader_that_grants_more_than_there_can_be_gets_everything_in_bounded_messages(rig: Rig) -> None:
+    channel = await rig.open()
+    call = await begun(channel)
+    for _ in range(8):
+        await grant(call, 2**64 - 1)
+    for number in range(40):
+        await channel.put(run_of(b"x" * 2**16, number=number + 1))
+    seen = 0
+    while seen < 40:
+        response = await read(call)
+        seen += len(payloads(response))
+        assert len(payloads(response)) <= 2**20 // 2**16
+    call.cancel()
+
+
+def test_credit_has_an_end() -> None:
+    news: list[None] = []
+    credit = Credit(lambda: news.append(None))
+    for _ in range(3):
+        credit.grant(2**64 - 1)
+    credit.grant(0)
+    assert (credit.left, len(news), credit.is_over) == (CREDIT_MAX, 3, False)
+    credit.spend(CREDIT_MAX + 5)
+    credit.end()
+    assert (credit.left, credit.is_over) == (-5, True)
+
+
+async def test_a_reader_that_closes_its_side_gets_what_its_credit_allows_and_then_the_end(rig: Rig) -> None:
+    channel = await rig.open()
+    call = await begun(channel)
+    await grant(call, 1)
+    await call.done_writing()
+    await channel.put(run_of(b"one", b"two"))
+    assert payloads(await read(call)) == [b"one"]
+    assert await read(call) is grpc.aio.EOF
+    assert await call.code() is grpc.StatusCode.OK
+
+
+@pytest.mark.parametrize(
+    ("requests", "said"),
+    [
+        ([], "no open"),
+        ([pb.SubscribeRequest(credit_bytes=5)], "no open"),
+        (["open", "open"], "open already"),
+    ],
+)
+async def test_a_stream_that_does_not_begin_with_open_or_opens_twice_is_refused(
+    rig: Rig, requests: list[Any], said: str
+) -> None:
+    channel = await rig.open()
+    opening = channel.subscribe_request()
+    call = rig.channels.Subscribe(iter([opening if one == "open" else one for one in requests]))
+    with pytest.raises(grpc.aio.AioRpcError, match=said):
+        async for _ in call:
+            pass
+
+
+async def test_an_advance_is_told_only_when_everything_before_it_was_sent(rig: Rig) -> None:
+    channel = await rig.open()
+    t = rig.now() - S
+    call = await begun(channel)
+    await channel.put(run_of(b"one", b"two", times=[t, t + 1]))
+    await rig.channels.Advance(
+        pb.AdvanceRequest(channel_id=channel.channel_id, epoch=channel.epoch, time_unix_nano=t + 2)
+    )
+    await grant(call, 1)
+    first = await read(call)
+    assert (payloads(first), first.HasField("progress")) == ([b"one"], False)
+    await grant(call, 1000)
+    assert payloads(await read(call)) == [b"two"]
+    assert (await read(call)).progress.advance_unix_nano == t + 2
+    call.cancel()

@@ -1,0 +1,90 @@
+"""How far a host may send ahead of a reader."""
+
+from __future__ import annotations
+
+from stampede_rt.crediting import ONE_ITEM, WINDOW_AGE_S, WINDOW_BYTES_MAX, CreditWindow
+
+FRAME = 18_000
+
+
+class Reader:
+    """Takes items that are there at once, each for so long; `ahead` is what the host may have sent before it asks."""
+
+    def __init__(self, window: CreditWindow, item_bytes: int) -> None:
+        self.window = window
+        self.item_bytes = item_bytes
+        self.now_s = 0.0
+        self.left = 0  # at the host
+        self.on_the_way = 0
+        self.messages = 0
+
+    def step(self, busy_s: float) -> None:
+        credit = self.window.ask(self.now_s)
+        self.messages += bool(credit)
+        self.left += credit
+        while self.left > 0:
+            self.left -= self.item_bytes
+            self.on_the_way += 1
+        assert self.on_the_way, "the reader asked, and may be sent nothing"
+        self.on_the_way -= 1
+        self.window.take(self.item_bytes, self.now_s)
+        self.now_s += busy_s
+
+
+def test_it_begins_with_one_item_and_doubles_for_a_reader_that_keeps_up() -> None:
+    reader = Reader(CreditWindow(), FRAME)
+    ahead = []
+    for _ in range(12):
+        reader.step(1e-6)
+        ahead.append(reader.on_the_way)
+    assert ahead[:4] == [0, 1, 3, 7]
+    assert max(ahead) * FRAME <= WINDOW_BYTES_MAX
+
+
+def test_a_slow_reader_has_no_more_ahead_than_it_takes_in_a_tenth_of_a_second() -> None:
+    reader = Reader(CreditWindow(), 100)
+    for _ in range(30):
+        reader.step(1e-6)
+    for _ in range(20_000):
+        reader.step(0.005)
+    assert reader.on_the_way <= WINDOW_AGE_S / 0.005
+    for _ in range(100):
+        reader.step(1.0)
+    assert reader.on_the_way == 0
+
+
+def test_a_reader_that_was_slow_once_is_quick_again() -> None:
+    reader = Reader(CreditWindow(), FRAME)
+    for busy_s in (1e-6, 1e-6, 1e-6, 5.0, *[1e-6] * 20):
+        reader.step(busy_s)
+    assert reader.on_the_way > 20
+
+
+def test_with_one_item_nothing_is_sent_before_the_reader_asks() -> None:
+    for busy_s in (0.0, 1e-6, 1.0):
+        reader = Reader(CreditWindow(ONE_ITEM), FRAME)
+        for _ in range(10):
+            reader.step(busy_s)
+            assert reader.on_the_way == 0
+
+
+def test_credit_of_a_quick_reader_goes_in_few_messages() -> None:
+    reader = Reader(CreditWindow(), 100)
+    for _ in range(100_000):
+        reader.step(1e-6)
+    assert reader.messages < 100
+
+
+def test_what_is_asked_for_twice_is_granted_once() -> None:
+    window = CreditWindow()
+    assert window.ask(0.0) == 1
+    assert window.ask(1.0) == 0
+    window.begin()  # on a new stream
+    assert window.ask(2.0) == 1
+
+
+def test_an_item_that_the_reader_has_already_makes_room_for_another() -> None:
+    window = CreditWindow(ONE_ITEM)
+    assert window.ask(0.0) == 1
+    window.drop(164)
+    assert window.ask(0.0) == 164
