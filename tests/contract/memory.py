@@ -24,7 +24,8 @@ from stampede_rt.timeline import (
     parse_match,
 )
 from stampede_rt.v1 import item_pb2
-from stampede_rt.wire.runs import ItemDecoder, encode_run, seal_run, select_items, slice_run
+from stampede_rt.wire.run_slices import slice_run
+from stampede_rt.wire.runs import ItemDecoder, encode_run, seal_run, select_items
 from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Position, PutOutcome, Query, Slice, WakeAt
 
 LIMIT_BYTES = 1 << 20

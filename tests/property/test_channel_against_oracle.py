@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core.channel import Offer, Position, Query, tally
+from stampede_rt_channel_host.core.channel import Offer, Position, Query, pieces, tally
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice
 from tests.property.draws import (
@@ -126,13 +126,16 @@ STEPS = (
 def play(numbers: list[int]) -> None:
     """One story: a policy, then a step for each number; with `hasty` nobody looks between the steps.
 
-    What is held is counted in blocks, as small as the few items of a story.
+    What is held is counted in blocks, and long work done in pieces, as small as the few items of a story.
     """
     first = Dice(numbers[0])
     policy, lost_before = first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None
     pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
-    with mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))):
+    with (
+        mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
+    ):
         _play_steps(pair, numbers[1:], hasty=hasty, counts=counts)
 
 

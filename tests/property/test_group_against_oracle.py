@@ -19,7 +19,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.model import Policy
-from stampede_rt_channel_host.core.channel import tally
+from stampede_rt_channel_host.core.channel import pieces, tally
 from stampede_rt_channel_host.core.group import GroupDefinition
 from tests.property.channel_pair import INCARNATION
 from tests.property.dice import Dice
@@ -244,7 +244,10 @@ def play(numbers: list[int]) -> None:
     first = Dice(numbers[0])
     definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
     policies = [first.pick(POLICIES) for _ in CHANNELS]
-    with mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))):
+    with (
+        mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
+    ):
         world = World(policies, definitions, first.pick((1, 2, 2, 3)), FIRST_CLOCK)
         story = Story(world, Readers(world), Listeners(world))
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +12,9 @@ from stampede_rt.model import Policy
 from stampede_rt.timeline import parse_interval
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2, raw_run_pb2
-from stampede_rt.wire.runs import encode_run, seal_run, slice_run
+from stampede_rt.wire.run_slices import RunSlicer, slice_run
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_channel_host.channels import frames
 from stampede_rt_channel_host.channels.frames import SharedMessages, get_error, get_responses
 from stampede_rt_channel_host.core.channel import Answer, Channel, DeliveredSlice, Offer, Query
 
@@ -102,3 +105,47 @@ def test_a_message_for_others_is_made_anew() -> None:
     assert parsed.runs[0].run == slice_run(stored[0], 0, 1, without_payloads=True)
     assert len({plain.encoded, bare.encoded, told.encoded}) == 3
     assert pb.SubscribeResponse.FromString(told.encoded).gap.last_seq == 2
+
+
+def interleaved(items: int) -> tuple[Channel, list[bytes]]:
+    """A channel into which two producers put runs of `items` items each, every one between two of the other."""
+    channel, stored = Channel(Policy(max_items=1000), incarnation=9), []
+    for odd in (0, 1):
+        times = [NOW - 1000 + 2 * at + odd for at in range(items)]
+        payloads = [f"{odd}:{at}".encode() for at in range(items)]
+
+        def seal(
+            first_seq: int, kept: object, stamped: object, run: bytes = encode_run(payloads, times=times)
+        ) -> bytes:
+            stored.append(seal_run(run, first_seq))
+            return stored[-1]
+
+        channel.put(Offer(times=times, durations=None, lengths=[len(one) for one in payloads]), NOW, seal)
+    return channel, stored
+
+
+def test_a_run_of_which_every_item_goes_alone_is_looked_into_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel, _ = interleaved(200)
+    answer, looked = read_all(channel), []
+
+    class Counting(RunSlicer):
+        def __init__(self, sealed: bytes) -> None:
+            looked.append(sealed)
+            super().__init__(sealed)
+
+    monkeypatch.setattr(frames, "RunSlicer", Counting)
+    for without_payloads in (False, True, False):
+        messages = get_responses(1, answer, pb.GetSummary(), without_payloads=without_payloads)
+        runs = [run for one in messages for run in pb.GetResponse.FromString(one.encoded).runs]
+        assert [run.run.time_unix_nano[0] for run in runs] == [NOW - 1000 + at for at in range(400)]
+        found = [run.run.payloads for run in runs]
+        assert found == [b"" if without_payloads else f"{at % 2}:{at // 2}".encode() for at in range(400)]
+    assert len(looked) == 2
+
+
+def test_a_message_holds_a_bounded_number_of_runs_however_small_they_are() -> None:
+    channel, _ = interleaved(499)
+    messages = list(get_responses(1, read_all(channel), pb.GetSummary(), without_payloads=True))
+    runs = [len(pb.GetResponse.FromString(message.encoded).runs) for message in messages]
+    assert runs == [frames.MESSAGE_RUNS_MAX, 998 - frames.MESSAGE_RUNS_MAX]
+    assert [message.is_last for message in messages] == [False, True]

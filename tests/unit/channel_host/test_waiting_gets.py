@@ -12,7 +12,7 @@ from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt.model import Policy
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX, Outcome, WaitingGet, WaitingGets
-from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Pending, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Pending, Pieces, Position, Query, WakeAt
 
 START = 1_700_000_000_000_000_000
 S = 10**9
@@ -54,9 +54,9 @@ class Blocked:
 class CountingChannel(Channel):
     polls = 0
 
-    def poll(self, pending: Pending, now: int) -> Answer | WakeAt:
+    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
         self.polls += 1
-        return super().poll(pending, now)
+        return super().polling(pending, now)
 
 
 def timers() -> int:

@@ -8,6 +8,7 @@ from hypothesis import strategies as some
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.run_slices import slice_run
 from stampede_rt.wire.runs import (
     ITEM_BYTES_MAX,
     RUN_BYTES_MAX,
@@ -17,7 +18,6 @@ from stampede_rt.wire.runs import (
     parse_run,
     seal_run,
     select_items,
-    slice_run,
 )
 
 items = some.lists(
@@ -125,3 +125,19 @@ def test_fields_that_the_contract_does_not_have_are_refused() -> None:
 def test_an_item_beyond_the_limit_is_refused() -> None:
     with pytest.raises(ItemTooLarge, match="split it"):
         parse_run(encode_run([bytes(ITEM_BYTES_MAX + 1)], times=[1]))
+
+
+def test_a_part_is_cut_out_of_bytes_that_another_encoder_wrote_in_its_own_way() -> None:
+    sealed = seal_run(encode_run([b"one", b"two"], times=[1, 2], content_type="text/plain"), 5)
+    run = item_pb2.ItemRun.FromString(sealed)
+    in_pieces = b"".join(
+        item_pb2.ItemRun(time_unix_nano=[time], payload_length_bytes=[3]).SerializeToString() for time in (1, 2)
+    )
+    unpacked = b"".join(b"\x09" + time.to_bytes(8, "little") + b"\x1d" + (3).to_bytes(4, "little") for time in (1, 2))
+    rest = item_pb2.ItemRun(content_type="text/plain", payloads=b"onetwo", first_seq=5).SerializeToString()
+    for odd in (in_pieces + rest, rest + in_pieces, unpacked + rest, b"\x32\x03old" + sealed):
+        assert item_pb2.ItemRun.FromString(odd) == run
+        second = item_pb2.ItemRun.FromString(slice_run(odd, 1, 2))
+        assert second == item_pb2.ItemRun(
+            time_unix_nano=[2], payload_length_bytes=[3], content_type="text/plain", payloads=b"two", first_seq=6
+        )

@@ -160,27 +160,6 @@ def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
     )
 
 
-def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
-    """The items from place `lo` up to, not including, `hi` of a sealed run, as a run of its own."""
-    run = item_pb2.ItemRun.FromString(sealed)
-    whole = lo == 0 and hi == len(run.payload_length_bytes)
-    if whole and without_payloads:
-        run.ClearField("payloads")
-        return run.SerializeToString()
-    if whole:
-        return sealed
-    start, end = sum(run.payload_length_bytes[:lo]), sum(run.payload_length_bytes[:hi])
-    return item_pb2.ItemRun(
-        time_unix_nano=run.time_unix_nano[lo:hi],
-        duration_nanos=run.duration_nanos[lo:hi],
-        payload_length_bytes=run.payload_length_bytes[lo:hi],
-        content_type=run.content_type,
-        attributes=run.attributes,
-        payloads=b"" if without_payloads else run.payloads[start:end],
-        first_seq=run.first_seq + lo,
-    ).SerializeToString()
-
-
 class ItemDecoder:
     """Turns delivered runs into Items, for one channel and incarnation; `coding` gives them their values."""
 

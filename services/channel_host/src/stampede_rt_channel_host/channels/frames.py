@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
-from stampede_rt.wire.runs import slice_run
-from stampede_rt_channel_host.core.channel import Answer, DeliveredSlice, Slice
+from stampede_rt.wire.run_slices import RunSlicer
+from stampede_rt_channel_host.core.channel import Answer, ColumnRun, DeliveredSlice, Slice
 
 MESSAGE_BYTES_MAX = 2**20  # of runs; a single item may be larger
+MESSAGE_RUNS_MAX = 512  # so that a message of many small ones is made within a millisecond or two
 
 _LENGTH_DELIMITED = 2
 _RUN = bytes((1 << 3 | _LENGTH_DELIMITED,))  # RawDeliveredRun.run
@@ -37,22 +38,29 @@ class Message(NamedTuple):
 
 def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
     """The encoded run of a slice: the stored bytes as they are wherever the whole run is meant."""
+    run = part.run
     if part.is_whole and not without_payloads:
-        return part.run.body
-    return slice_run(part.run.body, part.lo, part.hi, without_payloads=without_payloads)
+        return run.body
+    slicer = run.slicer if isinstance(run, ColumnRun) else None
+    if slicer is None:
+        slicer = RunSlicer(run.body)
+        if isinstance(run, ColumnRun):
+            run.slicer = slicer
+    return slicer.cut(part.lo, part.hi, without_payloads=without_payloads)
 
 
 def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, without_payloads: bool) -> Iterator[Message]:
     """The messages that answer a call, made one by one; the last one has the summary."""
     head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves a zero away
-    parts, size, payload_bytes = [head], 0, 0
+    parts, runs, size, payload_bytes = [head], 0, 0, 0
     last = len(answer.slices) - 1
     for place, part in enumerate(answer.slices):
         body = run_bytes(part, without_payloads=without_payloads)
-        if size and size + len(body) > MESSAGE_BYTES_MAX:
+        if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
             yield Message(b"".join(parts), payload_bytes, False)
-            parts, size, payload_bytes = [head], 0, 0
+            parts, runs, size, payload_bytes = [head], 0, 0, 0
         _add_run(parts, _GET_RUNS, body, answer.next_time if place == last else None)
+        runs += 1
         size += len(body)
         payload_bytes += 0 if without_payloads else part.payload_bytes
     encoded = summary.SerializeToString()

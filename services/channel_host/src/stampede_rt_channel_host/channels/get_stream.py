@@ -20,9 +20,27 @@ from stampede_rt_channel_host.channels.outbox import Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGet
-from stampede_rt_channel_host.core.channel import Answer, WakeAt
+from stampede_rt_channel_host.core.channel import Answer, Pending, Pieces, Unfinished, WakeAt, first_of
 
 CALLS_MAX = 1024
+
+
+class _Begun:
+    """One get of a channel, from its beginning to its answer."""
+
+    __slots__ = ("_begun_at", "call_id", "hosted", "pending", "plan")
+
+    def __init__(self, call_id: int, plan: GetPlan, hosted: HostedChannel, now: int) -> None:
+        self.call_id = call_id
+        self.plan = plan
+        self.hosted = hosted
+        self.pending: Pending | None = None  # of a blocking get
+        self._begun_at = now
+
+    def wait_nanos(self, now: int) -> int:
+        """How long it may still wait; below 0: without limit."""
+        wait_nanos = self.plan.wait_nanos
+        return wait_nanos if wait_nanos < 0 else max(0, self._begun_at + wait_nanos - now)
 
 
 class GetStream:
@@ -74,23 +92,47 @@ class GetStream:
         if plan.group is not None:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
+        begun = _Begun(call_id, plan, hosted, now)
         if not plan.wait_nanos:
-            self._answer(call_id, plan, hosted, hosted.channel.read(plan.query, now), now)
+            self._go_on(begun, first_of(hosted.channel.reading(plan.query, now)), now)
             return
-        pending = hosted.channel.begin(plan.query, now)
-        found = hosted.channel.poll(pending, now)
-        if isinstance(found, WakeAt):
-            on_outcome = self._releaser(call_id, plan, hosted)
-            self._calls[call_id] = hosted.gets.add(pending, found, plan.wait_nanos, now, on_outcome)
+        begun.pending = hosted.channel.begin(plan.query, now)
+        self._go_on(begun, first_of(hosted.channel.polling(begun.pending, now)), now)
+
+    def _go_on(self, begun: _Begun, found: Answer | WakeAt | Unfinished[Any], now: int) -> None:
+        """Answer, or wait; or, if the answer takes more than a piece, do the rest of them beside the others."""
+        if isinstance(found, Unfinished):
+            self._calls[begun.call_id] = self._stream.spawn(self._finish(begun, found.rest))
+        elif isinstance(found, WakeAt):
+            assert begun.pending is not None, "only a blocking get is to wait"
+            wait_nanos = begun.wait_nanos(now)
+            self._calls[begun.call_id] = begun.hosted.gets.add(
+                begun.pending, found, wait_nanos, now, self._releaser(begun)
+            )
         else:
-            self._answer(call_id, plan, hosted, found, now)
+            self._answer(begun, found, now)
+
+    async def _finish(self, begun: _Begun, pieces: Pieces[Answer | WakeAt]) -> None:
+        plan, hosted = begun.plan, begun.hosted
+        try:
+            found = await self._store.turns.finish(pieces)
+            self._store.find(plan.channel_id, plan.epoch)
+            now = self._store.now()
+            if isinstance(found, WakeAt) and begun.pending is not None:  # the channel may have changed meanwhile
+                found = hosted.channel.poll(begun.pending, now)
+            self._calls[begun.call_id] = None
+            self._go_on(begun, found, now)
+        except StampedeError as error:
+            self._calls[begun.call_id] = None
+            self._refuse(begun.call_id, error)
+        self._outbox.kick()
 
     def _begin_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel, now: int) -> None:
         found = self._groups.read_now(ask, hosted, plan.query, plan.wait_nanos, now)
         if found is None:
             self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, ask, hosted))
         else:
-            self._answer(call_id, plan, hosted, found.answer, now, found.cut)
+            self._answer(_Begun(call_id, plan, hosted, now), found.answer, now, found.cut)
 
     async def _read_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel) -> None:
         try:
@@ -99,27 +141,26 @@ class GetStream:
             self._calls[call_id] = None
             self._refuse(call_id, error)
         else:
-            self._answer(call_id, plan, hosted, found.answer, self._store.now(), found.cut)
+            now = self._store.now()
+            self._answer(_Begun(call_id, plan, hosted, now), found.answer, now, found.cut)
         self._outbox.kick()
 
-    def _releaser(self, call_id: int, plan: GetPlan, hosted: HostedChannel) -> Callable[[Outcome], None]:
+    def _releaser(self, begun: _Begun) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
+            self._calls[begun.call_id] = None  # it waits no more: once it is answered, it is not under way
             if isinstance(outcome, StampedeError):
-                self._calls[call_id] = None  # it waits no more: once its error is written, it is not under way
-                self._refuse(call_id, outcome)
+                self._refuse(begun.call_id, outcome)
             else:
-                self._answer(call_id, plan, hosted, outcome, self._store.now())
+                self._go_on(begun, outcome, self._store.now())
             self._outbox.kick()
 
         return release
 
-    def _answer(
-        self, call_id: int, plan: GetPlan, hosted: HostedChannel, answer: Answer, now: int, cut: int | None = None
-    ) -> None:
-        self._calls[call_id] = None
+    def _answer(self, begun: _Begun, answer: Answer, now: int, cut: int | None = None) -> None:
+        self._calls[begun.call_id] = None
         summary = summary_of(answer, now, cut)
-        messages = get_responses(call_id, answer, summary, without_payloads=plan.without_payloads)
-        self._outbox.add(call_id, messages, hosted.count_delivered)
+        messages = get_responses(begun.call_id, answer, summary, without_payloads=begun.plan.without_payloads)
+        self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Not entered among the calls: a refused id may be one that is under way."""

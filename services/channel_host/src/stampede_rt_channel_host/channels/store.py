@@ -14,6 +14,7 @@ from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.sweep import Sweep
+from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -31,7 +32,7 @@ QUESTIONS_MAX = 3  # each next one is asked because the host registered while th
 class ChannelStore:
     """Every data request comes through `find`; what is new or in doubt is asked of the directory by `bind`.
 
-    `lease_held` says whether the host may serve at this moment.
+    `lease_held` says whether the host may serve at this moment. `turns` are for long work.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class ChannelStore:
         memory: MemoryBudget,
     ) -> None:
         self.lease_held = lease_held
+        self.turns = Turns()
         self._identity = identity
         self._directory = directory
         self._clock = clock

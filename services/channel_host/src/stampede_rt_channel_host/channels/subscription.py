@@ -16,7 +16,7 @@ from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX,
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, SavedCursor
+from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, Pieces, SavedCursor
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
 WRITE_SECONDS_MAX = 30.0
@@ -113,7 +113,10 @@ class Subscription:
                 async with self._groups.subscribe(begun, self._hosted, self) as cursor:
                     await self._serve(cursor, begun)
             else:
-                await self._serve(open_cursor(self._hosted.channel, begun, self._store.now()), begun)
+                opening = open_cursor(self._hosted.channel, begun, self._store.now())
+                cursor = await self._store.turns.do(opening)
+                self._store.find(begun.channel_id, begun.epoch)  # it may have gone meanwhile
+                await self._serve(cursor, begun)
         finally:
             reading.cancel()
 
@@ -220,12 +223,12 @@ class Subscription:
         self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
 
 
-def open_cursor(channel: Channel, begun: pb.SubscribeOpen, now: int) -> Cursor:
-    """Begin where it says. Raises InvalidArgument, IncarnationLost."""
+def open_cursor(channel: Channel, begun: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
+    """Begin where it says, as of `now`, in pieces. Raises InvalidArgument, IncarnationLost."""
     where = beginning_of(begun)
     if is_newest(begun):
         return _Newest(channel, channel.subscribe_newest(now, **where))
-    return _All(channel, channel.subscribe_all(now, **where))
+    return _All(channel, (yield from channel.subscribing_all(now, **where)))
 
 
 def _gap(gap: Gap) -> pb.SubscriptionGap:

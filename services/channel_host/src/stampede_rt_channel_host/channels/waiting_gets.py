@@ -15,9 +15,11 @@ from typing import Any
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import Overloaded, StampedeError
-from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, WakeAt
+from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Unfinished, WakeAt, first_of
 
-Outcome = Answer | StampedeError
+Outcome = Answer | Unfinished[Answer | WakeAt] | Unfinished[Answer] | StampedeError
+"""A long answer is begun where the get is released, and finished by whoever hears of it."""
+
 WAITING_GETS_MAX = 20_000
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 _TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come sooner than it seems
@@ -134,7 +136,7 @@ class WaitingGets:
             get.finish(error)
 
     def _look(self, get: WaitingGet, now: int) -> None:
-        found = self._channel.poll(get.pending, now)
+        found = first_of(self._channel.polling(get.pending, now))
         if isinstance(found, WakeAt):
             self._put_aside(get, found, now)
         else:
@@ -153,4 +155,5 @@ class WaitingGets:
         self._look(get, self._now())
 
     def _give_up(self, get: WaitingGet) -> None:
-        get.finish(self._channel.give_up(get.pending, self._now()))
+        found: Answer | Unfinished[Answer] = first_of(self._channel.giving_up(get.pending, self._now()))
+        get.finish(found)

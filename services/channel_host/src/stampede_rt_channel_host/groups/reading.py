@@ -17,7 +17,16 @@ from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, 
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
-from stampede_rt_channel_host.core.channel import Delivery, Pending, Query, SavedCursor, WakeAt
+from stampede_rt_channel_host.core.channel import (
+    Answer,
+    Delivery,
+    Pending,
+    Query,
+    SavedCursor,
+    Unfinished,
+    WakeAt,
+    first_of,
+)
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
@@ -42,10 +51,12 @@ class GroupReads:
         if group is None or not group.has_reached(_wanted(ask)):
             return None
         view, horizon = GroupView(member_of(group, hosted).channel), group.horizon(ask.at)
-        if not wait_nanos:
-            return GroupAnswer(view.read(query, horizon, now), horizon.cut)
-        found = view.poll(view.begin(query, horizon, now), horizon, now)
-        return None if isinstance(found, WakeAt) else GroupAnswer(found, horizon.cut)
+        found: Answer | WakeAt | Unfinished[Answer] | Unfinished[Answer | WakeAt]
+        if wait_nanos:
+            found = first_of(view.polling(view.begin(query, horizon, now), horizon, now))
+        else:
+            found = first_of(view.reading(query, horizon, now))
+        return GroupAnswer(found, horizon.cut) if isinstance(found, Answer) else None
 
     async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
         """See `GroupAccess`."""
@@ -92,6 +103,7 @@ class _Get:
 
     def __init__(self, groups: GroupStore, group: HostedGroup, hosted: HostedChannel, at: int | None) -> None:
         self._now = groups.channels.now
+        self._turns = groups.channels.turns
         self._group = group
         self._hosted = hosted
         self._at = at
@@ -109,11 +121,11 @@ class _Get:
             pending = self._view.begin(query, self._group.horizon(self._at), self._now())
             while True:  # ends with an answer, the deadline, or the group or channel itself
                 horizon, now = self._group.horizon(self._at), self._now()
-                found = self._view.poll(pending, horizon, now)
+                found = await self._turns.do(self._view.polling(pending, horizon, now))
                 if not isinstance(found, WakeAt):
                     return GroupAnswer(found, horizon.cut)
                 if deadline_s is not None and _now_s() >= deadline_s:
-                    return self._give_up(pending, horizon)
+                    return await self._give_up(pending, horizon)
                 await waiter.wait(_pause_s(found, now, deadline_s))
                 member_of(self._group, self._hosted)
         finally:
@@ -121,8 +133,9 @@ class _Get:
             self._hosted.followers.pop(waiter, None)
             self._hosted.group_gets.discard(waiter)
 
-    def _give_up(self, pending: Pending, horizon: Horizon) -> GroupAnswer:
-        return GroupAnswer(self._view.give_up(pending, horizon, self._now()), horizon.cut)
+    async def _give_up(self, pending: Pending, horizon: Horizon) -> GroupAnswer:
+        giving_up = self._view.giving_up(pending, horizon, self._now())
+        return GroupAnswer(await self._turns.do(giving_up), horizon.cut)
 
 
 def _pause_s(wake: WakeAt, now: int, deadline_s: float | None) -> float | None:

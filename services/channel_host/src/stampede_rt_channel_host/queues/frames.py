@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from stampede_rt.v1 import queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
-from stampede_rt.wire.runs import encode_varint, slice_run
+from stampede_rt.wire.run_slices import RunSlicer
+from stampede_rt.wire.runs import encode_varint
 from stampede_rt_channel_host.core.queue import Batch, LeasedSlice
 
 _LENGTH_DELIMITED = 2
@@ -31,7 +32,7 @@ def take_response(
 
 
 def _add_run(parts: list[bytes], one: LeasedSlice, lease_nanos: int) -> None:
-    body = one.run.body if one.hi - one.lo == len(one.run.lengths) else slice_run(one.run.body, one.lo, one.hi)
+    body = _run_bytes(one)
     about = queue_pb2.LeasedRun(
         delivery_ids=one.delivery_ids,
         deliveries=one.deliveries if max(one.deliveries) > 1 else (),
@@ -40,3 +41,13 @@ def _add_run(parts: list[bytes], one: LeasedSlice, lease_nanos: int) -> None:
     length = encode_varint(len(body))
     whole = encode_varint(len(_RUN) + len(length) + len(body) + len(about))
     parts += (_RUNS, whole, _RUN, length, body, about)
+
+
+def _run_bytes(one: LeasedSlice) -> bytes:
+    """The stored bytes wherever the whole run is meant."""
+    run = one.run
+    if one.hi - one.lo == len(run.lengths):
+        return run.body
+    if run.slicer is None:
+        run.slicer = RunSlicer(run.body)
+    return run.slicer.cut(one.lo, one.hi, without_payloads=False)

@@ -11,6 +11,8 @@ Nothing here reads a clock, waits, locks, or knows the wire. The shell around it
 - subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
 - consumption: `consume`; `consumers` and `restore_consumers` carry the places to another owner;
 - housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
+- long work: reads and subscriptions that begin with much come in pieces, too (`reading`, `polling`, `giving_up`,
+  `subscribing_all`); between two pieces the channel may be used, and the result is as of the first one;
 - counts: `counters(now)`; `reject_malformed` for what never became an offer.
 
 "After each change" means after every put that accepted something, every advance and every configure; waiting puts are
@@ -26,8 +28,9 @@ from stampede_rt_channel_host.core.channel.consumption import (
     ConsumerPlace,
 )
 from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, at_once, first_of
 from stampede_rt_channel_host.core.channel.reading import Pending
-from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, Run, Slice
+from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
 from stampede_rt_channel_host.core.channel.values import (
     Answer,
@@ -54,6 +57,7 @@ __all__ = [
     "AllCursor",
     "Answer",
     "Channel",
+    "ColumnRun",
     "Consumed",
     "ConsumerPlace",
     "Counters",
@@ -64,6 +68,7 @@ __all__ = [
     "NewestCursor",
     "Offer",
     "Pending",
+    "Pieces",
     "Position",
     "PutOutcome",
     "Query",
@@ -72,5 +77,9 @@ __all__ = [
     "SavedCursor",
     "Seal",
     "Slice",
+    "Slicer",
+    "Unfinished",
     "WakeAt",
+    "at_once",
+    "first_of",
 ]

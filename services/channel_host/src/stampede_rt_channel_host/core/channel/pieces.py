@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 STEPS_PER_PIECE = 512
 """So many slices, or so much work as these take, is one piece."""
@@ -26,3 +27,19 @@ def at_once(pieces: Pieces[Result]) -> Result:
             next(pieces)
         except StopIteration as end:
             return end.value  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, slots=True)
+class Unfinished(Generic[Result]):
+    """The first piece was not all: what is left."""
+
+    rest: Pieces[Result]
+
+
+def first_of(pieces: Pieces[Result]) -> Result | Unfinished[Result]:
+    """The result, if the first piece brings it, as nearly always."""
+    try:
+        next(pieces)
+    except StopIteration as end:
+        return end.value  # type: ignore[no-any-return]
+    return Unfinished(pieces)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 ABSENT = -1
 """Stands for "no duration" in a column of durations."""
@@ -53,10 +53,18 @@ class Run(ABC):
         return len(self.lengths)
 
 
-class ColumnRun(Run):
-    """A run of any number of items. `kept` of them are in an index, held or not freed yet."""
+class Slicer(Protocol):
+    """What the shell knows of a run's body, once a part of it was asked for."""
 
-    __slots__ = ("durations", "kept", "lengths", "times")
+    def cut(self, lo: int, hi: int, *, without_payloads: bool) -> bytes:
+        """The body of the items from place `lo` up to, not including, `hi`."""
+
+
+class ColumnRun(Run):
+    """A run of any number of items. `kept` of them are in an index, held or not freed yet. `slicer` is kept for the
+    shell, so that it looks into the body once."""
+
+    __slots__ = ("durations", "kept", "lengths", "slicer", "times")
 
     def __init__(
         self, first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
@@ -67,6 +75,7 @@ class ColumnRun(Run):
         self.lengths: Sequence[int] = lengths
         self.body = body
         self.kept = 0
+        self.slicer: Slicer | None = None
 
     def payload_bytes(self, lo: int, hi: int) -> int:
         """The payload bytes of the items from place `lo` up to, not including, `hi`."""

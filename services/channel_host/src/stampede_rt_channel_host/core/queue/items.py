@@ -7,14 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from stampede_rt_channel_host.core.channel.run import Slicer
+
 
 class QueuedRun:
     """Items that were accepted together; their seqs follow each other. `held`: how many have not left the queue.
 
-    `body` is what the shell's seal made of them; `lengths` are payload bytes; `accepted_at` is the host's clock.
+    `body` is what the shell's seal made of them, `slicer` what it knows of that once it has cut a part of it; `lengths`
+    are payload bytes; `accepted_at` is the host's clock.
     """
 
-    __slots__ = ("accepted_at", "body", "first_seq", "held", "lengths")
+    __slots__ = ("accepted_at", "body", "first_seq", "held", "lengths", "slicer")
 
     def __init__(self, first_seq: int, lengths: Sequence[int], accepted_at: int, body: bytes = b"") -> None:
         self.first_seq = first_seq
@@ -22,6 +25,7 @@ class QueuedRun:
         self.accepted_at = accepted_at
         self.held = len(lengths)
         self.body = body
+        self.slicer: Slicer | None = None
 
     @property
     def end_seq(self) -> int:

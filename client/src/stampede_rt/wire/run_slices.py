@@ -1,0 +1,105 @@
+"""Parts of sealed runs (`item.proto`), cut out of their bytes. A run is looked into once for all its parts."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from itertools import accumulate
+from typing import NamedTuple
+
+from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.runs import encode_varint
+
+_TIMES, _DURATIONS, _LENGTHS, _PAYLOADS, _FIRST_SEQ = 1, 2, 3, 6, 7  # fields of ItemRun
+_COLUMN_WIDTHS = {_TIMES: 8, _DURATIONS: 8, _LENGTHS: 4}
+_LABELS = (4, 5)  # content_type, attributes
+_VARINT, _FIXED64, _BYTES = 0, 1, 2  # wire types
+_SEQ = struct.Struct("<BQ")
+_SEQ_TAG = _FIRST_SEQ << 3 | _FIXED64
+_PAYLOADS_TAG = bytes((_PAYLOADS << 3 | _BYTES,))
+
+
+class _Field(NamedTuple):
+    """One field of a message: its number, and where it and its value begin, and both end."""
+
+    number: int
+    wire_type: int
+    begin: int
+    value: int
+    end: int
+
+
+class RunSlicer:
+    """One sealed run, and where in its bytes everything stands. It keeps the bytes, and 4 bytes for each item."""
+
+    __slots__ = ("_body", "_columns", "_first_seq", "_labels", "_offsets", "_payloads")
+
+    def __init__(self, sealed: bytes) -> None:
+        """`sealed` is a run as a host stores it."""
+        fields = list(_fields(sealed))
+        if not _is_plain(fields):  # such as columns in several pieces: write it anew, as we would
+            sealed = item_pb2.ItemRun.FromString(sealed).SerializeToString()
+            fields = list(_fields(sealed))
+        self._body = sealed
+        found = {field.number: field for field in fields}
+        self._columns = [(n, found[n].value, width) for n, width in _COLUMN_WIDTHS.items() if n in found]
+        self._labels = [(field.begin, field.end) for field in fields if field.number in _LABELS]
+        self._payloads = found[_PAYLOADS].value if _PAYLOADS in found else len(sealed)
+        seq, lengths = found[_FIRST_SEQ], found[_LENGTHS]  # a host accepts no run without items, and seqs start at 1
+        self._first_seq: int = struct.unpack_from("<Q", sealed, seq.value)[0]
+        counts = struct.unpack_from(f"<{(lengths.end - lengths.value) // 4}I", sealed, lengths.value)
+        self._offsets = memoryview(struct.pack(f"<{len(counts) + 1}I", *accumulate(counts, initial=0))).cast("I")
+
+    def cut(self, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
+        """The items from place `lo` up to, not including, `hi`, as a run of its own."""
+        body, parts = self._body, []
+        for number, begin, width in self._columns:
+            parts.append(bytes((number << 3 | _BYTES,)) + encode_varint((hi - lo) * width))
+            parts.append(body[begin + lo * width : begin + hi * width])
+        parts += [body[begin:end] for begin, end in self._labels]
+        start, end = self._payloads + self._offsets[lo], self._payloads + self._offsets[hi]
+        if start < end and not without_payloads:
+            parts += (_PAYLOADS_TAG, encode_varint(end - start), body[start:end])
+        parts.append(_SEQ.pack(_SEQ_TAG, self._first_seq + lo))
+        return b"".join(parts)
+
+
+def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
+    """One part of a sealed run; for several make a `RunSlicer`."""
+    return RunSlicer(sealed).cut(lo, hi, without_payloads=without_payloads)
+
+
+def _is_plain(fields: list[_Field]) -> bool:
+    """Everything but attributes stands there once, and columns are packed."""
+    numbers = [field.number for field in fields if field.number not in _LABELS]
+    packed = all(field.wire_type == _BYTES for field in fields if field.number in _COLUMN_WIDTHS)
+    return packed and len(numbers) == len(set(numbers)) and {_LENGTHS, _FIRST_SEQ} <= set(numbers)
+
+
+def _fields(message: bytes) -> Iterator[_Field]:
+    """The fields of a valid ItemRun message, in their order."""
+    at = 0
+    while at < len(message):
+        begin = at
+        tag, at = _varint(message, at)
+        value, wire_type = at, tag & 7
+        if wire_type == _BYTES:
+            length, value = _varint(message, at)
+            at = value + length
+        elif wire_type == _VARINT:
+            _, at = _varint(message, at)
+        else:
+            at += 8 if wire_type == _FIXED64 else 4
+        yield _Field(tag >> 3, wire_type, begin, value, at)
+
+
+def _varint(message: bytes, at: int) -> tuple[int, int]:
+    """A number, and where it ends."""
+    value = shift = 0
+    while True:  # ends with the number
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7

@@ -1,0 +1,130 @@
+"""Long work of a channel host, in pieces between which it serves everybody else."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from stampede_rt.v1 import channel_pb2, error_pb2, time_pb2
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from tests.unit.channel_host.rig import FOREVER, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
+
+ITEMS = 400
+
+
+@pytest.fixture
+async def rig(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Rig]:
+    monkeypatch.setattr(pieces, "STEPS_PER_PIECE", 8)
+    async with running_host() as rig:
+        yield rig
+
+
+class Large:
+    """A channel with 400 items of two producers that interleave: each is a slice of its own."""
+
+    def __init__(self, channel: Opened) -> None:
+        self.channel = channel
+        self.rig = channel.rig
+        self.start = channel.rig.now() - 10 * S
+
+    async def fill(self) -> Large:
+        for odd in (0, 1):
+            times = [self.start + 2 * at + odd for at in range(ITEMS // 2)]
+            await self.channel.put(run_of(*[b"x"] * len(times), times=times))
+        return self
+
+    @property
+    def held(self) -> Holdings:
+        hosted = self.rig.host.store.find(self.channel.channel_id, self.channel.epoch)
+        return hosted.channel.look(self.rig.now())[0]
+
+    @property
+    def times(self) -> list[int]:
+        return [self.start + at for at in range(ITEMS)]
+
+    async def until(self, *, begun: bool) -> None:
+        """Until long work in the channel is under way, or none is any more."""
+        async with asyncio.timeout(10):
+            while bool(self.held._snapshots) is not begun:
+                await self.rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+
+
+async def large(rig: Rig) -> Large:
+    spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_age_nanos=600 * S))
+    return await Large(await rig.open("large", spec)).fill()
+
+
+async def test_one_large_get_lets_everybody_else_in_between_and_is_as_of_its_beginning(rig: Rig) -> None:
+    one, other = await large(rig), await rig.open("other")
+    async with rig.host.store.turns._turn:  # as if other long work had its turn
+        getting = asyncio.create_task(one.channel.get(without_payloads=True))
+        await one.until(begun=True)
+        assert (await other.put(run_of(b"beside")))[0].first_seq == 1
+        assert (await other.get()).payloads == [b"beside"]
+        await one.channel.put(run_of(b"since", times=[one.start + 1]))
+    got = await getting
+    assert got.times == one.times
+    assert not one.held._snapshots
+
+
+async def test_a_blocked_get_that_is_released_with_much_is_answered_in_pieces(rig: Rig) -> None:
+    one = await large(rig)
+    end = rig.now() + S // 2
+    interval = between(MIN_INSTANT, end)
+    getting = asyncio.create_task(one.channel.get(interval=interval, complete=True, wait_nanos=FOREVER))
+    await one.channel.until(lambda status: status.waiting_gets == 1)
+    async with rig.host.store.turns._turn:
+        await one.channel.put(run_of(b"ends it", times=[end + 1]))
+        await one.until(begun=True)
+        assert (await one.channel.status()).waiting_gets == 0
+    assert (await getting).times[:ITEMS] == one.times
+
+
+async def test_a_large_get_that_is_cancelled_holds_nothing_back(rig: Rig) -> None:
+    one = await large(rig)
+    call = rig.channels.Get()
+    async with rig.host.store.turns._turn:
+        await call.write(one.channel.get_request(1))
+        await one.until(begun=True)
+        await call.write(pb.GetRequest(call_id=1, cancel=True))
+        await one.until(begun=False)
+    await call.write(one.channel.newest_request(1))
+    response: Any = await call.read()
+    assert (response.call_id, len(response.runs)) == (1, 1)
+    call.cancel()
+
+
+async def test_a_large_get_of_a_channel_that_goes_meanwhile_is_refused(rig: Rig) -> None:
+    one = await large(rig)
+    async with rig.host.store.turns._turn:
+        getting = asyncio.create_task(one.channel.get())
+        await one.until(begun=True)
+        held = one.held
+        request = gate_pb.DropChannelRequest(
+            request_id=b"0123456789abcdef", channel_id=one.channel.channel_id, epoch=one.channel.epoch
+        )
+        await rig.gate.DropChannel(request)
+    assert (await getting).error.reason == error_pb2.ERROR_REASON_NOT_HERE
+    assert not held._snapshots
+
+
+async def test_a_subscription_that_begins_with_much_begins_in_pieces(rig: Rig) -> None:
+    one = await large(rig)
+    async with rig.host.store.turns._turn:
+        call = one.channel.subscribe(start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
+        reading = asyncio.create_task(call.read())
+        await one.until(begun=True)
+        await one.channel.put(run_of(b"since", times=[one.start + 1]))
+    assert (await reading).HasField("opened")
+    times: list[int] = []
+    async with asyncio.timeout(10):
+        while len(times) <= ITEMS:
+            times += [time for delivered in (await call.read()).runs for time in delivered.run.time_unix_nano]
+    assert sorted(times) == sorted([*one.times, one.start + 1])
+    call.cancel()

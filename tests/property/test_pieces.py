@@ -1,0 +1,176 @@
+"""What is done in pieces is as of its first piece, whatever becomes of the channel in between."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.model import Policy
+from stampede_rt.timeline import Match, parse_interval
+from stampede_rt_channel_host.core.channel import (
+    Answer,
+    Channel,
+    Offer,
+    Pieces,
+    Position,
+    Query,
+    Slice,
+    Unfinished,
+    at_once,
+    first_of,
+    pieces,
+    tally,
+)
+from stampede_rt_channel_host.core.group import GroupView, Horizon
+
+NOW = 10_000
+POLICIES = {
+    "all is kept": Policy(max_age_nanos=10**9, max_future_nanos=1000),
+    "age": Policy(max_age_nanos=300, max_future_nanos=1000),
+    "count": Policy(max_items=60, max_future_nanos=1000),
+    "bytes": Policy(max_bytes=60 * 70, max_future_nanos=1000),
+    "consumption": Policy(consumers=1, max_age_nanos=10**9, max_future_nanos=1000),
+}
+
+
+class Busy:
+    """A channel to which random things happen."""
+
+    def __init__(self, policy: Policy, seed: int) -> None:
+        self.dice = random.Random(seed)
+        self.channel = Channel(policy, incarnation=1)
+        self.now = NOW
+        self.consumes = policy.consumers is not None
+        for _ in range(100):
+            self.happen()
+
+    def happen(self) -> None:
+        """A put, in order or late, and what goes with it."""
+        dice = self.dice
+        self.now += dice.randrange(12)
+        times = [self.now - (0 if dice.random() < 0.6 else dice.randrange(200)) for _ in range(dice.randrange(1, 5))]
+        durations = [dice.randrange(-1, 30) for _ in times] if dice.random() < 0.3 else None
+        self.channel.put(Offer(times=times, durations=durations, lengths=[1] * len(times)), self.now, _seal)
+        if self.consumes and dice.random() < 0.7:
+            end = max(1, self.channel.next_seq - 25)
+            self.channel.consume(1, range(max(1, end - 20), end), self.now)
+        if dice.random() < 0.5:
+            self.channel.collect(self.now)
+
+    def query(self) -> Query:
+        """Any read."""
+        dice = self.dice
+        low = self.now - dice.randrange(500)
+        after = Position(self.now - dice.randrange(300), dice.randrange(1, self.channel.next_seq))
+        return Query(
+            interval=parse_interval(low, low + dice.randrange(600)),
+            match=dice.choice(list(Match)),
+            limit=dice.choice((None, None, 1, 7, 50)),
+            newest_first=dice.random() < 0.5,
+            after=after if dice.random() < 0.3 else None,
+        )
+
+    def finish(self, rest: Pieces[Any]) -> Any:
+        """Take the pieces to their end, while the channel goes on."""
+
+        def between() -> Pieces[Any]:
+            while True:
+                self.happen()
+                try:
+                    next(rest)
+                except StopIteration as end:
+                    return end.value
+                yield
+
+        return at_once(between())
+
+
+def _seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
+    return b""
+
+
+def places(slices: Sequence[Slice]) -> list[tuple[int, int]]:
+    return [(part.run.times[at], part.run.first_seq + at) for part in slices for at in range(part.lo, part.hi)]
+
+
+def told(answer: Answer) -> tuple[Any, ...]:
+    return (places(answer.slices), *answer[1:])
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_an_answer_in_pieces_is_that_of_the_moment_when_it_was_begun(name: str) -> None:
+    unfinished = 0
+    with mock.patch.object(pieces, "STEPS_PER_PIECE", 3), mock.patch.object(tally, "BLOCK_ITEMS", 4):
+        for seed in range(300):
+            busy = Busy(POLICIES[name], seed)
+            query = busy.query()
+            expected = busy.channel.read(query, busy.now)
+            found = first_of(busy.channel.reading(query, busy.now))
+            if isinstance(found, Unfinished):
+                unfinished += 1
+                found = busy.finish(found.rest)
+            assert told(found) == told(expected), f"seed {seed}"
+            assert not busy.channel.look(busy.now)[0]._snapshots, "nothing is held back any more"
+    assert unfinished > 30
+
+
+def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_begun() -> None:
+    unfinished = 0
+    with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
+        for seed in range(300):
+            busy = Busy(POLICIES["age"], seed)
+            query, view = busy.query(), GroupView(busy.channel)
+            horizon = Horizon(busy.now - busy.dice.randrange(100), lambda: "held back")
+            expected = view.read(query, horizon, busy.now)
+            found = first_of(view.reading(query, horizon, busy.now))
+            if isinstance(found, Unfinished):
+                unfinished += 1
+                found = busy.finish(found.rest)
+            assert told(found) == told(expected), f"seed {seed}"
+    assert unfinished > 30
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_a_subscription_that_begins_in_pieces_owes_what_was_held_when_it_was_begun(name: str) -> None:
+    with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
+        for seed in range(100):
+            busy = Busy(POLICIES[name], seed)
+            time = busy.now - busy.dice.randrange(500)
+            start = parse_interval(time, busy.now).start
+            held, _ = busy.channel.look(busy.now)
+            meant = {seq for place_time, seq in places([*held.slices()]) if place_time >= time}
+            begun = busy.channel.next_seq
+            opening = first_of(busy.channel.subscribing_all(busy.now, start=start))
+            cursor = busy.finish(opening.rest) if isinstance(opening, Unfinished) else opening
+            meant |= set(range(begun, busy.channel.next_seq))
+            given: list[int] = []
+            lost = 0
+            while not (part := busy.channel.since(cursor, busy.now, 10**6)).is_empty:
+                given += [seq for one in part.slices for _, seq in places([one.slice])]
+                lost += part.gap.items if part.gap else 0
+            assert len(given) == len(set(given))
+            assert set(given) <= meant, f"seed {seed}"
+            assert lost == len(meant) - len(given), f"seed {seed}"
+
+
+def test_pieces_that_are_not_taken_to_their_end_hold_nothing_back() -> None:
+    with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
+        busy = Busy(POLICIES["all is kept"], 1)
+        found = first_of(busy.channel.reading(Query(interval=parse_interval(0, 2 * NOW)), busy.now))
+        assert isinstance(found, Unfinished)
+        held, _ = busy.channel.look(busy.now)
+        assert held._snapshots
+        found.rest.close()
+        assert not held._snapshots
+
+
+def test_what_is_refused_is_refused_at_once() -> None:
+    busy = Busy(POLICIES["all is kept"], 1)
+    query = Query(interval=parse_interval(0, 2 * NOW), after=Position(NOW, 1, incarnation=2))
+    with pytest.raises(StampedeError, match="incarnation 2"):
+        busy.channel.reading(query, busy.now)

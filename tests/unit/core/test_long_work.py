@@ -1,0 +1,163 @@
+"""What a step looks at does not grow with what the channel holds; what must grow comes in pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from stampede_rt.model import Policy
+from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
+from stampede_rt_channel_host.core.channel import Answer, Channel, Position, Query, Slice, index, pieces
+from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
+from tests.unit.core.channels import CLOCK, a_channel, put
+
+ITEMS = 20_000
+
+
+class Counter:
+    """How many slices of any index were looked at."""
+
+    def __init__(self) -> None:
+        self.slices = 0
+
+
+@pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
+    counter, clipped = Counter(), index._clipped
+    slices_from = index.ChannelIndex.slices_from
+
+    def counting(*args: Any) -> Iterator[Slice]:
+        counter.slices += 1
+        yield from clipped(*args)
+
+    def counting_from(self: index.ChannelIndex, floor: index.Place) -> Iterator[Slice]:
+        for part in slices_from(self, floor):
+            counter.slices += 1
+            yield part
+
+    monkeypatch.setattr(index, "_clipped", counting)
+    monkeypatch.setattr(index.ChannelIndex, "slices_from", counting_from)
+    return counter
+
+
+def filled(items: int = ITEMS, **policy: Any) -> Channel:
+    """One run for each item, in order."""
+    channel = a_channel(**policy)
+    for time in range(items):
+        put(channel, CLOCK + time)
+    return channel
+
+
+def shuffled(items: int = ITEMS) -> Channel:
+    """Runs of 200 items, each of which every other one splits: as when two producers interleave."""
+    channel = a_channel()
+    for first in range(0, items, 400):
+        for odd in (0, 1):
+            put(channel, *(CLOCK + first + at for at in range(odd, 400, 2)))
+    return channel
+
+
+def everything(**fields: Any) -> Query:
+    return Query(interval=parse_interval(MIN_INSTANT, MAX_INSTANT), **fields)
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_get_of_many_slices_comes_in_pieces_of_a_bounded_number(looked: Counter, newest_first: bool) -> None:
+    channel, most = shuffled(), 0
+    looked.slices = 0
+    reading = channel.reading(everything(newest_first=newest_first), CLOCK)
+
+    def counting() -> pieces.Pieces[Answer]:
+        nonlocal most
+        while True:
+            before = looked.slices
+            try:
+                next(reading)
+            except StopIteration as end:
+                return end.value  # type: ignore[no-any-return]
+            most = max(most, looked.slices - before)
+            yield
+
+    assert sum(part.items for part in pieces.at_once(counting()).slices) == ITEMS
+    assert most <= pieces.STEPS_PER_PIECE + 10
+
+
+def test_a_subscription_from_the_oldest_item_on_begins_in_pieces(looked: Counter) -> None:
+    channel = filled()
+    looked.slices = 0
+    opening = channel.subscribing_all(CLOCK, start=parse_interval(MIN_INSTANT, MAX_INSTANT).start)
+    next(opening)
+    assert looked.slices <= pieces.STEPS_PER_PIECE + 10
+
+
+def test_a_part_of_a_subscription_holds_a_bounded_number_of_slices() -> None:
+    channel = filled()
+    cursor = channel.subscribe_all(CLOCK, start=parse_interval(MIN_INSTANT, MAX_INSTANT).start)
+    assert len(channel.since(cursor, CLOCK, 2**30).slices) == pieces.STEPS_PER_PIECE
+
+
+@pytest.mark.parametrize("policy", [Policy(max_items=10), Policy(max_bytes=10 * (64 + 10))])
+def test_a_smaller_limit_walks_hardly_more_than_a_block(looked: Counter, policy: Policy) -> None:
+    channel = filled()
+    looked.slices = 0
+    channel.configure(policy, CLOCK)
+    assert channel.counters(CLOCK).held == 10
+    assert looked.slices <= 2 * BLOCK_ITEMS + 20
+
+
+def test_a_put_after_a_smaller_limit_frees_a_bounded_number_of_entries() -> None:
+    channel = filled()
+    channel.configure(Policy(max_bytes=10 * (64 + 10)), CLOCK)
+    held, _ = channel.look(CLOCK)
+    before = len(held.index)
+    put(channel, CLOCK + ITEMS)
+    assert before - 3000 < len(held.index) < before - 1000
+    while channel.collect(CLOCK):
+        pass
+    assert len(held.index) <= 11
+
+
+def test_a_page_in_a_bucket_of_equal_times_costs_the_page(looked: Counter) -> None:
+    channel = a_channel()
+    for _ in range(ITEMS):
+        put(channel, CLOCK)
+    for query in (
+        everything(limit=100, after=Position(CLOCK, ITEMS // 2)),
+        everything(limit=100, after=Position(CLOCK, ITEMS // 2), newest_first=True),
+        everything(limit=100, match=Match.START, newer_than=Position(CLOCK, ITEMS // 2)),
+    ):
+        looked.slices = 0
+        assert sum(part.items for part in channel.read(query, CLOCK).slices) == 100
+        assert looked.slices <= 150
+
+
+@pytest.mark.parametrize("durations", [None, [5]])
+def test_how_far_a_channel_has_come_is_known_without_a_walk(looked: Counter, durations: list[int] | None) -> None:
+    channel = a_channel()
+    for _ in range(ITEMS):
+        put(channel, CLOCK, durations=durations)
+    looked.slices = 0
+    assert channel.reach(CLOCK) == (CLOCK if durations is None else CLOCK + 5)
+    assert looked.slices == 0
+
+
+def test_late_items_that_crowd_a_block_split_it(looked: Counter) -> None:
+    channel = filled(2 * BLOCK_ITEMS + 10, max_age_nanos=10**6)
+    for time in range(ITEMS):
+        put(channel, CLOCK - ITEMS + time)
+    looked.slices = 0
+    channel.configure(Policy(max_items=10), CLOCK)
+    assert looked.slices <= 2 * BLOCK_ITEMS + 20
+
+
+def test_the_newest_item_of_a_full_bucket_is_found_at_once(looked: Counter) -> None:
+    channel = a_channel()
+    for _ in range(ITEMS):
+        put(channel, CLOCK)
+    cursor = channel.subscribe_newest(CLOCK, start=parse_interval(MIN_INSTANT, MAX_INSTANT).start)
+    looked.slices = 0
+    assert channel.latest(cursor, CLOCK) is not None
+    assert channel.latest(cursor, CLOCK) is None
+    assert looked.slices <= 20
