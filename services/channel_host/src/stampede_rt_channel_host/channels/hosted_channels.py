@@ -10,7 +10,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.records import policy_from_spec
-from stampede_rt.wire.runs import slice_run
+from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
