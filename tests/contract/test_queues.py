@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import os
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt._async import queue as async_queue
+from stampede_rt._sync import queue as sync_queue
 from tests.contract.lifting import lifted
 
 _names = itertools.count()
@@ -73,7 +76,7 @@ async def lease_from_now_on(queue: Any, lease: str) -> None:
 
 async def test_items_come_in_the_order_of_their_acceptance_each_once(rig: Rig) -> None:
     queue = await rig.queue()
-    seqs = [await queue.put(str(number).encode()) for number in range(5)]
+    seqs = [(await queue.put(str(number).encode())).seq for number in range(5)]
     assert seqs == list(range(seqs[0], seqs[0] + 5))
     messages = [await queue.get(timeout=10) for _ in range(5)]
     assert [(message.seq, message.payload) for message in messages] == [
@@ -120,7 +123,7 @@ async def test_a_message_brings_what_was_put(rig: Rig) -> None:
 
 async def test_a_payload_that_does_not_decode_names_the_queue_and_the_item(rig: Rig) -> None:
     plain = await rig.queue()
-    seq = await plain.put(b"{")
+    seq = (await plain.put(b"{")).seq
     queue = await rig.queue(plain.name, codec="json")
     message = await queue.get(timeout=10)
     with pytest.raises(st.CodecError, match=f"queue '{plain.name}': item #{seq}"):
@@ -366,6 +369,161 @@ async def test_an_item_delivered_too_often_goes_to_the_dead_letter_queue(rig: Ri
     letter = await dead.get(timeout=10)
     assert (letter.payload, letter.attributes["try"]) == (b"poison", "me")
     await until(queue, lambda stats: stats.dead_lettered == 1 and stats.held == 0)
+
+
+async def test_a_dead_letter_tells_where_it_comes_from(rig: Rig) -> None:
+    dead = await rig.queue()
+    queue = await rig.queue(max_deliveries=2, dead_letter=dead.name)
+    before = st.now()
+    put = await queue.put(b"poison")
+    for _ in range(2):
+        await (await queue.get(timeout=10)).nack()
+    letter = await dead.get(timeout=10)
+    origin = letter.origin
+    assert (origin.queue, origin.queue_id) == (queue.name, queue.info.queue_id)
+    assert (origin.seq, origin.incarnation) == (put.seq, put.incarnation)
+    assert (origin.deliveries, origin.ended, origin.reason) == (2, "given_back", "")
+    assert origin.taker.endswith(f":{os.getpid()}")
+    assert abs(origin.enqueued - before) < 60 * 10**9
+    assert letter.deliveries == 1
+
+
+async def test_a_terminated_message_leaves_with_its_reason_and_comes_no_more(rig: Rig) -> None:
+    dead = await rig.queue()
+    queue = await rig.queue(dead_letter=dead.name)
+    await queue.put(b"poison")
+    message = await queue.get(timeout=10)
+    assert message.origin is None
+    await message.term("not an image")
+    with pytest.raises(st.LeaseExpired):
+        await message.ack()
+    letter = await dead.get(timeout=10)
+    origin = letter.origin
+    assert (letter.payload, origin.ended, origin.reason, origin.deliveries) == (
+        b"poison",
+        "terminated",
+        "not an image",
+        1,
+    )
+    stats = await until(queue, lambda stats: stats.dead_lettered == 1)
+    assert (stats.terminated, stats.held, stats.given_back) == (1, 0, 0)
+
+
+async def test_a_terminated_message_is_expelled_where_there_is_no_dead_letter_queue(rig: Rig) -> None:
+    queue = await rig.queue(copies=2)
+    other = await rig.queue(queue.name)
+    await queue.put(b"poison")
+    async with await queue.get(timeout=10) as message:
+        others = await other.get(timeout=10)
+        await message.term()
+    with pytest.raises(st.LeaseExpired):
+        await others.ack()
+    stats = adds_up(await queue.stats())
+    assert (stats.expelled, stats.terminated, stats.held) == (1, 1, 0)
+
+
+async def test_a_reason_that_is_too_long_is_refused(rig: Rig) -> None:
+    queue = await rig.queue()
+    await queue.put(b"x")
+    message = await queue.get(timeout=10)
+    with pytest.raises(st.InvalidArgument, match="1024 bytes"):
+        await message.term("x" * 1025)
+    await message.term("x" * 1024)
+
+
+async def test_the_pending_list_tells_what_is_leased_to_whom(rig: Rig) -> None:
+    named = await rig.connect(name=f"taker{next(_names)}")
+    queue, other = await rig.queue(lease="60s"), None
+    assert await queue.pending() == []
+    for number in range(3):
+        await queue.put(str(number).encode())
+    mine = await queue.get(timeout=10)
+    await mine.nack()
+    mine = await queue.get(timeout=10)
+    other = await (await named.queue(queue.name)).get(timeout=10)
+    first, second = await queue.pending()
+    assert (first.seq, first.deliveries, second.seq, second.deliveries) == (mine.seq, 2, other.seq, 1)
+    assert first.taker.endswith(f":{os.getpid()}")
+    assert second.taker == named.name
+    assert first.taker_id != second.taker_id
+    assert first.expires - first.leased == 60 * 10**9
+    assert await queue.pending(limit=1) == [first]
+    await other.ack()
+    assert await queue.pending() == [first]
+    await mine.extend("120s")
+    (extended,) = await queue.pending()
+    assert extended.expires > first.expires
+    with pytest.raises(st.InvalidArgument, match="limit"):
+        await queue.pending(limit=0)
+
+
+async def test_a_long_pending_list_comes_page_by_page(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (async_queue, sync_queue):
+        monkeypatch.setattr(module, "PENDING_PAGE_MAX", 2)
+    queue = await rig.queue()
+    seqs = [(await queue.put(b"x")).seq for _ in range(5)]
+    for _ in seqs:
+        await queue.get(timeout=10)
+    assert [one.seq for one in await queue.pending()] == seqs
+    assert [one.seq for one in await queue.pending(limit=3)] == seqs[:3]
+
+
+async def test_a_second_put_of_a_message_id_is_acknowledged_and_not_held(rig: Rig) -> None:
+    queue = await rig.queue()
+    other = await rig.queue(queue.name)
+    first = await queue.put(b"charge 5", message_id="order-1")
+    again = await other.put(b"charge 5", message_id="order-1")
+    assert (first.duplicate, again.duplicate) == (False, True)
+    assert (again.seq, again.incarnation) == (first.seq, first.incarnation)
+    assert not (await queue.put(b"charge 5", message_id="Order-1")).duplicate
+    assert not (await queue.put(b"charge 5")).duplicate
+    await (await queue.get(timeout=10)).ack()
+    assert (await queue.put(b"charge 5", message_id="order-1")).duplicate  # also after it was used up
+    stats = adds_up(await queue.stats())
+    assert (stats.accepted, stats.duplicates) == (3, 2)
+
+
+async def test_a_message_id_that_was_refused_is_free(rig: Rig) -> None:
+    queue = await rig.queue(max_items=1, on_full="reject")
+    await queue.put(b"1", message_id="one")
+    with pytest.raises(st.QueueFull):
+        await queue.put(b"2", message_id="two")
+    assert (await queue.put(b"1", message_id="one")).duplicate  # although the queue is full
+    await (await queue.get(timeout=10)).ack()
+    assert not (await queue.put(b"2", message_id="two")).duplicate
+
+
+@pytest.mark.parametrize("message_id", ["", "x" * 129, 7])
+async def test_a_message_id_that_is_none_is_refused(rig: Rig, message_id: object) -> None:
+    queue = await rig.queue()
+    with pytest.raises(st.InvalidArgument, match="message_id"):
+        await queue.put(b"x", message_id=message_id)
+
+
+async def test_a_mailbox_knows_message_ids_and_tells_what_is_pending(rig: Rig) -> None:
+    peer = await rig.connect(name=f"peer{next(_names)}")
+    first = await rig.rt.send(peer.name, b"x", message_id="one")
+    again = await rig.rt.send(peer.name, b"x", message_id="one")
+    assert (again.seq, again.duplicate) == (first.seq, True)
+    mailbox = peer.mailbox
+    message = await mailbox.get(timeout=10)
+    (pending,) = await mailbox.pending()
+    assert (pending.seq, pending.taker) == (message.seq, peer.name)
+    assert await rig.rt.mailbox_pending(peer.name) == [pending]
+    await message.term()
+    assert await mailbox.pending() == []
+    assert (await rig.rt.mailbox_stats(peer.name)).terminated == 1
+
+
+async def test_a_live_taker_that_lets_a_lease_end_goes_on_being_served(rig: Rig) -> None:
+    """The host asks whether it lives before it passes it over."""
+    queue = await rig.queue(lease="100ms")
+    gets = [asyncio.ensure_future(queue.get(timeout=20)) for _ in range(3)]
+    await until(queue, lambda stats: stats.waiting_gets == 1)
+    await queue.put(b"x")
+    done, _ = await asyncio.wait(gets, return_when=asyncio.FIRST_COMPLETED)
+    assert len(done) == 1
+    assert [message.payload for message in await asyncio.gather(*gets)] == [b"x"] * 3
 
 
 async def test_without_a_dead_letter_queue_it_is_expelled_and_counted(rig: Rig) -> None:

@@ -225,7 +225,7 @@ async def test_each_of_many_puts_that_wait_side_by_side_waits_for_its_own_time_o
         await full.configure(max_items=3)
         await queue.configure(max_items=3)
         seqs = await asyncio.gather(*(queue.put(b"%d" % number, timeout=60) for number in range(2)))
-        assert seqs == [2, 3]
+        assert [one.seq for one in seqs] == [2, 3]
         assert [(await full.put(b"x")).seq for _ in range(2)] == [2, 3]
 
 

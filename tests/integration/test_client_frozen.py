@@ -43,9 +43,9 @@ def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: Loca
             pool.submit(channel.stats),
             pool.submit(queue.put, b"waits for room if there is none"),
         ]
-        put, item, _, seq = (call.result() for call in calls)
+        put, item, _, enqueued = (call.result() for call in calls)
         assert put.incarnation == channel.incarnation
-        assert (item.payload, seq) == (b"goes on elsewhere", 1)
+        assert (item.payload, enqueued.seq) == (b"goes on elsewhere", 1)
         assert channel.at(lost.time).reason == "LOST"
         frozen.resume()
 
@@ -58,14 +58,14 @@ async def test_awaited_calls_of_every_kind_go_on_elsewhere_within_their_own_time
         await queue.put(b"lost")
         frozen = owner(cluster, channel)
         frozen.pause()
-        put, item, _, seq = await asyncio.gather(
+        put, item, _, enqueued = await asyncio.gather(
             channel.put(b"goes on elsewhere"),
             channel.newest(timeout=30),
             channel.stats(),
             queue.put(b"waits for room if there is none"),
         )
         assert put.incarnation == channel.incarnation
-        assert (item.payload, seq) == (b"goes on elsewhere", 1)
+        assert (item.payload, enqueued.seq) == (b"goes on elsewhere", 1)
         frozen.resume()
 
 

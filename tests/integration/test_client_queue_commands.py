@@ -45,7 +45,7 @@ def test_an_item_goes_in_and_comes_out_once(stampede: Run) -> None:
 
 def test_programs_read_and_write_json(stampede: Run) -> None:
     printed, _ = stampede("queue", "put", "cli/json", "x", "-o", "json")
-    assert json.loads(printed) == {"queue": "cli/json", "seq": 1}
+    assert json.loads(printed) == {"queue": "cli/json", "seq": 1, "duplicate": False}
     printed, _ = stampede("queue", "get", "cli/json", "-o", "jsonl")
     row = json.loads(printed)
     assert (row["seq"], row["payload"], row["deliveries"], row["length_bytes"]) == (1, "x", 1, 1)
@@ -66,6 +66,50 @@ def test_standard_input_is_put_and_payloads_come_raw(
     capfdbinary.readouterr()
     assert main(["queue", "get", "cli/raw", "--raw"]) == 0
     assert capfdbinary.readouterr().out == b"\x00\xff"
+
+
+def test_a_message_id_is_put_once(stampede: Run) -> None:
+    assert stampede("queue", "put", "cli/once", "x", "--message-id", "one")[0] == "cli/once #1\n"
+    assert stampede("queue", "put", "cli/once", "x", "--message-id", "one")[0] == (
+        "cli/once #1 (put before under this id)\n"
+    )
+
+
+def test_what_is_pending_is_listed(stampede: Run, cluster: LocalCluster) -> None:
+    assert stampede("queue", "put", "cli/pending", "x")[0] == "cli/pending #1\n"
+    assert stampede("queue", "pending", "cli/pending")[0] == "nothing of cli/pending is leased\n"
+    with st.connect(cluster.address, name="cli-taker") as rt:
+        rt.queue("cli/pending").get(timeout=10)
+        heads, row = stampede("queue", "pending", "cli/pending")[0].splitlines()
+        assert heads.split() == ["SEQ", "TAKER", "TAKER", "ID", "DELIVERIES", "LEASED", "EXPIRES"]
+        assert row.split()[:2] == ["1", "cli-taker"]
+        (found,) = json.loads(stampede("queue", "pending", "cli/pending", "-o", "json")[0])
+        assert (found["seq"], found["taker"], found["deliveries"]) == (1, "cli-taker", 1)
+        assert found["expires"] - found["leased"] == 30 * 10**9
+        rt.send("cli-taker", b"x")
+        assert rt.mailbox.get(timeout=10)
+        assert "cli-taker" in stampede("mailbox", "pending", "cli-taker")[0]
+    _, said = stampede("mailbox", "pending", "cli-taker", status=1)
+    assert "no live participant is named cli-taker" in said
+
+
+def test_a_message_is_given_up_with_a_reason_and_its_dead_letter_tells_it(stampede: Run) -> None:
+    stampede("queue", "put", "cli/dead", "x")
+    stampede("queue", "get", "cli/dead")
+    stampede("queue", "put", "cli/term", "poison", "--dead-letter", "cli/dead")
+    stampede("queue", "get", "cli/term", "--term", "no\nimage")
+    shown, _ = stampede("queue", "get", "cli/dead", "--timeout", "10", "--keep")
+    message, origin = shown.splitlines()
+    assert message.endswith("poison")
+    assert origin.startswith("    left cli/term #1, put ")
+    assert ", at delivery 1, terminated by " in origin
+    assert origin.endswith(r": no\nimage")
+    row = json.loads(stampede("queue", "get", "cli/dead", "-o", "jsonl")[0])
+    assert (row["origin"]["queue"], row["origin"]["ended"], row["origin"]["reason"]) == (
+        "cli/term",
+        "terminated",
+        "no\nimage",
+    )
 
 
 def test_queues_are_listed_with_their_set_up_and_counters(stampede: Run) -> None:

@@ -36,6 +36,7 @@ TAUGHT = {
     ],
     "queues.md": [
         ".put(", ".get(", ".ack()", ".nack(", ".extend(", "LeaseExpired", "lease=", "max_deliveries=", "dead_letter=",
+        ".pending(", ".term(", ".origin", "message_id=", ".duplicate",
         "copies=", "max_items=", "on_full=", "QueueFull", "prefetch=", "configure(", ".stats()", "codec=", "name=",
         "proof=", "PeerExists", "PeerNotFound", ".send(", ".mailbox", ".peers(", ".delete()",
     ],

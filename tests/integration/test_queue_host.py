@@ -28,6 +28,7 @@ from tests.unit.queues.rig import (
     queue_directory,
     run_of,
     running_queue_host,
+    term,
 )
 
 
@@ -362,6 +363,114 @@ async def test_a_thousand_waiting_takers_are_served_in_turn(rig: QueueRig) -> No
     found = [(await call.items(1))[0].payload for call in calls]
     assert found == [b"%d" % number for number in range(1000)]
     assert (await queue.status()).waiting_takers == 0
+
+
+async def test_a_frozen_taker_keeps_an_item_from_live_ones_for_one_lease_only() -> None:
+    """Its stream is open, and it has credit for more: every item went to it again."""
+    clock = ManualClock()
+    async with running_queue_host(clock=clock) as rig:
+        queue = rig.open(lease_nanos=10 * S)
+        frozen = await queue.take(taker_id=1, credit=100).open()
+        await queue.put(b"a")
+        await queue.until(lambda status: status.counters.leased == 1)
+        live = await queue.take(taker_id=2, credit=100).open()
+        await queue.until(lambda status: status.waiting_takers == 2)
+        clock.advance(10 * S)
+        (item,) = await live.items(1)
+        assert (item.payload, item.delivery) == (b"a", 2)
+        await live.settled(ack(item))
+        assert (await queue.status()).waiting_takers == 1
+        for number in range(5):
+            await queue.put(b"%d" % number)
+            (item,) = await live.items(1)
+            await live.settled(ack(item))
+        await frozen.items(1)
+        assert await frozen.read() == pb.TakeResponse(), "it is asked whether it lives"
+        await frozen.call.write(pb.TakeRequest())
+        await queue.until(lambda status: status.waiting_takers == 2)
+        await queue.put(b"b", b"c")
+        assert {(await frozen.items(1))[0].payload, (await live.items(1))[0].payload} == {b"b", b"c"}
+
+
+async def test_a_taker_that_was_heard_since_its_lease_began_goes_on_being_served() -> None:
+    clock = ManualClock()
+    async with running_queue_host(clock=clock) as rig:
+        queue = rig.open(lease_nanos=10 * S)
+        taker = await queue.take(taker_id=1, credit=2).open()
+        await queue.put(b"a")
+        await taker.items(1)
+        clock.advance(5 * S)
+        await taker.settled(extend(10**9, S))  # whatever it says
+        clock.advance(5 * S)
+        assert (await taker.items(1))[0].delivery == 2
+
+
+async def test_a_terminated_item_leaves_for_the_dead_letter_queue_and_tells_where_it_was() -> None:
+    clock = ManualClock()
+    async with queue_directory() as directory, host_of(directory, clock=clock) as rig:
+        graveyard = rig.open("dead")
+        queue = rig.open("jobs", dead_letter_queue_id=graveyard.queue_id)
+        accepted = clock.time_unix_nano()
+        await queue.put(b"good", b"poison")
+        clock.advance(S)
+        taker = await queue.take(taker_id=7, credit=2, taker_name="robot").open()
+        items = await taker.items(2)
+        (result,) = await taker.settled(term(items[1], "no image"))
+        assert not result.HasField("error")
+        (again,) = await taker.settled(term(items[1], "no image"))
+        assert again.error.reason == error_pb2.ERROR_REASON_LEASE_EXPIRED
+        (dead,) = await (await graveyard.take(credit=1).open()).items(1)
+        assert dead.payload == b"poison"
+        assert dead.run.run.origin == item_pb2.DeadLetterOrigin(
+            queue_id=queue.queue_id,
+            queue_name="jobs",
+            seq=2,
+            incarnation=queue.record.incarnation,
+            enqueued_unix_nano=accepted,
+            deliveries=1,
+            last_end=item_pb2.DELIVERY_END_TERMINATED,
+            reason="no image",
+            last_taker_id=7,
+            last_taker_name="robot",
+        )
+
+
+async def test_what_is_leased_is_listed_page_by_page(rig: QueueRig) -> None:
+    queue = rig.open(lease_nanos=10 * S)
+    await queue.put(b"a", b"b", b"c")
+    taker = await queue.take(taker_id=7, credit=3, taker_name="robot").open()
+    items = await taker.items(3)
+
+    async def page(**asked: int) -> pb.ListPendingResponse:
+        request = pb.ListPendingRequest(queue_id=queue.queue_id, epoch=queue.record.epoch, **asked)
+        return await rig.stub.ListPending(request)
+
+    whole = await page()
+    assert [one.delivery_id for one in whole.deliveries] == [item.delivery_id for item in items]
+    assert {(one.taker_id, one.taker_name, one.deliveries) for one in whole.deliveries} == {(7, "robot", 1)}
+    assert {one.expires_unix_nano - one.leased_unix_nano for one in whole.deliveries} == {10 * S}
+    assert not whole.more
+    first = await page(page_size=2)
+    assert first.more
+    assert (await page(after_delivery_id=first.deliveries[-1].delivery_id)).deliveries == whole.deliveries[2:]
+    with pytest.raises(grpc.aio.AioRpcError) as caught:
+        await page(page_size=1001)
+    assert caught.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+
+
+async def test_a_message_id_names_one_item_and_has_a_bound(rig: QueueRig) -> None:
+    queue = rig.open()
+    assert (await queue.put(b"a", b"b", message_id="x")).error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
+    assert (await queue.put(b"a", message_id="x" * 129)).error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
+    first, again = await queue.put(b"a", message_id="x" * 128), await queue.put(b"a", message_id="x" * 128)
+    assert (again.first_seq, again.duplicate, first.duplicate) == (first.first_seq, True, False)
+
+
+async def test_a_producer_cannot_put_an_origin_into_a_run(rig: QueueRig) -> None:
+    run = run_of(b"a")
+    run.run.origin.seq = 7
+    (acked,) = await rig.open().enqueue(run)
+    assert acked.error.reason == error_pb2.ERROR_REASON_MALFORMED_RUN
 
 
 async def test_a_taker_is_shown_a_sign_of_life(rig: QueueRig, monkeypatch: pytest.MonkeyPatch) -> None:

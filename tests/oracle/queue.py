@@ -25,7 +25,8 @@ class Setup:
 @dataclass
 class Lease:
     id: int
-    taker_id: int
+    taker: Taker
+    began: int
     ends: int
     number: int
 
@@ -42,23 +43,28 @@ class Item:
     done: list[int] = field(default_factory=list)
     held_back_until: int | None = None
     leaving: bool = False
+    last: tuple[int, int, str] | None = None
+
+
+Outcome = tuple[tuple[tuple[int, int], ...], int | None, tuple[tuple[int, str], ...], bool]
+"""The accepted places with their seqs, the stamp, the refused places, and whether it is a duplicate."""
 
 
 @dataclass(eq=False)
 class Run:
-    """A run to enqueue; `left` are the places that are not settled. `outcome`: the accepted places with their seqs, the
-    stamp, the refused places."""
+    """A run to enqueue; `left` are the places that are not settled."""
 
     lengths: list[int]
     producer_id: int = 0
     first_number: int = 0
     wait: int | None = None
+    message_id: str = ""
     left: list[int] = field(default_factory=list)
     first_seq: int | None = None
     stamp: int | None = None
     refused: list[tuple[int, str]] = field(default_factory=list)
     seqs: list[tuple[int, int]] = field(default_factory=list)
-    outcome: tuple[tuple[tuple[int, int], ...], int | None, tuple[tuple[int, str], ...]] | None = None
+    outcome: Outcome | None = None
     gives_up_at: int | None = None
     error: str | None = None
 
@@ -68,6 +74,8 @@ class Taker:
     taker_id: int
     lease: int | None
     credit: int = 0
+    heard: int = 0
+    silent: bool = False
     busy: bool = False
     unsent: list[int] = field(default_factory=list)
 
@@ -86,15 +94,18 @@ class OracleQueue:
         self.line: list[Run] = []
         self.takers: list[Taker] = []
         self.answered: list[tuple[int, int, int, int, tuple]] = []  # type: ignore[type-arg]
+        self.ids: list[tuple[str, int, int]] = []  # message id, seq, when
         self.acked: dict[int, tuple[int, int]] = {}
         self.counts = dict.fromkeys(
             ("accepted", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
-             "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "rejected_overloaded",
+             "leases_expired", "terminated", "duplicates", "rejected_full", "rejected_too_large", "rejected_malformed",
+             "rejected_overloaded",
              "accepted_bytes"), 0
         )  # fmt: skip
         self.dealt: list[Dealt] = []
         self.finished: list[Run] = []
         self.departures: list[int] = []
+        self.silent: list[Taker] = []
 
     # --- what callers do
 
@@ -122,12 +133,18 @@ class OracleQueue:
     def grant(self, taker: Taker, credit: int, now: int) -> None:
         self.tick(now)
         taker.credit += credit
-        if taker.credit and not taker.busy and taker not in self.takers and not self._serve(taker, 1):
+        taker.heard, taker.silent = now, False
+        self._wait(taker)
+
+    def _wait(self, taker: Taker) -> None:
+        can_wait = taker.credit and not taker.busy and not taker.silent and taker not in self.takers
+        if can_wait and not self._serve(taker, 1):
             self.takers.append(taker)
 
     def sent(self, taker: Taker, now: int) -> None:
+        self.tick(now)
         taker.busy, taker.unsent = False, []
-        self.grant(taker, 0, now)
+        self._wait(taker)
 
     def drain(self, taker: Taker) -> None:
         taker.credit = 0
@@ -157,6 +174,8 @@ class OracleQueue:
     def _settle(self, taker_id: int, kind: str, delivery_id: int, nanos: int) -> str | None:
         if kind == "ack":
             return self._acknowledge(taker_id, delivery_id)
+        if kind == "term":
+            return self._terminate(taker_id, delivery_id)
         if kind in ("nack", "uncounted"):
             return self._give_back(taker_id, delivery_id, nanos, counted=kind == "nack")
         return self._extend(taker_id, delivery_id, nanos)
@@ -179,7 +198,17 @@ class OracleQueue:
             return "LEASE_EXPIRED"
         found[1].number -= not counted
         self.counts["given_back"] += 1
-        self._in_vain(*found, delay)
+        self._in_vain(*found, "given_back" if counted else "", delay)
+        return None
+
+    def _terminate(self, taker_id: int, delivery_id: int) -> str | None:
+        found = self._leased(taker_id, delivery_id)
+        if found is None:
+            return "LEASE_EXPIRED"
+        item, lease = found
+        self.counts["terminated"] += 1
+        item.last = (lease.number, taker_id, "terminated")
+        self._give_up(item)
         return None
 
     def _extend(self, taker_id: int, delivery_id: int, lease: int) -> str | None:
@@ -210,12 +239,14 @@ class OracleQueue:
 
     def tick(self, now: int) -> None:
         self.now = now
+        self.ids = [known for known in self.ids if known[2] > now - REMEMBERED]
         ended = [(lease.ends, lease.id) for item in self.items for lease in item.leases if lease.ends <= now]
         for _, delivery_id in sorted(ended):
             for item in list(self.items):
                 for lease in [one for one in item.leases if one.id == delivery_id]:
                     self.counts["leases_expired"] += 1
-                    self._in_vain(item, lease, 0)
+                    self._fall_silent(lease)
+                    self._in_vain(item, lease, "lease_expired", 0)
         released = [item for item in self.items if item.held_back_until is not None and item.held_back_until <= now]
         for item in released:
             item.held_back_until = None
@@ -227,11 +258,28 @@ class OracleQueue:
         if ended or released or over:
             self._follow_up()
 
+    def _fall_silent(self, lease: Lease) -> None:
+        taker = lease.taker
+        if taker.credit and not taker.silent and taker.heard <= lease.began:
+            taker.silent = True
+            self.silent.append(taker)
+            if taker in self.takers:
+                self.takers.remove(taker)
+
     # --- what follows
+
+    def pending(self) -> list[tuple[int, int, int, int, int, int]]:
+        found = [
+            (lease.id, item.seq, lease.taker.taker_id, lease.number, lease.began, lease.ends)
+            for item in self.items
+            for lease in item.leases
+        ]
+        return sorted(found)
 
     def next_deadline(self) -> int | None:
         due = [lease.ends for item in self.items for lease in item.leases]
         due += [item.held_back_until for item in self.items if item.held_back_until is not None]
+        due += [when + REMEMBERED for _, _, when in self.ids]
         due += [run.gives_up_at for run in self.line if run.gives_up_at is not None]
         return min(due, default=None)
 
@@ -265,10 +313,15 @@ class OracleQueue:
                 if len(left) < len(run.left):
                     run.first_seq, run.stamp, run.left = first_seq, stamp, list(left)
                     run.seqs, run.refused = list(seqs), list(refused)
-                run.outcome = None if left else (tuple(seqs), stamp, tuple(refused))
+                run.outcome = None if left else (tuple(seqs), stamp, tuple(refused), False)
                 return None if left else "known"
             if begin < end and first < stop:
                 return "overlap"
+        for message_id, seq, _ in self.ids:
+            if message_id == run.message_id:
+                self.counts["duplicates"] += 1
+                run.outcome = (((0, seq),), None, (), True)
+                return "known"
         return None
 
     def _offer(self, run: Run) -> bool:
@@ -320,7 +373,9 @@ class OracleQueue:
         self._answer(run)
 
     def _answer(self, run: Run) -> None:
-        run.outcome = (tuple(run.seqs), run.stamp, tuple(run.refused))
+        if run.message_id and run.first_seq is not None:
+            self.ids.append((run.message_id, run.first_seq, self.now))
+        run.outcome = (tuple(run.seqs), run.stamp, tuple(run.refused), False)
         self._remember(run)
 
     def _remember(self, run: Run) -> None:
@@ -333,13 +388,16 @@ class OracleQueue:
     def _leased(self, taker_id: int, delivery_id: int) -> tuple[Item, Lease] | None:
         for item in self.items:
             for lease in item.leases:
-                if lease.id == delivery_id and lease.taker_id == taker_id:
+                if lease.id == delivery_id and lease.taker.taker_id == taker_id:
+                    lease.taker.heard = self.now
                     return item, lease
         return None
 
-    def _in_vain(self, item: Item, lease: Lease, delay: int) -> None:
+    def _in_vain(self, item: Item, lease: Lease, how: str, delay: int) -> None:
         item.leases.remove(lease)
         item.returned += [lease.number] if lease.number else []
+        if how:
+            item.last = (lease.number, lease.taker.taker_id, how)
         if not self._leave_if_exhausted(item) and delay:
             item.held_back_until = max(self.now + delay, item.held_back_until or 0)
 
@@ -388,10 +446,10 @@ class OracleQueue:
         mine = [
             item
             for item in free
-            if taker.taker_id not in item.done and all(lease.taker_id != taker.taker_id for lease in item.leases)
+            if taker.taker_id not in item.done and all(lease.taker.taker_id != taker.taker_id for lease in item.leases)
         ]
         ends = self.now + (taker.lease or self.setup.lease)
-        given = [self._lease(item, taker.taker_id, ends) for item in mine[:share]]
+        given = [self._lease(item, taker, ends) for item in mine[:share]]
         if not given:
             return False
         taker.credit -= len(given)
@@ -399,11 +457,11 @@ class OracleQueue:
         self.dealt.append((taker, given, ends))
         return True
 
-    def _lease(self, item: Item, taker_id: int, ends: int) -> tuple[int, int, int]:
+    def _lease(self, item: Item, taker: Taker, ends: int) -> tuple[int, int, int]:
         before = max(item.returned, default=0)
         if before:
             item.returned.remove(before)
-        item.leases.append(Lease(self.next_delivery, taker_id, ends, before + 1))
+        item.leases.append(Lease(self.next_delivery, taker, self.now, ends, before + 1))
         self.next_delivery += 1
         self.counts["delivered"] += 1
         return item.seq, self.next_delivery - 1, before + 1

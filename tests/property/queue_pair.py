@@ -12,11 +12,14 @@ from stampede_rt_channel_host.core.queue import (
     Batch,
     Enqueue,
     Extend,
+    FailedDelivery,
     GiveBack,
+    PendingDelivery,
     Queue,
     QueueLimits,
     Settlement,
     Taker,
+    Terminate,
 )
 from tests.oracle import queue as oracle
 
@@ -46,6 +49,8 @@ def core_settlement(verdict: Verdict) -> Settlement:
         return Settlement(delivery_id, Acknowledge())
     if kind == "extend":
         return Settlement(delivery_id, Extend(nanos))
+    if kind == "term":
+        return Settlement(delivery_id, Terminate(f"reason {nanos}"))
     return Settlement(delivery_id, GiveBack(nanos, uncounted=kind == "uncounted"))
 
 
@@ -66,9 +71,18 @@ class QueuePair:
         self.core = Queue(limits_of(self.setup), incarnation=7)
         self.oracle = oracle.OracleQueue(self.setup)
 
-    def enqueue(self, lengths: list[int], producer_id: int, first_number: int, wait: int | None) -> None:
-        mine = Enqueue(lengths, body_of, producer_id=producer_id, first_number=first_number, wait_nanos=wait)
-        other = oracle.Run(lengths, producer_id, first_number, wait)
+    def enqueue(
+        self, lengths: list[int], producer_id: int, first_number: int, wait: int | None, message_id: str
+    ) -> None:
+        mine = Enqueue(
+            lengths,
+            body_of,
+            producer_id=producer_id,
+            first_number=first_number,
+            wait_nanos=wait,
+            message_id=message_id,
+        )
+        other = oracle.Run(lengths, producer_id, first_number, wait, message_id)
         refused = [_raises(lambda: self.core.enqueue(mine, self.clock)), _raises(lambda: self._oracle_enqueue(other))]
         assert refused[0] == refused[1]
         self.check()
@@ -92,7 +106,7 @@ class QueuePair:
             self.check()
 
     def attach(self, taker_id: int, lease: int | None) -> None:
-        self.takers.append((Taker(taker_id, lease), oracle.Taker(taker_id, lease)))
+        self.takers.append((Taker(taker_id, lease, f"taker {taker_id}"), oracle.Taker(taker_id, lease)))
 
     def grant(self, place: int, credit: int) -> None:
         if place < len(self.takers):
@@ -169,6 +183,8 @@ class QueuePair:
         found = [(other_of[id(taker)], _flat(batch), batch.expires) for taker, batch in self.core.take_dealt()]
         assert found == dealt
         self.deliveries += [(taker.taker_id, one[1]) for taker, given, _ in dealt for one in given]
+        silent, self.oracle.silent = self.oracle.silent, []
+        assert [other_of[id(taker)] for taker in self.core.take_silent()] == silent
         self._check_finished()
         counters = asdict(self.core.counters(self.clock))
         assert counters == self.oracle.counters()
@@ -190,10 +206,22 @@ class QueuePair:
         assert core.waiting_takers == len(self.oracle.takers)
         assert core.waiting_enqueues == len(self.oracle.line)
         assert core.next_deadline() == self.oracle.next_deadline()
-        assert [one.seq for one in core.departing(10**6)] == self.oracle.departures
+        assert [(one.seq, _how(one.last)) for one in core.departing(10**6)] == [
+            (seq, item.last) for seq in self.oracle.departures for item in items if item.seq == seq
+        ]
+        self._check_pending()
         assert core.oldest_accepted_at == (items[0].accepted_at if items else None)
         charged = sum(run.lengths[place] for run in self.oracle.line for place in range(len(run.lengths)))
         assert core.footprint_bytes >= charged + 64 * len(items)
+
+    def _check_pending(self) -> None:
+        """Page by page."""
+        found: list[PendingDelivery] = []
+        while page := self.core.pending(found[-1].delivery_id if found else 0, 2, self.clock):
+            found += page
+        told = [(one.delivery_id, one.seq, one.taker_id, one.number, one.leased_at, one.expires) for one in found]
+        assert told == self.oracle.pending()
+        assert all(one.taker_name == f"taker {one.taker_id}" for one in found)
 
     def _agree(self, mine: Enqueue, other: oracle.Run) -> None:
         assert mine.is_through == (other.outcome is not None or other.error is not None)
@@ -202,7 +230,7 @@ class QueuePair:
             assert mine.error.reason == other.error
         elif mine.outcome is not None:
             refused = tuple((one.place, one.error.reason) for one in mine.outcome.refusals)
-            assert (_seqs(mine.outcome), mine.outcome.stamped_time, refused) == other.outcome
+            assert (_seqs(mine.outcome), mine.outcome.stamped_time, refused, mine.is_duplicate) == other.outcome
 
 
 def _raises(step: object) -> bool:
@@ -222,6 +250,10 @@ def _seqs(judged: Judged) -> tuple[tuple[int, int], ...]:
         places = (place for place in range(part.place, bound) if place not in refused)
         found += [(place, seq) for seq, place in enumerate(places, part.first_seq)]
     return tuple(found)
+
+
+def _how(last: FailedDelivery | None) -> tuple[int, int, str] | None:
+    return None if last is None else (last.number, last.taker_id, last.ended)
 
 
 def _flat(batch: Batch) -> list[tuple[int, int, int]]:

@@ -40,9 +40,10 @@ def enqueue(dice: Dice, pair: QueuePair) -> None:
     if dice.one_in(3) and pair.runs:  # a retry, or nearly one
         before = dice.pick(pair.runs)
         number = before.first_number + dice.pick((0, 0, 0, 1))
-        pair.enqueue(list(before.lengths), before.producer_id, number, wait)
+        pair.enqueue(list(before.lengths), before.producer_id, number, wait, before.message_id)
     else:
-        pair.enqueue(lengths, dice.pick((0, 5, 6)), 1 + 10 * len(pair.runs), wait)
+        message_id = dice.pick(("", "one", "", "two")) if len(lengths) == 1 else ""
+        pair.enqueue(lengths, dice.pick((0, 5, 6)), 1 + 10 * len(pair.runs), wait, message_id)
 
 
 def attach(dice: Dice, pair: QueuePair) -> None:
@@ -52,7 +53,7 @@ def attach(dice: Dice, pair: QueuePair) -> None:
 
 
 def grant(dice: Dice, pair: QueuePair) -> None:
-    pair.grant(dice.below(4), dice.pick((1, 3, 10)))
+    pair.grant(dice.below(4), dice.pick((1, 3, 10, 0)))
 
 
 def sent(dice: Dice, pair: QueuePair) -> None:
@@ -79,7 +80,7 @@ def latest(dice: Dice, pair: QueuePair) -> tuple[int, int]:
 def a_verdict(dice: Dice, pair: QueuePair, taker_id: int) -> Verdict:
     own = [delivery_id for owner, delivery_id in pair.deliveries if owner == taker_id]
     delivery_id = own[-1 - dice.below(min(len(own), 4))] if not dice.one_in(8) else latest(dice, pair)[1]
-    kind = dice.pick(("ack", "nack", "ack", "extend", "uncounted"))
+    kind = dice.pick(("ack", "nack", "ack", "extend", "uncounted", "term"))
     return kind, delivery_id, dice.pick((0, 3, 20)) if kind in ("nack", "uncounted") else dice.pick((10, 1, 100))
 
 

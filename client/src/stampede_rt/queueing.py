@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import OnFull
@@ -18,6 +19,8 @@ LEASE_NANOS_MAX = 3_600_000_000_000
 LEASE_NANOS_DEFAULT = 30_000_000_000  # of a queue that states none
 DELAY_NANOS_MAX = 2**63 - 1
 PREFETCH_MAX = 1024
+MESSAGE_ID_BYTES_MAX = 128
+REASON_BYTES_MAX = 1024
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -56,8 +59,9 @@ class QueueStats:
     """A queue's counters, taken at one moment.
 
     `accepted == held + consumed + dropped + dead_lettered + expelled`, always. `leased` of the held ones are in the
-    hands of takers. `delivered` counts repeated deliveries, too; `given_back` and `leases_expired` those that ended
-    without an acknowledgement. `rejected` is by reason. `oldest`: when the oldest held item was accepted.
+    hands of takers. `delivered` counts repeated deliveries, too; `given_back`, `leases_expired` and `terminated` those
+    that ended without an acknowledgement. `duplicates` are puts of a message id that was known. `rejected` is by
+    reason. `oldest`: when the oldest held item was accepted.
     """
 
     accepted: int
@@ -70,6 +74,8 @@ class QueueStats:
     delivered: int
     given_back: int
     leases_expired: int
+    terminated: int
+    duplicates: int
     rejected: Mapping[str, int]
     accepted_bytes: int
     held_bytes: int
@@ -79,6 +85,67 @@ class QueueStats:
     incarnation: int
     host_time: int
     policy: QueuePolicy = field(default_factory=QueuePolicy)
+
+
+class Enqueued(NamedTuple):
+    """Where a queue has an item: its `seq`, which compares within one `incarnation` of the queue.
+
+    `duplicate`: an item was put under the same message id before; `seq` is that one's, and nothing was put now.
+    """
+
+    seq: int
+    duplicate: bool
+    incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PendingMessage:
+    """A message in the hands of a taker. `taker` is what people know that one by: its peer's name, or its machine and
+    process; `taker_id` is the handle's, and unique. `deliveries` says which delivery of the message it is, from 1."""
+
+    seq: int
+    taker: str
+    taker_id: int
+    deliveries: int
+    leased: int
+    expires: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeadLetterOrigin:
+    """Where a dead letter comes from: the queue that it left, and how its last delivery there ended.
+
+    `queue` is that queue's name, empty for a mailbox; `enqueued` when it was accepted there; `deliveries` how often it
+    was delivered. `ended` is "lease_expired", "given_back", "terminated", or empty if that is not known; `reason` what
+    its last taker said; `taker` and `taker_id` as in PendingMessage.
+    """
+
+    queue: str
+    queue_id: bytes
+    seq: int
+    incarnation: int
+    enqueued: int
+    deliveries: int
+    ended: str
+    reason: str
+    taker: str
+    taker_id: int
+
+
+def parse_message_id(value: str | None) -> str:
+    """What a message is recognised by; None: nothing. Raises InvalidArgument."""
+    if value is None:
+        return ""
+    if not isinstance(value, str) or not 0 < len(value.encode()) <= MESSAGE_ID_BYTES_MAX:
+        raise InvalidArgument(f"message_id is {value!r}; give 1 to {MESSAGE_ID_BYTES_MAX} bytes of text")
+    return value
+
+
+def parse_reason(value: str | None) -> str:
+    """Why a message is given up; None: nothing is said. Raises InvalidArgument."""
+    if value is not None and not (isinstance(value, str) and len(value.encode()) <= REASON_BYTES_MAX):
+        raise InvalidArgument(f"reason is {value!r}; give text of {REASON_BYTES_MAX} bytes at most")
+    return value or ""
 
 
 def parse_queue_policy(

@@ -78,7 +78,7 @@ from stampede_rt.model import (
 )
 from stampede_rt.passing import Address
 from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
-from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
+from stampede_rt.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.reading import SubscribeMode
 from stampede_rt.timeline import (
     NEWEST,
@@ -120,8 +120,10 @@ __all__ = [
     "CrossSection",
     "Cut",
     "CutSubscription",
+    "DeadLetterOrigin",
     "DeadlineExceeded",
     "DurationLike",
+    "Enqueued",
     "ForkedProcess",
     "Full",
     "Group",
@@ -158,6 +160,7 @@ __all__ = [
     "PeerInfo",
     "PeerNotFound",
     "PeerWatch",
+    "PendingMessage",
     "PermissionDenied",
     "Policy",
     "Producer",

@@ -58,6 +58,7 @@ METHODS = {
     "Enqueue": st.Queue.put,
     "Take": st.Queue.get,
     "Settle": st.Message.ack,
+    "ListPending": st.Queue.pending,
     "GetQueueStatus": st.Queue.stats,
     "RegisterPeer": st.connect,
     "RenewPeerLease": st.connect,

@@ -14,6 +14,7 @@ from stampede_rt_channel_host.core.queue import (
     QueueLimits,
     Settlement,
     Taker,
+    Terminate,
 )
 
 
@@ -57,6 +58,9 @@ class Core:
 
     def extend(self, taker_id: int, delivery_id: int, lease_nanos: int) -> list[str]:
         return self._settle(taker_id, Settlement(delivery_id, Extend(lease_nanos)))
+
+    def term(self, taker_id: int, delivery_id: int, reason: str = "") -> list[str]:
+        return self._settle(taker_id, Settlement(delivery_id, Terminate(reason)))
 
     def _settle(self, taker_id: int, *settlements: Settlement) -> list[str]:
         """The reasons of refusals; empty for what is done."""

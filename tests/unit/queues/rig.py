@@ -188,6 +188,10 @@ def extend(one: Delivered | int, lease_nanos: int) -> queue_pb2.Settlement:
     return _settlement(one, extend_lease=queue_pb2.ExtendLease(lease_nanos=lease_nanos))
 
 
+def term(one: Delivered | int, reason: str = "") -> queue_pb2.Settlement:
+    return _settlement(one, terminate=queue_pb2.Terminate(reason=reason))
+
+
 def _settlement(one: Delivered | int, **verdict: Any) -> queue_pb2.Settlement:
     return queue_pb2.Settlement(delivery_id=one if isinstance(one, int) else one.delivery_id, **verdict)
 

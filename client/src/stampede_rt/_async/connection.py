@@ -13,7 +13,7 @@ from stampede_rt._async.group import Group, member_handles
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.peer_place import PeerPlace
 from stampede_rt._async.presence import Mailbox, Presence
-from stampede_rt._async.queue import Queue, dead_letter_id, stats_at
+from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
 from stampede_rt._async.queue_place import open_queue, queue_state
 from stampede_rt._async.sending import Sending
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
@@ -34,7 +34,7 @@ from stampede_rt.handles import Reference
 from stampede_rt.model import OnFull
 from stampede_rt.peering import ClockOffset, PeerInfo
 from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.queueing import QueueStats, parse_prefetch, parse_queue_policy
+from stampede_rt.queueing import Enqueued, PendingMessage, QueueStats, parse_prefetch, parse_queue_policy
 from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
@@ -257,17 +257,24 @@ class Connection(Discovery, Reference):
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
         codec: CodecLike | None = None,
-    ) -> int:
+        message_id: str | None = None,
+    ) -> Enqueued:
         """Put a message into the mailbox of a participant, named or as `peers` gave it; its seq there is returned.
 
         `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`.
         A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
-        limit. A send that was tried again is never doubled. Raises PeerNotFound, QueueFull, ItemTooLarge, CodecError;
-        Unavailable if the mailbox's host cannot be reached.
+        limit. A send that was tried again is never doubled; `message_id` is as in `Queue.put`. Raises PeerNotFound,
+        QueueFull, ItemTooLarge, CodecError; Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer
-        return await self._sending.send(parse_name(name, "peer"), payload, timeout, attributes, content_type, codec)
+        return await self._sending.send(
+            parse_name(name, "peer"), payload, timeout, attributes, content_type, codec, message_id
+        )
 
     async def mailbox_stats(self, peer: str) -> QueueStats:
         """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""
         return await stats_at(self._session, PeerPlace(self._session, parse_name(peer, "peer")))
+
+    async def mailbox_pending(self, peer: str, limit: int = 1000) -> list[PendingMessage]:
+        """What a participant has taken from its mailbox and not settled, see `Queue.pending`. Raises PeerNotFound."""
+        return await pending_at(self._session, PeerPlace(self._session, parse_name(peer, "peer")), limit)

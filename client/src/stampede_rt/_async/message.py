@@ -14,7 +14,7 @@ from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.policy import duration_of
-from stampede_rt.queueing import parse_lease
+from stampede_rt.queueing import parse_lease, parse_reason
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_async import monotonic_s
@@ -23,6 +23,7 @@ from stampede_rt.v1 import queue_service_pb2 as queue_service_pb
 from stampede_rt.wire.queues import Delivery
 
 SETTLEMENTS_MAX = 1024
+_DONE_ONCE = ("give_back", "terminate")
 
 
 class Settler:
@@ -48,8 +49,9 @@ class Settler:
             result = (await self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
-                if not (tries > 1 and isinstance(error, LeaseExpired) and settlement.HasField("give_back")):
-                    raise error  # an earlier try has given it back already
+                once = settlement.WhichOneof("verdict") in _DONE_ONCE
+                if not (tries > 1 and once and isinstance(error, LeaseExpired)):
+                    raise error  # else an earlier try has done it already
             return result
 
         return await attempt(self._place, settle_at, CALL_TIMEOUT_S)
@@ -102,6 +104,7 @@ class Message(OfOneProcess):
     `deliveries` says which delivery of the item this is, from 1; `time` is when the queue accepted it, in nanoseconds
     since the epoch, unless its producer said otherwise; `seq` its place in the queue. As a context manager it is
     acknowledged when the block ends well, and given back if the block raises; settled inside, it is left alone.
+    `origin` tells of a dead letter where it comes from; it is None for others.
     """
 
     def __init__(self, settler: Settler, delivery: Delivery, incarnation: int, coding: Coding | None) -> None:
@@ -118,6 +121,7 @@ class Message(OfOneProcess):
         self.time = delivery.time
         self.seq = delivery.seq
         self.incarnation = incarnation
+        self.origin = delivery.origin
 
     def __repr__(self) -> str:
         return f"<Message #{self.seq}, delivery {self.deliveries}, {len(self.payload)} bytes>"
@@ -156,6 +160,13 @@ class Message(OfOneProcess):
         """
         delay_nanos = duration_of("delay", delay, least=0) or 0
         await self._settle(queue_pb2.Settlement(give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos)))
+
+    async def term(self, reason: str | None = None) -> None:
+        """Give it up for good, for all takers: it leaves the queue, for the dead-letter queue if there is one.
+
+        `reason` (1024 bytes at most) goes with the dead letter. Raises LeaseExpired if the lease ended before.
+        """
+        await self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     async def extend(self, lease: DurationLike = "30s") -> None:
         """Have it for so long, from now on, at most an hour. Raises LeaseExpired if the lease ended before."""

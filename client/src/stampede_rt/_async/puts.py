@@ -16,6 +16,7 @@ from stampede_rt.errors import Full
 from stampede_rt.model import Item
 from stampede_rt.payloads import check_attributes, check_payload
 from stampede_rt.policy import content_type_of
+from stampede_rt.queueing import Enqueued, parse_message_id
 from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
 from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
@@ -72,7 +73,7 @@ class Puts:
         async def put_at(binding: Binding) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # one that is tried again does not wait anew
             head = put_head(binding.channel_id, binding.epoch, numbers.producer_id)
-            request = put_request(head, number, item.run_parts(), left.nanos)
+            request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
             with self._session.put_streams.use(
                 self._handle_id, ends_s, binding, lambda: self._open_stream(self._session.ports.to(binding.target))
             ) as stream:
@@ -83,6 +84,11 @@ class Puts:
     def close(self) -> None:
         """Give the streams up. A later put opens one again."""
         self._session.put_streams.close(self._handle_id)
+
+
+def enqueued(ack: channel_pb.PutAck) -> Enqueued:
+    """Where a queue has the item."""
+    return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation)
 
 
 def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
@@ -102,6 +108,7 @@ class Single:
     duration: int | None
     attributes: Mapping[str, str]
     content_type: str
+    message_id: str = ""
 
     @classmethod
     def parse(
@@ -112,6 +119,7 @@ class Single:
         duration: DurationLike | int | None,
         attributes: Mapping[str, str] | None,
         content_type: str | None,
+        message_id: str | None = None,
     ) -> Single:
         """Raises InvalidArgument, ItemTooLarge, CodecError."""
         check_attributes(attributes)
@@ -121,6 +129,7 @@ class Single:
             parse_item_duration(duration),
             dict(attributes or {}),
             content_type_of(content_type) or (coding.content_type if coding else ""),
+            parse_message_id(message_id),
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:

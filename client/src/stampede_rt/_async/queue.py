@@ -8,22 +8,24 @@ from typing import Any
 
 from stampede_rt._async.attempts import Place, attempt
 from stampede_rt._async.message import Message
-from stampede_rt._async.puts import Numbers, Puts, Single
+from stampede_rt._async.puts import Numbers, Puts, Single, enqueued
 from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.binding import Binding
 from stampede_rt.handles import Reference, shown
 from stampede_rt.model import OnFull
-from stampede_rt.policy import parse_name
-from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
+from stampede_rt.policy import count_of, parse_name
+from stampede_rt.queueing import Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.reading import Wait
 from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_async import Port
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
-from stampede_rt.wire.queues import queue_policy_to_spec, queue_stats
+from stampede_rt.wire.queues import pending_message, queue_policy_to_spec, queue_stats
+
+PENDING_PAGE_MAX = 1000
 
 
 class Taking:
@@ -33,7 +35,7 @@ class Taking:
         self._session = session
         self._state = state
         self._place = place
-        self._taker = Taker(session, place, state, prefetch)
+        self._taker = Taker(session, place, state, prefetch, session.supernodes.peer_name)
         when_dropped(self, self._taker.let_go)
 
     @property
@@ -89,6 +91,14 @@ class Taking:
         """Counters and waiters, taken at one moment."""
         return await stats_at(self._session, self._place)
 
+    async def pending(self, limit: int = 1000) -> list[PendingMessage]:
+        """What is leased to whom, since when and until when: the `limit` oldest deliveries, in their order.
+
+        Changes nothing. Long lists are fetched page by page, so that what was settled meanwhile may be missing. Raises
+        QueueNotFound, Unavailable, InvalidArgument.
+        """
+        return await pending_at(self._session, self._place, limit)
+
     async def aclose(self) -> None:
         """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
 
@@ -131,17 +141,20 @@ class Queue(Taking, Reference):
         *,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
-    ) -> int:
-        """Put one item and wait until the host has accepted it; its seq is returned.
+        message_id: str | None = None,
+    ) -> Enqueued:
+        """Put one item and wait until the host has accepted it; its seq and incarnation are returned.
 
         `payload` is bytes, or the value if the handle has a codec. `timeout` in seconds matters on a full queue with
         on_full="block" (the default): how long to wait there; None: without limit. A put that was tried again is never
-        doubled. Where the order of puts matters, let one end before the next: of those under way at once none waits
-        behind one that may wait longer. Raises QueueFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if
-        the host cannot be reached.
+        doubled. With a `message_id` (1 to 128 bytes) a second put of the same id, by whomever, is not either: it gives
+        the first's seq and `duplicate` is True, for 10 minutes after the first, while the queue's host lives, and as
+        long as the ids put since take less than 16 MiB. Where the order of puts matters, let one end before the next:
+        of those under way at once none waits behind one that may wait longer. Raises QueueFull, ItemTooLarge,
+        CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
-        item = Single.parse(self._state.coding, payload, None, None, attributes, content_type)
-        return (await self._puts.put(self._numbers, item, Wait.parse(timeout))).first_seq
+        item = Single.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
+        return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
 
     async def configure(
         self,
@@ -200,6 +213,29 @@ async def stats_at(session: Session, place: Place) -> QueueStats:
         return queue_stats(response.status)
 
     return await attempt(place, status_at, CALL_TIMEOUT_S)
+
+
+async def pending_at(session: Session, place: Place, limit: int) -> list[PendingMessage]:
+    """The oldest deliveries that are leased, of the queue at a place. One that moves begins anew."""
+    most = count_of("limit", limit) or 1
+
+    async def pages_at(binding: Binding) -> list[PendingMessage]:
+        port = session.ports.to(binding.target)
+        found: list[PendingMessage] = []
+        after, more = 0, True
+        while more and len(found) < most:  # each page lies behind the one before
+            request = queue_pb.ListPendingRequest(
+                queue_id=binding.channel_id,
+                epoch=binding.epoch,
+                after_delivery_id=after,
+                page_size=min(most - len(found), PENDING_PAGE_MAX),
+            )
+            page = await port.call(port.queues.ListPending, request, CALL_TIMEOUT_S)
+            found += map(pending_message, page.deliveries)
+            after, more = page.deliveries[-1].delivery_id if page.deliveries else after, page.more
+        return found
+
+    return await attempt(place, pages_at, CALL_TIMEOUT_S)
 
 
 async def dead_letter_id(session: Session, queue: Queue | str | None) -> bytes | None:

@@ -34,7 +34,7 @@ class Supernodes:
     def __init__(self, frontends: tuple[str, ...], ports: Ports, *, peer_name: str, zone: str) -> None:
         self._frontends = frontends
         self._ports = ports
-        self._peer_name = peer_name
+        self.peer_name = peer_name
         self._zone = zone
         self._targets: list[str] = []
         self._elsewhere: frozenset[str] = frozenset()  # those of another zone than ours, if we have one
@@ -68,7 +68,7 @@ class Supernodes:
     async def _ask(self, target: str, timeout_s: float) -> frontend_pb.BindResponse:
         port = self._ports.to(target)
         request = frontend_pb.BindRequest(
-            peer_name=self._peer_name, zone=self._zone, protocol_version=PROTOCOL_VERSION, version=VERSION
+            peer_name=self.peer_name, zone=self._zone, protocol_version=PROTOCOL_VERSION, version=VERSION
         )
         response: frontend_pb.BindResponse = await port.call(port.frontend.Bind, request, timeout_s)
         if response.protocol_version != PROTOCOL_VERSION:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from stampede_rt._sync.peer_place import PeerPlace
-from stampede_rt._sync.puts import Numbers, Puts, Single
+from stampede_rt._sync.puts import Numbers, Puts, Single, enqueued
 from stampede_rt._sync.session import Session
 from stampede_rt.codecs import CodecLike, Coding
+from stampede_rt.queueing import Enqueued
 from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_sync import Mutex
 from stampede_rt.transports.grpc_sync import Port
@@ -34,12 +35,13 @@ class Sending:
         attributes: Mapping[str, str] | None,
         content_type: str | None,
         codec: CodecLike | None,
-    ) -> int:
-        """Put one message; its seq. See `Connection.send`."""
+        message_id: str | None,
+    ) -> Enqueued:
+        """Put one message. See `Connection.send`."""
         self._session.check()
         coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
-        item = Single.parse(coding, payload, None, None, attributes, content_type)
-        return (self._way(peer).put(self._numbers, item, Wait.parse(timeout))).first_seq
+        item = Single.parse(coding, payload, None, None, attributes, content_type, message_id)
+        return enqueued(self._way(peer).put(self._numbers, item, Wait.parse(timeout)))
 
     def _way(self, peer: str) -> Puts:
         with self._mutex:

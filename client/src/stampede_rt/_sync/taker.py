@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 from collections import deque
 from contextlib import suppress
 from functools import partial
@@ -48,7 +49,8 @@ class Taker:
     opened by the first `get` and again whenever it breaks; whoever dies gives nothing back but loses nothing, either.
     """
 
-    def __init__(self, session: Session, place: Place, state: QueueState, prefetch: int) -> None:
+    def __init__(self, session: Session, place: Place, state: QueueState, prefetch: int, name: str = "") -> None:
+        self._name = name or _this_process()
         self._session = session
         self._place = place
         self._state = state
@@ -199,7 +201,12 @@ class Taker:
         port = self._session.ports.to(binding.target)
         stream: Conversation[queue_pb.TakeResponse] = port.converse(port.queues.Take)
         heard = False
-        opening = queue_pb.TakeOpen(queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id)
+        opening = queue_pb.TakeOpen(
+            queue_id=binding.channel_id,
+            epoch=binding.epoch,
+            taker_id=self._taker_id,
+            taker_name=self._name,
+        )
         with self._mutex:
             self._credit = self._wanted()
         try:
@@ -241,6 +248,9 @@ class Taker:
                 message = Message(self._settler, delivery, self._incarnation, self._state.coding)
                 if not self._hand_over(message):
                     unwanted.append(message)
+        if not response.ByteSize():  # a sign of life, which asks for one
+            with suppress(Unavailable):
+                stream.say(queue_pb.TakeRequest())
         if response.drained:
             stream.cancel()  # its credit is void; whoever still waits is served by the next one
         if unwanted:
@@ -304,3 +314,8 @@ class Taker:
         if worker is not None:
             worker.join(END_TIMEOUT_S)
         self._session.detach(self)
+
+
+def _this_process() -> str:
+    """What people know a taker without a name by: its machine and process."""
+    return f"{socket.gethostname()[:100]}:{os.getpid()}"

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute
 from stampede_rt.cli.diagnosis import UNKNOWN, ahead, is_off
-from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
+from stampede_rt.cli.messages import (
+    add_payload,
+    add_pending,
+    add_taking,
+    counted,
+    payload_of,
+    print_pending,
+    print_sent,
+    take,
+)
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import PeerNotFound
 from stampede_rt.timeline import format_duration, format_instant
@@ -36,6 +45,9 @@ def add_verbs(subparsers: Any) -> None:
     get = add_verb(verbs, "get", "be a participant of that name for a while, and take what is sent to it", run_get)
     get.add_argument("name", help="which no live participant may have")
     add_taking(get)
+    pending = add_verb(verbs, "pending", "tell what a participant has taken and not settled", run_pending)
+    pending.add_argument("peer")
+    add_pending(pending)
     info = add_verb(verbs, "info", "tell the counters of a participant's mailbox", run_info)
     info.add_argument("peer")
 
@@ -91,10 +103,16 @@ def run_send(arguments: argparse.Namespace) -> int:
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         try:
-            seq = rt.send(arguments.peer, payload, arguments.timeout, attributes=dict(arguments.attribute or ()))
+            sent = rt.send(
+                arguments.peer,
+                payload,
+                arguments.timeout,
+                attributes=dict(arguments.attribute or ()),
+                message_id=arguments.message_id,
+            )
         except PeerNotFound as error:
             raise _nobody(arguments.peer) from error
-    print_sent({"peer": arguments.peer}, seq, arguments.output)
+    print_sent({"peer": arguments.peer}, sent, arguments.output)
     return 0
 
 
@@ -104,6 +122,17 @@ def run_get(arguments: argparse.Namespace) -> int:
 
     with connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=arguments.name) as rt:
         return take(rt.mailbox, arguments)
+
+
+def run_pending(arguments: argparse.Namespace) -> int:
+    """List what a participant has in its hands."""
+    with connected(arguments) as rt:
+        try:
+            found = rt.mailbox_pending(arguments.peer, arguments.count)
+        except PeerNotFound as error:
+            raise _nobody(arguments.peer) from error
+    print_pending(found, f"the mailbox of {arguments.peer}", arguments.output)
+    return 0
 
 
 def run_info(arguments: argparse.Namespace) -> int:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
 from stampede_rt.cli.arguments import parse_count
-from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview
-from stampede_rt.cli.terminal import check_raw_output
+from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview, print_rows
+from stampede_rt.cli.terminal import check_raw_output, escaped
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
-    from stampede_rt import Message, QueueStats
+    from stampede_rt import DeadLetterOrigin, Enqueued, Message, PendingMessage, QueueStats
 
 NOTHING = 3
 STDIN_BYTES_MAX = 16 * 1024 * 1024
@@ -30,6 +32,12 @@ class Source(Protocol):
 def add_payload(parser: argparse.ArgumentParser) -> None:
     """What is sent."""
     parser.add_argument("payload", nargs="?", help="the payload as text; without it, standard input is read")
+    parser.add_argument("--message-id", metavar="ID", help="a second one of the same id is not put, for 10 minutes")
+
+
+def add_pending(parser: argparse.ArgumentParser) -> None:
+    """How many leased messages are listed."""
+    parser.add_argument("-n", "--count", type=parse_count, default=1000, metavar="N", help="the N oldest; default 1000")
 
 
 def payload_of(arguments: argparse.Namespace) -> bytes:
@@ -42,10 +50,12 @@ def payload_of(arguments: argparse.Namespace) -> bytes:
     return payload
 
 
-def print_sent(thing: dict[str, Any], seq: int, form: str) -> None:
+def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
     """Say where an item went; `thing` is its kind and name."""
     (name,) = thing.values()
-    print(f"{name} #{seq}" if form == "table" else json.dumps(thing | {"seq": seq}))
+    known = " (put before under this id)" if enqueued.duplicate else ""
+    told = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
+    print(f"{name} #{enqueued.seq}{known}" if form == "table" else json.dumps(told))
 
 
 def take(source: Source, arguments: argparse.Namespace) -> int:
@@ -61,6 +71,8 @@ def take(source: Source, arguments: argparse.Namespace) -> int:
             _print_message(message, arguments)
             if arguments.keep:
                 message.nack()
+            elif arguments.term is not None:
+                message.term(arguments.term)
     return 0
 
 
@@ -74,6 +86,8 @@ def _print_message(message: Message, arguments: argparse.Namespace) -> None:
         attributes = attributes_text(message.attributes)
         shown = preview(message.payload, len(message.payload), message.content_type)
         print(f"{format_instant(message.time)}  #{message.seq}{again}{attributes}  {shown}", flush=True)
+        if message.origin is not None:
+            print(f"    {_origin_text(message.origin)}", flush=True)
     else:
         print(json.dumps(_row(message)), flush=True)
 
@@ -86,7 +100,41 @@ def _row(message: Message) -> dict[str, Any]:
         "length_bytes": len(message.payload),
         "content_type": message.content_type,
         "attributes": dict(message.attributes),
+        "origin": None if message.origin is None else _origin_row(message.origin),
     } | payload_fields(message.payload)
+
+
+def _origin_text(origin: DeadLetterOrigin) -> str:
+    """Where a dead letter comes from, in a line."""
+    ended = origin.ended.replace("_", " ") or "for an unknown reason"
+    by = f" by {escaped(origin.taker)}" if origin.taker else ""
+    why = f": {escaped(origin.reason)}" if origin.reason else ""
+    return (
+        f"left {origin.queue or 'a mailbox'} #{origin.seq}, put {format_instant(origin.enqueued)}, at delivery "
+        f"{origin.deliveries}, {ended}{by}{why}"
+    )
+
+
+def _origin_row(origin: DeadLetterOrigin) -> dict[str, Any]:
+    ids = {"queue_id": origin.queue_id.hex(), "incarnation": f"{origin.incarnation:016x}"}
+    return asdict(origin) | ids | {"taker_id": f"{origin.taker_id:016x}"}
+
+
+def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> None:
+    """List what is leased to whom."""
+    people = form == "table"
+    rows = [
+        {
+            "seq": one.seq,
+            "taker": one.taker,
+            "taker_id": f"{one.taker_id:016x}",
+            "deliveries": one.deliveries,
+            "leased": format_instant(one.leased) if people else one.leased,
+            "expires": format_instant(one.expires) if people else one.expires,
+        }
+        for one in pending
+    ]
+    print_rows(rows, form, none=f"nothing of {name} is leased")
 
 
 def counted(stats: QueueStats, form: str) -> dict[str, Any]:
@@ -106,6 +154,8 @@ def counted(stats: QueueStats, form: str) -> dict[str, Any]:
         "delivered": stats.delivered,
         "given_back": stats.given_back,
         "leases_expired": stats.leases_expired,
+        "terminated": stats.terminated,
+        "duplicates": stats.duplicates,
         "rejected": _rejected(stats) if people else dict(stats.rejected),
         "waiting_gets": stats.waiting_gets,
         "waiting_puts": stats.waiting_puts,
@@ -123,5 +173,7 @@ def add_taking(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for each; default 1"
     )
-    parser.add_argument("--keep", action="store_true", help="give them back instead of acknowledging them")
+    settled = parser.add_mutually_exclusive_group()
+    settled.add_argument("--keep", action="store_true", help="give them back instead of acknowledging them")
+    settled.add_argument("--term", metavar="REASON", help="give them up for good, for the dead-letter queue")
     parser.add_argument("--raw", action="store_true", help="write the payloads alone, one behind the other")

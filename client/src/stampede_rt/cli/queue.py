@@ -7,7 +7,16 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute, parse_count
-from stampede_rt.cli.messages import add_payload, add_taking, counted, payload_of, print_sent, take
+from stampede_rt.cli.messages import (
+    add_payload,
+    add_pending,
+    add_taking,
+    counted,
+    payload_of,
+    print_pending,
+    print_sent,
+    take,
+)
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
 from stampede_rt.errors import QueueNotFound
 from stampede_rt.queueing import LEASE_NANOS_DEFAULT, ON_FULL
@@ -40,6 +49,9 @@ def add_verbs(subparsers: Any) -> None:
     get = add_verb(verbs, "get", "take items and acknowledge them", run_get)
     get.add_argument("queue")
     add_taking(get)
+    pending = add_verb(verbs, "pending", "tell what is leased to whom, and until when", run_pending)
+    pending.add_argument("queue")
+    add_pending(pending)
     delete = add_verb(verbs, "delete", "forget a queue with all that it holds", run_delete, output=False)
     delete.add_argument("queue")
 
@@ -130,8 +142,10 @@ def run_put(arguments: argparse.Namespace) -> int:
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in STATED})
-        seq = queue.put(payload, arguments.timeout, attributes=dict(arguments.attribute or ()))
-    print_sent({"queue": arguments.queue}, seq, arguments.output)
+        sent = queue.put(
+            payload, arguments.timeout, attributes=dict(arguments.attribute or ()), message_id=arguments.message_id
+        )
+    print_sent({"queue": arguments.queue}, sent, arguments.output)
     return 0
 
 
@@ -139,6 +153,14 @@ def run_get(arguments: argparse.Namespace) -> int:
     """Take items and print them."""
     with connected(arguments) as rt, _existing(rt, arguments.queue) as queue:
         return take(queue, arguments)
+
+
+def run_pending(arguments: argparse.Namespace) -> int:
+    """List what takers of a queue have in their hands."""
+    with connected(arguments) as rt:
+        found = _existing(rt, arguments.queue).pending(arguments.count)
+    print_pending(found, arguments.queue, arguments.output)
+    return 0
 
 
 def run_delete(arguments: argparse.Namespace) -> int:

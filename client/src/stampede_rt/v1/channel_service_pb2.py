@@ -28,15 +28,15 @@ from stampede_rt.v1 import item_pb2 as stampede__rt_dot_v1_dot_item__pb2
 from stampede_rt.v1 import time_pb2 as stampede__rt_dot_v1_dot_time__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n$stampede_rt/v1/channel_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/error.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x19stampede_rt/v1/time.proto\"j\n\nPutRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12$\n\x04puts\x18\x04 \x03(\x0b\x32\x16.stampede_rt.v1.PutRun\"l\n\x06PutRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12$\n\x03run\x18\x03 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRunB\r\n\x0b_wait_nanos\"3\n\x0bPutResponse\x12$\n\x04\x61\x63ks\x18\x01 \x03(\x0b\x32\x16.stampede_rt.v1.PutAck\"\xc1\x02\n\x06PutAck\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\r\n\x05items\x18\x02 \x01(\r\x12\x16\n\tfirst_seq\x18\x03 \x01(\x04H\x00\x88\x01\x01\x12\x1e\n\x11stamped_unix_nano\x18\x04 \x01(\x10H\x01\x88\x01\x01\x12\x30\n\nrejections\x18\x05 \x03(\x0b\x32\x1c.stampede_rt.v1.PutRejection\x12$\n\x05\x65rror\x18\x06 \x01(\x0b\x32\x15.stampede_rt.v1.Error\x12\x1b\n\x13host_time_unix_nano\x18\x07 \x01(\x10\x12\x13\n\x0bincarnation\x18\x08 \x01(\x06\x12,\n\x0blater_parts\x18\t \x03(\x0b\x32\x17.stampede_rt.v1.PutPartB\x0c\n\n_first_seqB\x14\n\x12_stamped_unix_nano\"a\n\x07PutPart\x12\r\n\x05index\x18\x01 \x01(\r\x12\x11\n\tfirst_seq\x18\x02 \x01(\x04\x12\x1e\n\x11stamped_unix_nano\x18\x03 \x01(\x10H\x00\x88\x01\x01\x42\x14\n\x12_stamped_unix_nano\"C\n\x0cPutRejection\x12\r\n\x05index\x18\x01 \x01(\r\x12$\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"\xcd\x04\n\nGetRequest\x12\x0f\n\x07\x63\x61ll_id\x18\x01 \x01(\x04\x12\x0e\n\x06\x63\x61ncel\x18\x02 \x01(\x08\x12\x12\n\nchannel_id\x18\x03 \x01(\x0c\x12\r\n\x05\x65poch\x18\x04 \x01(\x04\x12*\n\x08interval\x18\x05 \x01(\x0b\x32\x18.stampede_rt.v1.Interval\x12$\n\x05match\x18\x06 \x01(\x0e\x32\x15.stampede_rt.v1.Match\x12\x12\n\x05limit\x18\x07 \x01(\rH\x00\x88\x01\x01\x12\x14\n\x0cnewest_first\x18\x08 \x01(\x08\x12+\n\x05\x61\x66ter\x18\t \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x30\n\nnewer_than\x18\n \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x18\n\x10without_payloads\x18\x0b \x01(\x08\x12\x17\n\nwait_nanos\x18\x0c \x01(\x12H\x01\x88\x01\x01\x12\x10\n\x08\x63omplete\x18\r \x01(\x08\x12\x15\n\x08group_id\x18\x0e \x01(\x0cH\x02\x88\x01\x01\x12 \n\x13\x63ut_floor_unix_nano\x18\x0f \x01(\x10H\x03\x88\x01\x01\x12\x10\n\x08stale_ok\x18\x10 \x01(\x08\x12\x16\n\tleast_seq\x18\x11 \x01(\x04H\x04\x88\x01\x01\x12\x1a\n\rcut_unix_nano\x18\x12 \x01(\x10H\x05\x88\x01\x01\x42\x08\n\x06_limitB\r\n\x0b_wait_nanosB\x0b\n\t_group_idB\x16\n\x14_cut_floor_unix_nanoB\x0c\n\n_least_seqB\x10\n\x0e_cut_unix_nano\"\x9d\x01\n\x0bGetResponse\x12\x0f\n\x07\x63\x61ll_id\x18\x01 \x01(\x04\x12*\n\x04runs\x18\x02 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12+\n\x07summary\x18\x03 \x01(\x0b\x32\x1a.stampede_rt.v1.GetSummary\x12$\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"\x92\x02\n\nGetSummary\x12\x32\n\x08interval\x18\x01 \x01(\x0b\x32 .stampede_rt.v1.ResolvedInterval\x12\x10\n\x08\x63omplete\x18\x02 \x01(\x08\x12\x11\n\ttruncated\x18\x03 \x01(\x08\x12\x0c\n\x04more\x18\x04 \x01(\x08\x12-\n\x06reason\x18\x05 \x01(\x0e\x32\x1d.stampede_rt.v1.AbsenceReason\x12\x0e\n\x06\x64\x65tail\x18\x06 \x01(\t\x12\x13\n\x0bincarnation\x18\x07 \x01(\x06\x12\x1a\n\rcut_unix_nano\x18\x08 \x01(\x10H\x00\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\t \x01(\x10\x42\x10\n\x0e_cut_unix_nano\"U\n\x10SubscribeRequest\x12+\n\x04open\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.SubscribeOpen\x12\x14\n\x0c\x63redit_bytes\x18\x02 \x01(\x04\"\xc5\x02\n\rSubscribeOpen\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12+\n\x04mode\x18\x03 \x01(\x0e\x32\x1d.stampede_rt.v1.SubscribeMode\x12&\n\x05start\x18\x04 \x01(\x0b\x32\x15.stampede_rt.v1.BoundH\x00\x12-\n\x05\x61\x66ter\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPositionH\x00\x12\x34\n\x06\x63ursor\x18\x06 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionCursorH\x00\x12\x18\n\x10without_payloads\x18\x07 \x01(\x08\x12\x15\n\x08group_id\x18\x08 \x01(\x0cH\x01\x88\x01\x01\x12\x10\n\x08stale_ok\x18\t \x01(\x08\x42\x07\n\x05\x62\x65ginB\x0b\n\t_group_id\"\xbd\x01\n\x12SubscriptionCursor\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\x12\x1b\n\x0e\x66rom_unix_nano\x18\x03 \x01(\x10H\x00\x88\x01\x01\x12\x10\n\x08\x66rom_seq\x18\x04 \x01(\x04\x12\x10\n\x08live_seq\x18\x05 \x01(\x04\x12\x1a\n\rcut_unix_nano\x18\x06 \x01(\x10H\x01\x88\x01\x01\x42\x11\n\x0f_from_unix_nanoB\x10\n\x0e_cut_unix_nano\"\x8d\x02\n\x11SubscribeResponse\x12\x32\n\x06opened\x18\x01 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionOpened\x12,\n\x03gap\x18\x02 \x01(\x0b\x32\x1f.stampede_rt.v1.SubscriptionGap\x12*\n\x04runs\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12\x36\n\x08progress\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.SubscriptionProgress\x12\x32\n\x06\x63ursor\x18\x05 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionCursor\";\n\x12SubscriptionOpened\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\"\x84\x01\n\x0fSubscriptionGap\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x10\n\x08last_seq\x18\x02 \x01(\x04\x12\r\n\x05items\x18\x03 \x01(\x04\x12-\n\x06reason\x18\x04 \x01(\x0e\x32\x1d.stampede_rt.v1.AbsenceReason\x12\x0e\n\x06\x64\x65tail\x18\x05 \x01(\t\"\x9d\x01\n\x14SubscriptionProgress\x12\x10\n\x08next_seq\x18\x01 \x01(\x04\x12\x0f\n\x07skipped\x18\x02 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x03 \x01(\x04\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\x05 \x01(\x10\x42\x14\n\x12_advance_unix_nano\"K\n\x0e\x41\x64vanceRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x16\n\x0etime_unix_nano\x18\x03 \x01(\x10\",\n\x0f\x41\x64vanceResponse\x12\x19\n\x11\x61\x64vance_unix_nano\x18\x01 \x01(\x10\"\x95\x01\n\x0e\x43onsumeRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0b\x63onsumer_id\x18\x03 \x01(\x06\x12\x0c\n\x04seqs\x18\x04 \x03(\x04\x12\x13\n\x0bincarnation\x18\x05 \x01(\x06\x12\x18\n\x0blease_nanos\x18\x06 \x01(\x03H\x00\x88\x01\x01\x42\x0e\n\x0c_lease_nanos\"8\n\x0f\x43onsumeResponse\x12\x10\n\x08\x63onsumed\x18\x01 \x01(\r\x12\x13\n\x0blease_nanos\x18\x02 \x01(\x03\"<\n\x17GetChannelStatusRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\"I\n\x18GetChannelStatusResponse\x12-\n\x06status\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelStatus*b\n\rSubscribeMode\x12\x1e\n\x1aSUBSCRIBE_MODE_UNSPECIFIED\x10\x00\x12\x16\n\x12SUBSCRIBE_MODE_ALL\x10\x01\x12\x19\n\x15SUBSCRIBE_MODE_NEWEST\x10\x02\x32\xed\x03\n\x0e\x43hannelService\x12\x42\n\x03Put\x12\x1a.stampede_rt.v1.PutRequest\x1a\x1b.stampede_rt.v1.PutResponse(\x01\x30\x01\x12\x42\n\x03Get\x12\x1a.stampede_rt.v1.GetRequest\x1a\x1b.stampede_rt.v1.GetResponse(\x01\x30\x01\x12T\n\tSubscribe\x12 .stampede_rt.v1.SubscribeRequest\x1a!.stampede_rt.v1.SubscribeResponse(\x01\x30\x01\x12J\n\x07\x41\x64vance\x12\x1e.stampede_rt.v1.AdvanceRequest\x1a\x1f.stampede_rt.v1.AdvanceResponse\x12J\n\x07\x43onsume\x12\x1e.stampede_rt.v1.ConsumeRequest\x1a\x1f.stampede_rt.v1.ConsumeResponse\x12\x65\n\x10GetChannelStatus\x12\'.stampede_rt.v1.GetChannelStatusRequest\x1a(.stampede_rt.v1.GetChannelStatusResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n$stampede_rt/v1/channel_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/error.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x19stampede_rt/v1/time.proto\"j\n\nPutRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12$\n\x04puts\x18\x04 \x03(\x0b\x32\x16.stampede_rt.v1.PutRun\"l\n\x06PutRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12$\n\x03run\x18\x03 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRunB\r\n\x0b_wait_nanos\"3\n\x0bPutResponse\x12$\n\x04\x61\x63ks\x18\x01 \x03(\x0b\x32\x16.stampede_rt.v1.PutAck\"\xd4\x02\n\x06PutAck\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\r\n\x05items\x18\x02 \x01(\r\x12\x16\n\tfirst_seq\x18\x03 \x01(\x04H\x00\x88\x01\x01\x12\x1e\n\x11stamped_unix_nano\x18\x04 \x01(\x10H\x01\x88\x01\x01\x12\x30\n\nrejections\x18\x05 \x03(\x0b\x32\x1c.stampede_rt.v1.PutRejection\x12$\n\x05\x65rror\x18\x06 \x01(\x0b\x32\x15.stampede_rt.v1.Error\x12\x1b\n\x13host_time_unix_nano\x18\x07 \x01(\x10\x12\x13\n\x0bincarnation\x18\x08 \x01(\x06\x12,\n\x0blater_parts\x18\t \x03(\x0b\x32\x17.stampede_rt.v1.PutPart\x12\x11\n\tduplicate\x18\n \x01(\x08\x42\x0c\n\n_first_seqB\x14\n\x12_stamped_unix_nano\"a\n\x07PutPart\x12\r\n\x05index\x18\x01 \x01(\r\x12\x11\n\tfirst_seq\x18\x02 \x01(\x04\x12\x1e\n\x11stamped_unix_nano\x18\x03 \x01(\x10H\x00\x88\x01\x01\x42\x14\n\x12_stamped_unix_nano\"C\n\x0cPutRejection\x12\r\n\x05index\x18\x01 \x01(\r\x12$\n\x05\x65rror\x18\x02 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"\xcd\x04\n\nGetRequest\x12\x0f\n\x07\x63\x61ll_id\x18\x01 \x01(\x04\x12\x0e\n\x06\x63\x61ncel\x18\x02 \x01(\x08\x12\x12\n\nchannel_id\x18\x03 \x01(\x0c\x12\r\n\x05\x65poch\x18\x04 \x01(\x04\x12*\n\x08interval\x18\x05 \x01(\x0b\x32\x18.stampede_rt.v1.Interval\x12$\n\x05match\x18\x06 \x01(\x0e\x32\x15.stampede_rt.v1.Match\x12\x12\n\x05limit\x18\x07 \x01(\rH\x00\x88\x01\x01\x12\x14\n\x0cnewest_first\x18\x08 \x01(\x08\x12+\n\x05\x61\x66ter\x18\t \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x30\n\nnewer_than\x18\n \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPosition\x12\x18\n\x10without_payloads\x18\x0b \x01(\x08\x12\x17\n\nwait_nanos\x18\x0c \x01(\x12H\x01\x88\x01\x01\x12\x10\n\x08\x63omplete\x18\r \x01(\x08\x12\x15\n\x08group_id\x18\x0e \x01(\x0cH\x02\x88\x01\x01\x12 \n\x13\x63ut_floor_unix_nano\x18\x0f \x01(\x10H\x03\x88\x01\x01\x12\x10\n\x08stale_ok\x18\x10 \x01(\x08\x12\x16\n\tleast_seq\x18\x11 \x01(\x04H\x04\x88\x01\x01\x12\x1a\n\rcut_unix_nano\x18\x12 \x01(\x10H\x05\x88\x01\x01\x42\x08\n\x06_limitB\r\n\x0b_wait_nanosB\x0b\n\t_group_idB\x16\n\x14_cut_floor_unix_nanoB\x0c\n\n_least_seqB\x10\n\x0e_cut_unix_nano\"\x9d\x01\n\x0bGetResponse\x12\x0f\n\x07\x63\x61ll_id\x18\x01 \x01(\x04\x12*\n\x04runs\x18\x02 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12+\n\x07summary\x18\x03 \x01(\x0b\x32\x1a.stampede_rt.v1.GetSummary\x12$\n\x05\x65rror\x18\x04 \x01(\x0b\x32\x15.stampede_rt.v1.Error\"\x92\x02\n\nGetSummary\x12\x32\n\x08interval\x18\x01 \x01(\x0b\x32 .stampede_rt.v1.ResolvedInterval\x12\x10\n\x08\x63omplete\x18\x02 \x01(\x08\x12\x11\n\ttruncated\x18\x03 \x01(\x08\x12\x0c\n\x04more\x18\x04 \x01(\x08\x12-\n\x06reason\x18\x05 \x01(\x0e\x32\x1d.stampede_rt.v1.AbsenceReason\x12\x0e\n\x06\x64\x65tail\x18\x06 \x01(\t\x12\x13\n\x0bincarnation\x18\x07 \x01(\x06\x12\x1a\n\rcut_unix_nano\x18\x08 \x01(\x10H\x00\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\t \x01(\x10\x42\x10\n\x0e_cut_unix_nano\"U\n\x10SubscribeRequest\x12+\n\x04open\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.SubscribeOpen\x12\x14\n\x0c\x63redit_bytes\x18\x02 \x01(\x04\"\xc5\x02\n\rSubscribeOpen\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12+\n\x04mode\x18\x03 \x01(\x0e\x32\x1d.stampede_rt.v1.SubscribeMode\x12&\n\x05start\x18\x04 \x01(\x0b\x32\x15.stampede_rt.v1.BoundH\x00\x12-\n\x05\x61\x66ter\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.ItemPositionH\x00\x12\x34\n\x06\x63ursor\x18\x06 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionCursorH\x00\x12\x18\n\x10without_payloads\x18\x07 \x01(\x08\x12\x15\n\x08group_id\x18\x08 \x01(\x0cH\x01\x88\x01\x01\x12\x10\n\x08stale_ok\x18\t \x01(\x08\x42\x07\n\x05\x62\x65ginB\x0b\n\t_group_id\"\xbd\x01\n\x12SubscriptionCursor\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\x12\x1b\n\x0e\x66rom_unix_nano\x18\x03 \x01(\x10H\x00\x88\x01\x01\x12\x10\n\x08\x66rom_seq\x18\x04 \x01(\x04\x12\x10\n\x08live_seq\x18\x05 \x01(\x04\x12\x1a\n\rcut_unix_nano\x18\x06 \x01(\x10H\x01\x88\x01\x01\x42\x11\n\x0f_from_unix_nanoB\x10\n\x0e_cut_unix_nano\"\x8d\x02\n\x11SubscribeResponse\x12\x32\n\x06opened\x18\x01 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionOpened\x12,\n\x03gap\x18\x02 \x01(\x0b\x32\x1f.stampede_rt.v1.SubscriptionGap\x12*\n\x04runs\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.DeliveredRun\x12\x36\n\x08progress\x18\x04 \x01(\x0b\x32$.stampede_rt.v1.SubscriptionProgress\x12\x32\n\x06\x63ursor\x18\x05 \x01(\x0b\x32\".stampede_rt.v1.SubscriptionCursor\";\n\x12SubscriptionOpened\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x10\n\x08next_seq\x18\x02 \x01(\x04\"\x84\x01\n\x0fSubscriptionGap\x12\x11\n\tfirst_seq\x18\x01 \x01(\x04\x12\x10\n\x08last_seq\x18\x02 \x01(\x04\x12\r\n\x05items\x18\x03 \x01(\x04\x12-\n\x06reason\x18\x04 \x01(\x0e\x32\x1d.stampede_rt.v1.AbsenceReason\x12\x0e\n\x06\x64\x65tail\x18\x05 \x01(\t\"\x9d\x01\n\x14SubscriptionProgress\x12\x10\n\x08next_seq\x18\x01 \x01(\x04\x12\x0f\n\x07skipped\x18\x02 \x01(\x04\x12\x0f\n\x07\x64ropped\x18\x03 \x01(\x04\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\x05 \x01(\x10\x42\x14\n\x12_advance_unix_nano\"K\n\x0e\x41\x64vanceRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x16\n\x0etime_unix_nano\x18\x03 \x01(\x10\",\n\x0f\x41\x64vanceResponse\x12\x19\n\x11\x61\x64vance_unix_nano\x18\x01 \x01(\x10\"\x95\x01\n\x0e\x43onsumeRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0b\x63onsumer_id\x18\x03 \x01(\x06\x12\x0c\n\x04seqs\x18\x04 \x03(\x04\x12\x13\n\x0bincarnation\x18\x05 \x01(\x06\x12\x18\n\x0blease_nanos\x18\x06 \x01(\x03H\x00\x88\x01\x01\x42\x0e\n\x0c_lease_nanos\"8\n\x0f\x43onsumeResponse\x12\x10\n\x08\x63onsumed\x18\x01 \x01(\r\x12\x13\n\x0blease_nanos\x18\x02 \x01(\x03\"<\n\x17GetChannelStatusRequest\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\"I\n\x18GetChannelStatusResponse\x12-\n\x06status\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelStatus*b\n\rSubscribeMode\x12\x1e\n\x1aSUBSCRIBE_MODE_UNSPECIFIED\x10\x00\x12\x16\n\x12SUBSCRIBE_MODE_ALL\x10\x01\x12\x19\n\x15SUBSCRIBE_MODE_NEWEST\x10\x02\x32\xed\x03\n\x0e\x43hannelService\x12\x42\n\x03Put\x12\x1a.stampede_rt.v1.PutRequest\x1a\x1b.stampede_rt.v1.PutResponse(\x01\x30\x01\x12\x42\n\x03Get\x12\x1a.stampede_rt.v1.GetRequest\x1a\x1b.stampede_rt.v1.GetResponse(\x01\x30\x01\x12T\n\tSubscribe\x12 .stampede_rt.v1.SubscribeRequest\x1a!.stampede_rt.v1.SubscribeResponse(\x01\x30\x01\x12J\n\x07\x41\x64vance\x12\x1e.stampede_rt.v1.AdvanceRequest\x1a\x1f.stampede_rt.v1.AdvanceResponse\x12J\n\x07\x43onsume\x12\x1e.stampede_rt.v1.ConsumeRequest\x1a\x1f.stampede_rt.v1.ConsumeResponse\x12\x65\n\x10GetChannelStatus\x12\'.stampede_rt.v1.GetChannelStatusRequest\x1a(.stampede_rt.v1.GetChannelStatusResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.channel_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_SUBSCRIBEMODE']._serialized_start=3665
-  _globals['_SUBSCRIBEMODE']._serialized_end=3763
+  _globals['_SUBSCRIBEMODE']._serialized_start=3684
+  _globals['_SUBSCRIBEMODE']._serialized_end=3782
   _globals['_PUTREQUEST']._serialized_start=168
   _globals['_PUTREQUEST']._serialized_end=274
   _globals['_PUTRUN']._serialized_start=276
@@ -44,43 +44,43 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_PUTRESPONSE']._serialized_start=386
   _globals['_PUTRESPONSE']._serialized_end=437
   _globals['_PUTACK']._serialized_start=440
-  _globals['_PUTACK']._serialized_end=761
-  _globals['_PUTPART']._serialized_start=763
-  _globals['_PUTPART']._serialized_end=860
-  _globals['_PUTREJECTION']._serialized_start=862
-  _globals['_PUTREJECTION']._serialized_end=929
-  _globals['_GETREQUEST']._serialized_start=932
-  _globals['_GETREQUEST']._serialized_end=1521
-  _globals['_GETRESPONSE']._serialized_start=1524
-  _globals['_GETRESPONSE']._serialized_end=1681
-  _globals['_GETSUMMARY']._serialized_start=1684
-  _globals['_GETSUMMARY']._serialized_end=1958
-  _globals['_SUBSCRIBEREQUEST']._serialized_start=1960
-  _globals['_SUBSCRIBEREQUEST']._serialized_end=2045
-  _globals['_SUBSCRIBEOPEN']._serialized_start=2048
-  _globals['_SUBSCRIBEOPEN']._serialized_end=2373
-  _globals['_SUBSCRIPTIONCURSOR']._serialized_start=2376
-  _globals['_SUBSCRIPTIONCURSOR']._serialized_end=2565
-  _globals['_SUBSCRIBERESPONSE']._serialized_start=2568
-  _globals['_SUBSCRIBERESPONSE']._serialized_end=2837
-  _globals['_SUBSCRIPTIONOPENED']._serialized_start=2839
-  _globals['_SUBSCRIPTIONOPENED']._serialized_end=2898
-  _globals['_SUBSCRIPTIONGAP']._serialized_start=2901
-  _globals['_SUBSCRIPTIONGAP']._serialized_end=3033
-  _globals['_SUBSCRIPTIONPROGRESS']._serialized_start=3036
-  _globals['_SUBSCRIPTIONPROGRESS']._serialized_end=3193
-  _globals['_ADVANCEREQUEST']._serialized_start=3195
-  _globals['_ADVANCEREQUEST']._serialized_end=3270
-  _globals['_ADVANCERESPONSE']._serialized_start=3272
-  _globals['_ADVANCERESPONSE']._serialized_end=3316
-  _globals['_CONSUMEREQUEST']._serialized_start=3319
-  _globals['_CONSUMEREQUEST']._serialized_end=3468
-  _globals['_CONSUMERESPONSE']._serialized_start=3470
-  _globals['_CONSUMERESPONSE']._serialized_end=3526
-  _globals['_GETCHANNELSTATUSREQUEST']._serialized_start=3528
-  _globals['_GETCHANNELSTATUSREQUEST']._serialized_end=3588
-  _globals['_GETCHANNELSTATUSRESPONSE']._serialized_start=3590
-  _globals['_GETCHANNELSTATUSRESPONSE']._serialized_end=3663
-  _globals['_CHANNELSERVICE']._serialized_start=3766
-  _globals['_CHANNELSERVICE']._serialized_end=4259
+  _globals['_PUTACK']._serialized_end=780
+  _globals['_PUTPART']._serialized_start=782
+  _globals['_PUTPART']._serialized_end=879
+  _globals['_PUTREJECTION']._serialized_start=881
+  _globals['_PUTREJECTION']._serialized_end=948
+  _globals['_GETREQUEST']._serialized_start=951
+  _globals['_GETREQUEST']._serialized_end=1540
+  _globals['_GETRESPONSE']._serialized_start=1543
+  _globals['_GETRESPONSE']._serialized_end=1700
+  _globals['_GETSUMMARY']._serialized_start=1703
+  _globals['_GETSUMMARY']._serialized_end=1977
+  _globals['_SUBSCRIBEREQUEST']._serialized_start=1979
+  _globals['_SUBSCRIBEREQUEST']._serialized_end=2064
+  _globals['_SUBSCRIBEOPEN']._serialized_start=2067
+  _globals['_SUBSCRIBEOPEN']._serialized_end=2392
+  _globals['_SUBSCRIPTIONCURSOR']._serialized_start=2395
+  _globals['_SUBSCRIPTIONCURSOR']._serialized_end=2584
+  _globals['_SUBSCRIBERESPONSE']._serialized_start=2587
+  _globals['_SUBSCRIBERESPONSE']._serialized_end=2856
+  _globals['_SUBSCRIPTIONOPENED']._serialized_start=2858
+  _globals['_SUBSCRIPTIONOPENED']._serialized_end=2917
+  _globals['_SUBSCRIPTIONGAP']._serialized_start=2920
+  _globals['_SUBSCRIPTIONGAP']._serialized_end=3052
+  _globals['_SUBSCRIPTIONPROGRESS']._serialized_start=3055
+  _globals['_SUBSCRIPTIONPROGRESS']._serialized_end=3212
+  _globals['_ADVANCEREQUEST']._serialized_start=3214
+  _globals['_ADVANCEREQUEST']._serialized_end=3289
+  _globals['_ADVANCERESPONSE']._serialized_start=3291
+  _globals['_ADVANCERESPONSE']._serialized_end=3335
+  _globals['_CONSUMEREQUEST']._serialized_start=3338
+  _globals['_CONSUMEREQUEST']._serialized_end=3487
+  _globals['_CONSUMERESPONSE']._serialized_start=3489
+  _globals['_CONSUMERESPONSE']._serialized_end=3545
+  _globals['_GETCHANNELSTATUSREQUEST']._serialized_start=3547
+  _globals['_GETCHANNELSTATUSREQUEST']._serialized_end=3607
+  _globals['_GETCHANNELSTATUSRESPONSE']._serialized_start=3609
+  _globals['_GETCHANNELSTATUSRESPONSE']._serialized_end=3682
+  _globals['_CHANNELSERVICE']._serialized_start=3785
+  _globals['_CHANNELSERVICE']._serialized_end=4278
 # @@protoc_insertion_point(module_scope)

@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19stampede_rt/v1/item.proto\x12\x0estampede_rt.v1\"\x82\x02\n\x07ItemRun\x12\x16\n\x0etime_unix_nano\x18\x01 \x03(\x10\x12\x16\n\x0e\x64uration_nanos\x18\x02 \x03(\x10\x12\x1c\n\x14payload_length_bytes\x18\x03 \x03(\x07\x12\x14\n\x0c\x63ontent_type\x18\x04 \x01(\t\x12;\n\nattributes\x18\x05 \x03(\x0b\x32\'.stampede_rt.v1.ItemRun.AttributesEntry\x12\x10\n\x08payloads\x18\x06 \x01(\x0c\x12\x11\n\tfirst_seq\x18\x07 \x01(\x06\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"U\n\x0cItemPosition\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x10\n\x03seq\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12\x13\n\x0bincarnation\x18\x03 \x01(\x06\x42\x06\n\x04_seq\"n\n\x0c\x44\x65liveredRun\x12$\n\x03run\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRun\x12 \n\x13next_time_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x42\x16\n\x14_next_time_unix_nanob\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19stampede_rt/v1/item.proto\x12\x0estampede_rt.v1\"\xb4\x02\n\x07ItemRun\x12\x16\n\x0etime_unix_nano\x18\x01 \x03(\x10\x12\x16\n\x0e\x64uration_nanos\x18\x02 \x03(\x10\x12\x1c\n\x14payload_length_bytes\x18\x03 \x03(\x07\x12\x14\n\x0c\x63ontent_type\x18\x04 \x01(\t\x12;\n\nattributes\x18\x05 \x03(\x0b\x32\'.stampede_rt.v1.ItemRun.AttributesEntry\x12\x10\n\x08payloads\x18\x06 \x01(\x0c\x12\x11\n\tfirst_seq\x18\x07 \x01(\x06\x12\x30\n\x06origin\x18\x08 \x01(\x0b\x32 .stampede_rt.v1.DeadLetterOrigin\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\xf9\x01\n\x10\x44\x65\x61\x64LetterOrigin\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\x12\n\nqueue_name\x18\x02 \x01(\t\x12\x0b\n\x03seq\x18\x03 \x01(\x04\x12\x13\n\x0bincarnation\x18\x04 \x01(\x06\x12\x1a\n\x12\x65nqueued_unix_nano\x18\x05 \x01(\x10\x12\x12\n\ndeliveries\x18\x06 \x01(\r\x12-\n\x08last_end\x18\x07 \x01(\x0e\x32\x1b.stampede_rt.v1.DeliveryEnd\x12\x0e\n\x06reason\x18\x08 \x01(\t\x12\x15\n\rlast_taker_id\x18\t \x01(\x06\x12\x17\n\x0flast_taker_name\x18\n \x01(\t\"U\n\x0cItemPosition\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x10\n\x03seq\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12\x13\n\x0bincarnation\x18\x03 \x01(\x06\x42\x06\n\x04_seq\"n\n\x0c\x44\x65liveredRun\x12$\n\x03run\x18\x01 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRun\x12 \n\x13next_time_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x42\x16\n\x14_next_time_unix_nano*\x85\x01\n\x0b\x44\x65liveryEnd\x12\x1c\n\x18\x44\x45LIVERY_END_UNSPECIFIED\x10\x00\x12\x1e\n\x1a\x44\x45LIVERY_END_LEASE_EXPIRED\x10\x01\x12\x1b\n\x17\x44\x45LIVERY_END_GIVEN_BACK\x10\x02\x12\x1b\n\x17\x44\x45LIVERY_END_TERMINATED\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -33,12 +33,16 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_ITEMRUN_ATTRIBUTESENTRY']._loaded_options = None
   _globals['_ITEMRUN_ATTRIBUTESENTRY']._serialized_options = b'8\001'
+  _globals['_DELIVERYEND']._serialized_start=808
+  _globals['_DELIVERYEND']._serialized_end=941
   _globals['_ITEMRUN']._serialized_start=46
-  _globals['_ITEMRUN']._serialized_end=304
-  _globals['_ITEMRUN_ATTRIBUTESENTRY']._serialized_start=255
-  _globals['_ITEMRUN_ATTRIBUTESENTRY']._serialized_end=304
-  _globals['_ITEMPOSITION']._serialized_start=306
-  _globals['_ITEMPOSITION']._serialized_end=391
-  _globals['_DELIVEREDRUN']._serialized_start=393
-  _globals['_DELIVEREDRUN']._serialized_end=503
+  _globals['_ITEMRUN']._serialized_end=354
+  _globals['_ITEMRUN_ATTRIBUTESENTRY']._serialized_start=305
+  _globals['_ITEMRUN_ATTRIBUTESENTRY']._serialized_end=354
+  _globals['_DEADLETTERORIGIN']._serialized_start=357
+  _globals['_DEADLETTERORIGIN']._serialized_end=606
+  _globals['_ITEMPOSITION']._serialized_start=608
+  _globals['_ITEMPOSITION']._serialized_end=693
+  _globals['_DELIVEREDRUN']._serialized_start=695
+  _globals['_DELIVEREDRUN']._serialized_end=805
 # @@protoc_insertion_point(module_scope)

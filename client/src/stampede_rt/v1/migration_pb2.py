@@ -25,33 +25,38 @@ _sym_db = _symbol_database.Default()
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 from stampede_rt.v1 import error_pb2 as stampede__rt_dot_v1_dot_error__pb2
 from stampede_rt.v1 import group_pb2 as stampede__rt_dot_v1_dot_group__pb2
+from stampede_rt.v1 import item_pb2 as stampede__rt_dot_v1_dot_item__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 from stampede_rt.v1 import subject_pb2 as stampede__rt_dot_v1_dot_subject__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1estampede_rt/v1/migration.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/error.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x1astampede_rt/v1/queue.proto\x1a\x1cstampede_rt/v1/subject.proto\"\xeb\x01\n\nMoveRecord\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x14\n\x0c\x66rom_host_id\x18\x03 \x01(\x0c\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\r\n\x05\x65poch\x18\x06 \x01(\x04\x12\x15\n\x08last_seq\x18\x07 \x01(\x04H\x00\x88\x01\x01\x12(\n\x05state\x18\x08 \x01(\x0e\x32\x19.stampede_rt.v1.MoveStateB\x0b\n\t_last_seq\"\xc8\x05\n\rHandoffRecord\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x15\n\x08last_seq\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12\x39\n\x10\x63hannel_counters\x18\x03 \x01(\x0b\x32\x1f.stampede_rt.v1.ChannelCounters\x12\x35\n\x0equeue_counters\x18\x04 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\x12\x1f\n\x12\x66rontier_unix_nano\x18\x05 \x01(\x10H\x01\x88\x01\x01\x12\'\n\x1anewest_collected_unix_nano\x18\x06 \x01(\x10H\x02\x88\x01\x01\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x07 \x01(\x10H\x03\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\x08 \x01(\x10\x12,\n\ncut_floors\x18\t \x03(\x0b\x32\x18.stampede_rt.v1.CutFloor\x12\x31\n\tproducers\x18\n \x03(\x0b\x32\x1e.stampede_rt.v1.ProducerWindow\x12/\n\tconsumers\x18\x0b \x03(\x0b\x32\x1c.stampede_rt.v1.ConsumerSlot\x12\x33\n\x0bqueue_items\x18\x0c \x03(\x0b\x32\x1e.stampede_rt.v1.QueueItemState\x12\x30\n\x07settled\x18\r \x03(\x0b\x32\x1f.stampede_rt.v1.SettledDelivery\x12\x18\n\x10next_delivery_id\x18\x0e \x01(\x06\x12&\n\x04held\x18\x0f \x03(\x0b\x32\x18.stampede_rt.v1.SeqRangeB\x0b\n\t_last_seqB\x15\n\x13_frontier_unix_nanoB\x1d\n\x1b_newest_collected_unix_nanoB\x14\n\x12_advance_unix_nano\"f\n\x0eProducerWindow\x12\x13\n\x0bproducer_id\x18\x01 \x01(\x06\x12+\n\x06ranges\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.NumberRange\x12\x12\n\nidle_nanos\x18\x03 \x01(\x03\"\xff\x01\n\x0bNumberRange\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\r\n\x05items\x18\x02 \x01(\r\x12\x16\n\tfirst_seq\x18\x03 \x01(\x04H\x00\x88\x01\x01\x12\x1e\n\x11stamped_unix_nano\x18\x04 \x01(\x10H\x01\x88\x01\x01\x12\x15\n\rcontinues_run\x18\x05 \x01(\x08\x12$\n\x05\x65rror\x18\x06 \x01(\x0b\x32\x15.stampede_rt.v1.Error\x12\x1a\n\x12\x61nswered_ago_nanos\x18\x07 \x01(\x03\x12\x16\n\x0eunjudged_items\x18\x08 \x01(\rB\x0c\n\n_first_seqB\x14\n\x12_stamped_unix_nano\"\x80\x01\n\x0c\x43onsumerSlot\x12\x13\n\x0b\x63onsumer_id\x18\x01 \x01(\x06\x12\x13\n\x0blease_nanos\x18\x02 \x01(\x03\x12\x1a\n\x12\x63onsumed_below_seq\x18\x03 \x01(\x04\x12*\n\x08\x63onsumed\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\"\x92\x01\n\x0eQueueItemState\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x12\n\ndeliveries\x18\x02 \x03(\r\x12\x1e\n\x16\x61\x63knowledged_taker_ids\x18\x03 \x03(\x06\x12*\n\x06leases\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.QueueLease\x12\x13\n\x0b\x64\x65lay_nanos\x18\x05 \x01(\x03\"H\n\nQueueLease\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x13\n\x0blease_nanos\x18\x03 \x01(\x03\"S\n\x0fSettledDelivery\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x19\n\x11settled_ago_nanos\x18\x03 \x01(\x03*r\n\tMoveState\x12\x1a\n\x16MOVE_STATE_UNSPECIFIED\x10\x00\x12\x17\n\x13MOVE_STATE_PREPARED\x10\x01\x12\x18\n\x14MOVE_STATE_COMMITTED\x10\x02\x12\x16\n\x12MOVE_STATE_ABORTED\x10\x03\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1estampede_rt/v1/migration.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1astampede_rt/v1/error.proto\x1a\x1astampede_rt/v1/group.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x1astampede_rt/v1/queue.proto\x1a\x1cstampede_rt/v1/subject.proto\"\xeb\x01\n\nMoveRecord\x12\x0f\n\x07move_id\x18\x01 \x01(\x0c\x12(\n\x07subject\x18\x02 \x01(\x0b\x32\x17.stampede_rt.v1.Subject\x12\x14\n\x0c\x66rom_host_id\x18\x03 \x01(\x0c\x12\x12\n\nto_host_id\x18\x04 \x01(\x0c\x12\x1b\n\x13to_boot_incarnation\x18\x05 \x01(\x06\x12\r\n\x05\x65poch\x18\x06 \x01(\x04\x12\x15\n\x08last_seq\x18\x07 \x01(\x04H\x00\x88\x01\x01\x12(\n\x05state\x18\x08 \x01(\x0e\x32\x19.stampede_rt.v1.MoveStateB\x0b\n\t_last_seq\"\xfd\x05\n\rHandoffRecord\x12\x13\n\x0bincarnation\x18\x01 \x01(\x06\x12\x15\n\x08last_seq\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12\x39\n\x10\x63hannel_counters\x18\x03 \x01(\x0b\x32\x1f.stampede_rt.v1.ChannelCounters\x12\x35\n\x0equeue_counters\x18\x04 \x01(\x0b\x32\x1d.stampede_rt.v1.QueueCounters\x12\x1f\n\x12\x66rontier_unix_nano\x18\x05 \x01(\x10H\x01\x88\x01\x01\x12\'\n\x1anewest_collected_unix_nano\x18\x06 \x01(\x10H\x02\x88\x01\x01\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x07 \x01(\x10H\x03\x88\x01\x01\x12\x1b\n\x13host_time_unix_nano\x18\x08 \x01(\x10\x12,\n\ncut_floors\x18\t \x03(\x0b\x32\x18.stampede_rt.v1.CutFloor\x12\x31\n\tproducers\x18\n \x03(\x0b\x32\x1e.stampede_rt.v1.ProducerWindow\x12/\n\tconsumers\x18\x0b \x03(\x0b\x32\x1c.stampede_rt.v1.ConsumerSlot\x12\x33\n\x0bqueue_items\x18\x0c \x03(\x0b\x32\x1e.stampede_rt.v1.QueueItemState\x12\x30\n\x07settled\x18\r \x03(\x0b\x32\x1f.stampede_rt.v1.SettledDelivery\x12\x18\n\x10next_delivery_id\x18\x0e \x01(\x06\x12&\n\x04held\x18\x0f \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\x12\x33\n\x0bmessage_ids\x18\x10 \x03(\x0b\x32\x1e.stampede_rt.v1.KnownMessageIdB\x0b\n\t_last_seqB\x15\n\x13_frontier_unix_nanoB\x1d\n\x1b_newest_collected_unix_nanoB\x14\n\x12_advance_unix_nano\"f\n\x0eProducerWindow\x12\x13\n\x0bproducer_id\x18\x01 \x01(\x06\x12+\n\x06ranges\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.NumberRange\x12\x12\n\nidle_nanos\x18\x03 \x01(\x03\"\xff\x01\n\x0bNumberRange\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\r\n\x05items\x18\x02 \x01(\r\x12\x16\n\tfirst_seq\x18\x03 \x01(\x04H\x00\x88\x01\x01\x12\x1e\n\x11stamped_unix_nano\x18\x04 \x01(\x10H\x01\x88\x01\x01\x12\x15\n\rcontinues_run\x18\x05 \x01(\x08\x12$\n\x05\x65rror\x18\x06 \x01(\x0b\x32\x15.stampede_rt.v1.Error\x12\x1a\n\x12\x61nswered_ago_nanos\x18\x07 \x01(\x03\x12\x16\n\x0eunjudged_items\x18\x08 \x01(\rB\x0c\n\n_first_seqB\x14\n\x12_stamped_unix_nano\"\x80\x01\n\x0c\x43onsumerSlot\x12\x13\n\x0b\x63onsumer_id\x18\x01 \x01(\x06\x12\x13\n\x0blease_nanos\x18\x02 \x01(\x03\x12\x1a\n\x12\x63onsumed_below_seq\x18\x03 \x01(\x04\x12*\n\x08\x63onsumed\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.SeqRange\"\xd0\x01\n\x0eQueueItemState\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x12\n\ndeliveries\x18\x02 \x03(\r\x12\x1e\n\x16\x61\x63knowledged_taker_ids\x18\x03 \x03(\x06\x12*\n\x06leases\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.QueueLease\x12\x13\n\x0b\x64\x65lay_nanos\x18\x05 \x01(\x03\x12<\n\x14last_failed_delivery\x18\x06 \x01(\x0b\x32\x1e.stampede_rt.v1.FailedDelivery\"\x84\x01\n\x0e\x46\x61iledDelivery\x12\x12\n\ndeliveries\x18\x01 \x01(\r\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x12\n\ntaker_name\x18\x03 \x01(\t\x12(\n\x03\x65nd\x18\x04 \x01(\x0e\x32\x1b.stampede_rt.v1.DeliveryEnd\x12\x0e\n\x06reason\x18\x05 \x01(\t\"M\n\x0eKnownMessageId\x12\x12\n\nmessage_id\x18\x01 \x01(\t\x12\x0b\n\x03seq\x18\x02 \x01(\x04\x12\x1a\n\x12\x61\x63\x63\x65pted_ago_nanos\x18\x03 \x01(\x03\"v\n\nQueueLease\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x13\n\x0blease_nanos\x18\x03 \x01(\x03\x12\x18\n\x10leased_ago_nanos\x18\x04 \x01(\x03\x12\x12\n\ntaker_name\x18\x05 \x01(\t\"S\n\x0fSettledDelivery\x12\x13\n\x0b\x64\x65livery_id\x18\x01 \x01(\x06\x12\x10\n\x08taker_id\x18\x02 \x01(\x06\x12\x19\n\x11settled_ago_nanos\x18\x03 \x01(\x03*r\n\tMoveState\x12\x1a\n\x16MOVE_STATE_UNSPECIFIED\x10\x00\x12\x17\n\x13MOVE_STATE_PREPARED\x10\x01\x12\x18\n\x14MOVE_STATE_COMMITTED\x10\x02\x12\x16\n\x12MOVE_STATE_ABORTED\x10\x03\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.migration_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MOVESTATE']._serialized_start=1948
-  _globals['_MOVESTATE']._serialized_end=2062
-  _globals['_MOVERECORD']._serialized_start=195
-  _globals['_MOVERECORD']._serialized_end=430
-  _globals['_HANDOFFRECORD']._serialized_start=433
-  _globals['_HANDOFFRECORD']._serialized_end=1145
-  _globals['_PRODUCERWINDOW']._serialized_start=1147
-  _globals['_PRODUCERWINDOW']._serialized_end=1249
-  _globals['_NUMBERRANGE']._serialized_start=1252
-  _globals['_NUMBERRANGE']._serialized_end=1507
-  _globals['_CONSUMERSLOT']._serialized_start=1510
-  _globals['_CONSUMERSLOT']._serialized_end=1638
-  _globals['_QUEUEITEMSTATE']._serialized_start=1641
-  _globals['_QUEUEITEMSTATE']._serialized_end=1787
-  _globals['_QUEUELEASE']._serialized_start=1789
-  _globals['_QUEUELEASE']._serialized_end=1861
-  _globals['_SETTLEDDELIVERY']._serialized_start=1863
-  _globals['_SETTLEDDELIVERY']._serialized_end=1946
+  _globals['_MOVESTATE']._serialized_start=2350
+  _globals['_MOVESTATE']._serialized_end=2464
+  _globals['_MOVERECORD']._serialized_start=222
+  _globals['_MOVERECORD']._serialized_end=457
+  _globals['_HANDOFFRECORD']._serialized_start=460
+  _globals['_HANDOFFRECORD']._serialized_end=1225
+  _globals['_PRODUCERWINDOW']._serialized_start=1227
+  _globals['_PRODUCERWINDOW']._serialized_end=1329
+  _globals['_NUMBERRANGE']._serialized_start=1332
+  _globals['_NUMBERRANGE']._serialized_end=1587
+  _globals['_CONSUMERSLOT']._serialized_start=1590
+  _globals['_CONSUMERSLOT']._serialized_end=1718
+  _globals['_QUEUEITEMSTATE']._serialized_start=1721
+  _globals['_QUEUEITEMSTATE']._serialized_end=1929
+  _globals['_FAILEDDELIVERY']._serialized_start=1932
+  _globals['_FAILEDDELIVERY']._serialized_end=2064
+  _globals['_KNOWNMESSAGEID']._serialized_start=2066
+  _globals['_KNOWNMESSAGEID']._serialized_end=2143
+  _globals['_QUEUELEASE']._serialized_start=2145
+  _globals['_QUEUELEASE']._serialized_end=2263
+  _globals['_SETTLEDDELIVERY']._serialized_start=2265
+  _globals['_SETTLEDDELIVERY']._serialized_end=2348
 # @@protoc_insertion_point(module_scope)

@@ -1,6 +1,7 @@
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import error_pb2 as _error_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
+from stampede_rt.v1 import item_pb2 as _item_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
 from stampede_rt.v1 import subject_pb2 as _subject_pb2
 from google.protobuf.internal import containers as _containers
@@ -44,7 +45,7 @@ class MoveRecord(_message.Message):
     def __init__(self, move_id: _Optional[bytes] = ..., subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., from_host_id: _Optional[bytes] = ..., to_host_id: _Optional[bytes] = ..., to_boot_incarnation: _Optional[int] = ..., epoch: _Optional[int] = ..., last_seq: _Optional[int] = ..., state: _Optional[_Union[MoveState, str]] = ...) -> None: ...
 
 class HandoffRecord(_message.Message):
-    __slots__ = ("incarnation", "last_seq", "channel_counters", "queue_counters", "frontier_unix_nano", "newest_collected_unix_nano", "advance_unix_nano", "host_time_unix_nano", "cut_floors", "producers", "consumers", "queue_items", "settled", "next_delivery_id", "held")
+    __slots__ = ("incarnation", "last_seq", "channel_counters", "queue_counters", "frontier_unix_nano", "newest_collected_unix_nano", "advance_unix_nano", "host_time_unix_nano", "cut_floors", "producers", "consumers", "queue_items", "settled", "next_delivery_id", "held", "message_ids")
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
     LAST_SEQ_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_COUNTERS_FIELD_NUMBER: _ClassVar[int]
@@ -60,6 +61,7 @@ class HandoffRecord(_message.Message):
     SETTLED_FIELD_NUMBER: _ClassVar[int]
     NEXT_DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
     HELD_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_IDS_FIELD_NUMBER: _ClassVar[int]
     incarnation: int
     last_seq: int
     channel_counters: _channel_pb2.ChannelCounters
@@ -75,7 +77,8 @@ class HandoffRecord(_message.Message):
     settled: _containers.RepeatedCompositeFieldContainer[SettledDelivery]
     next_delivery_id: int
     held: _containers.RepeatedCompositeFieldContainer[_subject_pb2.SeqRange]
-    def __init__(self, incarnation: _Optional[int] = ..., last_seq: _Optional[int] = ..., channel_counters: _Optional[_Union[_channel_pb2.ChannelCounters, _Mapping]] = ..., queue_counters: _Optional[_Union[_queue_pb2.QueueCounters, _Mapping]] = ..., frontier_unix_nano: _Optional[int] = ..., newest_collected_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., cut_floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[ProducerWindow, _Mapping]]] = ..., consumers: _Optional[_Iterable[_Union[ConsumerSlot, _Mapping]]] = ..., queue_items: _Optional[_Iterable[_Union[QueueItemState, _Mapping]]] = ..., settled: _Optional[_Iterable[_Union[SettledDelivery, _Mapping]]] = ..., next_delivery_id: _Optional[int] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ...) -> None: ...
+    message_ids: _containers.RepeatedCompositeFieldContainer[KnownMessageId]
+    def __init__(self, incarnation: _Optional[int] = ..., last_seq: _Optional[int] = ..., channel_counters: _Optional[_Union[_channel_pb2.ChannelCounters, _Mapping]] = ..., queue_counters: _Optional[_Union[_queue_pb2.QueueCounters, _Mapping]] = ..., frontier_unix_nano: _Optional[int] = ..., newest_collected_unix_nano: _Optional[int] = ..., advance_unix_nano: _Optional[int] = ..., host_time_unix_nano: _Optional[int] = ..., cut_floors: _Optional[_Iterable[_Union[_group_pb2.CutFloor, _Mapping]]] = ..., producers: _Optional[_Iterable[_Union[ProducerWindow, _Mapping]]] = ..., consumers: _Optional[_Iterable[_Union[ConsumerSlot, _Mapping]]] = ..., queue_items: _Optional[_Iterable[_Union[QueueItemState, _Mapping]]] = ..., settled: _Optional[_Iterable[_Union[SettledDelivery, _Mapping]]] = ..., next_delivery_id: _Optional[int] = ..., held: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ..., message_ids: _Optional[_Iterable[_Union[KnownMessageId, _Mapping]]] = ...) -> None: ...
 
 class ProducerWindow(_message.Message):
     __slots__ = ("producer_id", "ranges", "idle_nanos")
@@ -120,28 +123,58 @@ class ConsumerSlot(_message.Message):
     def __init__(self, consumer_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., consumed_below_seq: _Optional[int] = ..., consumed: _Optional[_Iterable[_Union[_subject_pb2.SeqRange, _Mapping]]] = ...) -> None: ...
 
 class QueueItemState(_message.Message):
-    __slots__ = ("seq", "deliveries", "acknowledged_taker_ids", "leases", "delay_nanos")
+    __slots__ = ("seq", "deliveries", "acknowledged_taker_ids", "leases", "delay_nanos", "last_failed_delivery")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     DELIVERIES_FIELD_NUMBER: _ClassVar[int]
     ACKNOWLEDGED_TAKER_IDS_FIELD_NUMBER: _ClassVar[int]
     LEASES_FIELD_NUMBER: _ClassVar[int]
     DELAY_NANOS_FIELD_NUMBER: _ClassVar[int]
+    LAST_FAILED_DELIVERY_FIELD_NUMBER: _ClassVar[int]
     seq: int
     deliveries: _containers.RepeatedScalarFieldContainer[int]
     acknowledged_taker_ids: _containers.RepeatedScalarFieldContainer[int]
     leases: _containers.RepeatedCompositeFieldContainer[QueueLease]
     delay_nanos: int
-    def __init__(self, seq: _Optional[int] = ..., deliveries: _Optional[_Iterable[int]] = ..., acknowledged_taker_ids: _Optional[_Iterable[int]] = ..., leases: _Optional[_Iterable[_Union[QueueLease, _Mapping]]] = ..., delay_nanos: _Optional[int] = ...) -> None: ...
+    last_failed_delivery: FailedDelivery
+    def __init__(self, seq: _Optional[int] = ..., deliveries: _Optional[_Iterable[int]] = ..., acknowledged_taker_ids: _Optional[_Iterable[int]] = ..., leases: _Optional[_Iterable[_Union[QueueLease, _Mapping]]] = ..., delay_nanos: _Optional[int] = ..., last_failed_delivery: _Optional[_Union[FailedDelivery, _Mapping]] = ...) -> None: ...
+
+class FailedDelivery(_message.Message):
+    __slots__ = ("deliveries", "taker_id", "taker_name", "end", "reason")
+    DELIVERIES_FIELD_NUMBER: _ClassVar[int]
+    TAKER_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKER_NAME_FIELD_NUMBER: _ClassVar[int]
+    END_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    deliveries: int
+    taker_id: int
+    taker_name: str
+    end: _item_pb2.DeliveryEnd
+    reason: str
+    def __init__(self, deliveries: _Optional[int] = ..., taker_id: _Optional[int] = ..., taker_name: _Optional[str] = ..., end: _Optional[_Union[_item_pb2.DeliveryEnd, str]] = ..., reason: _Optional[str] = ...) -> None: ...
+
+class KnownMessageId(_message.Message):
+    __slots__ = ("message_id", "seq", "accepted_ago_nanos")
+    MESSAGE_ID_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    message_id: str
+    seq: int
+    accepted_ago_nanos: int
+    def __init__(self, message_id: _Optional[str] = ..., seq: _Optional[int] = ..., accepted_ago_nanos: _Optional[int] = ...) -> None: ...
 
 class QueueLease(_message.Message):
-    __slots__ = ("delivery_id", "taker_id", "lease_nanos")
+    __slots__ = ("delivery_id", "taker_id", "lease_nanos", "leased_ago_nanos", "taker_name")
     DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
     TAKER_ID_FIELD_NUMBER: _ClassVar[int]
     LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    LEASED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    TAKER_NAME_FIELD_NUMBER: _ClassVar[int]
     delivery_id: int
     taker_id: int
     lease_nanos: int
-    def __init__(self, delivery_id: _Optional[int] = ..., taker_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
+    leased_ago_nanos: int
+    taker_name: str
+    def __init__(self, delivery_id: _Optional[int] = ..., taker_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., leased_ago_nanos: _Optional[int] = ..., taker_name: _Optional[str] = ...) -> None: ...
 
 class SettledDelivery(_message.Message):
     __slots__ = ("delivery_id", "taker_id", "settled_ago_nanos")

@@ -63,7 +63,7 @@ class QueueRecord(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[QueueSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., mailbox_peer_id: _Optional[bytes] = ...) -> None: ...
 
 class QueueCounters(_message.Message):
-    __slots__ = ("accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back", "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes", "held_bytes", "rejected_overloaded")
+    __slots__ = ("accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back", "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes", "held_bytes", "rejected_overloaded", "terminated", "duplicates")
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     HELD_FIELD_NUMBER: _ClassVar[int]
     LEASED_FIELD_NUMBER: _ClassVar[int]
@@ -80,6 +80,8 @@ class QueueCounters(_message.Message):
     ACCEPTED_BYTES_FIELD_NUMBER: _ClassVar[int]
     HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
     REJECTED_OVERLOADED_FIELD_NUMBER: _ClassVar[int]
+    TERMINATED_FIELD_NUMBER: _ClassVar[int]
+    DUPLICATES_FIELD_NUMBER: _ClassVar[int]
     accepted: int
     held: int
     leased: int
@@ -96,7 +98,9 @@ class QueueCounters(_message.Message):
     accepted_bytes: int
     held_bytes: int
     rejected_overloaded: int
-    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., leased: _Optional[int] = ..., consumed: _Optional[int] = ..., dropped: _Optional[int] = ..., dead_lettered: _Optional[int] = ..., expelled: _Optional[int] = ..., delivered: _Optional[int] = ..., given_back: _Optional[int] = ..., leases_expired: _Optional[int] = ..., rejected_full: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ...) -> None: ...
+    terminated: int
+    duplicates: int
+    def __init__(self, accepted: _Optional[int] = ..., held: _Optional[int] = ..., leased: _Optional[int] = ..., consumed: _Optional[int] = ..., dropped: _Optional[int] = ..., dead_lettered: _Optional[int] = ..., expelled: _Optional[int] = ..., delivered: _Optional[int] = ..., given_back: _Optional[int] = ..., leases_expired: _Optional[int] = ..., rejected_full: _Optional[int] = ..., rejected_too_large: _Optional[int] = ..., rejected_malformed: _Optional[int] = ..., accepted_bytes: _Optional[int] = ..., held_bytes: _Optional[int] = ..., rejected_overloaded: _Optional[int] = ..., terminated: _Optional[int] = ..., duplicates: _Optional[int] = ...) -> None: ...
 
 class QueueStatus(_message.Message):
     __slots__ = ("record", "counters", "waiting_takers", "waiting_enqueues", "oldest_accepted_unix_nano", "host_time_unix_nano")
@@ -127,16 +131,18 @@ class LeasedRun(_message.Message):
     def __init__(self, run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ..., delivery_ids: _Optional[_Iterable[int]] = ..., deliveries: _Optional[_Iterable[int]] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
 
 class Settlement(_message.Message):
-    __slots__ = ("delivery_id", "acknowledge", "give_back", "extend_lease")
+    __slots__ = ("delivery_id", "acknowledge", "give_back", "extend_lease", "terminate")
     DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
     ACKNOWLEDGE_FIELD_NUMBER: _ClassVar[int]
     GIVE_BACK_FIELD_NUMBER: _ClassVar[int]
     EXTEND_LEASE_FIELD_NUMBER: _ClassVar[int]
+    TERMINATE_FIELD_NUMBER: _ClassVar[int]
     delivery_id: int
     acknowledge: Acknowledge
     give_back: GiveBack
     extend_lease: ExtendLease
-    def __init__(self, delivery_id: _Optional[int] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ..., give_back: _Optional[_Union[GiveBack, _Mapping]] = ..., extend_lease: _Optional[_Union[ExtendLease, _Mapping]] = ...) -> None: ...
+    terminate: Terminate
+    def __init__(self, delivery_id: _Optional[int] = ..., acknowledge: _Optional[_Union[Acknowledge, _Mapping]] = ..., give_back: _Optional[_Union[GiveBack, _Mapping]] = ..., extend_lease: _Optional[_Union[ExtendLease, _Mapping]] = ..., terminate: _Optional[_Union[Terminate, _Mapping]] = ...) -> None: ...
 
 class Acknowledge(_message.Message):
     __slots__ = ()
@@ -150,11 +156,35 @@ class GiveBack(_message.Message):
     uncounted: bool
     def __init__(self, delay_nanos: _Optional[int] = ..., uncounted: bool = ...) -> None: ...
 
+class Terminate(_message.Message):
+    __slots__ = ("reason",)
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    reason: str
+    def __init__(self, reason: _Optional[str] = ...) -> None: ...
+
 class ExtendLease(_message.Message):
     __slots__ = ("lease_nanos",)
     LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
     lease_nanos: int
     def __init__(self, lease_nanos: _Optional[int] = ...) -> None: ...
+
+class PendingDelivery(_message.Message):
+    __slots__ = ("delivery_id", "seq", "taker_id", "taker_name", "deliveries", "leased_unix_nano", "expires_unix_nano")
+    DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    TAKER_ID_FIELD_NUMBER: _ClassVar[int]
+    TAKER_NAME_FIELD_NUMBER: _ClassVar[int]
+    DELIVERIES_FIELD_NUMBER: _ClassVar[int]
+    LEASED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    EXPIRES_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    delivery_id: int
+    seq: int
+    taker_id: int
+    taker_name: str
+    deliveries: int
+    leased_unix_nano: int
+    expires_unix_nano: int
+    def __init__(self, delivery_id: _Optional[int] = ..., seq: _Optional[int] = ..., taker_id: _Optional[int] = ..., taker_name: _Optional[str] = ..., deliveries: _Optional[int] = ..., leased_unix_nano: _Optional[int] = ..., expires_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SettlementResult(_message.Message):
     __slots__ = ("delivery_id", "error", "lease_nanos")

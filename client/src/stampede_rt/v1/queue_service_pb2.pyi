@@ -22,14 +22,18 @@ class EnqueueRequest(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[EnqueueRun, _Mapping]]] = ...) -> None: ...
 
 class EnqueueRun(_message.Message):
-    __slots__ = ("first_number", "wait_nanos", "run")
+    __slots__ = ("first_number", "wait_nanos", "run", "message_id", "origin")
     FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
     WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     RUN_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_ID_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
     first_number: int
     wait_nanos: int
     run: _item_pb2.ItemRun
-    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ...) -> None: ...
+    message_id: str
+    origin: _item_pb2.DeadLetterOrigin
+    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[_Union[_item_pb2.ItemRun, _Mapping]] = ..., message_id: _Optional[str] = ..., origin: _Optional[_Union[_item_pb2.DeadLetterOrigin, _Mapping]] = ...) -> None: ...
 
 class EnqueueResponse(_message.Message):
     __slots__ = ("acks",)
@@ -50,16 +54,18 @@ class TakeRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[TakeOpen, _Mapping]] = ..., credit: _Optional[int] = ..., settlements: _Optional[_Iterable[_Union[_queue_pb2.Settlement, _Mapping]]] = ..., drain: bool = ...) -> None: ...
 
 class TakeOpen(_message.Message):
-    __slots__ = ("queue_id", "epoch", "taker_id", "lease_nanos")
+    __slots__ = ("queue_id", "epoch", "taker_id", "lease_nanos", "taker_name")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TAKER_ID_FIELD_NUMBER: _ClassVar[int]
     LEASE_NANOS_FIELD_NUMBER: _ClassVar[int]
+    TAKER_NAME_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     epoch: int
     taker_id: int
     lease_nanos: int
-    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., taker_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ...) -> None: ...
+    taker_name: str
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., taker_id: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., taker_name: _Optional[str] = ...) -> None: ...
 
 class TakeResponse(_message.Message):
     __slots__ = ("runs", "results", "incarnation", "drained")
@@ -90,6 +96,26 @@ class SettleResponse(_message.Message):
     RESULTS_FIELD_NUMBER: _ClassVar[int]
     results: _containers.RepeatedCompositeFieldContainer[_queue_pb2.SettlementResult]
     def __init__(self, results: _Optional[_Iterable[_Union[_queue_pb2.SettlementResult, _Mapping]]] = ...) -> None: ...
+
+class ListPendingRequest(_message.Message):
+    __slots__ = ("queue_id", "epoch", "after_delivery_id", "page_size")
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    AFTER_DELIVERY_ID_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    queue_id: bytes
+    epoch: int
+    after_delivery_id: int
+    page_size: int
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., after_delivery_id: _Optional[int] = ..., page_size: _Optional[int] = ...) -> None: ...
+
+class ListPendingResponse(_message.Message):
+    __slots__ = ("deliveries", "more")
+    DELIVERIES_FIELD_NUMBER: _ClassVar[int]
+    MORE_FIELD_NUMBER: _ClassVar[int]
+    deliveries: _containers.RepeatedCompositeFieldContainer[_queue_pb2.PendingDelivery]
+    more: bool
+    def __init__(self, deliveries: _Optional[_Iterable[_Union[_queue_pb2.PendingDelivery, _Mapping]]] = ..., more: bool = ...) -> None: ...
 
 class GetQueueStatusRequest(_message.Message):
     __slots__ = ("queue_id", "epoch")

@@ -52,6 +52,11 @@ class QueueServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_queue__service__pb2.SettleRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_queue__service__pb2.SettleResponse.FromString,
                 _registered_method=True)
+        self.ListPending = channel.unary_unary(
+                '/stampede_rt.v1.QueueService/ListPending',
+                request_serializer=stampede__rt_dot_v1_dot_queue__service__pb2.ListPendingRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_queue__service__pb2.ListPendingResponse.FromString,
+                _registered_method=True)
         self.GetQueueStatus = channel.unary_unary(
                 '/stampede_rt.v1.QueueService/GetQueueStatus',
                 request_serializer=stampede__rt_dot_v1_dot_queue__service__pb2.GetQueueStatusRequest.SerializeToString,
@@ -76,10 +81,11 @@ class QueueServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Take(self, request_iterator, context):
-        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. The stream's end
-        gives nothing back: what was delivered stays leased until it is settled or its lease ends, and a taker that comes
-        back may settle it by its id. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
-        INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker whose
+        lease ended, and of whom nothing was heard since it began, may be frozen: it is passed over until it says something,
+        and is sent a sign of life at once, to ask whether it lives. The stream's end gives nothing back: what was delivered
+        stays leased until it is settled or its lease ends, and a taker that comes back may settle it by its id. Errors that
+        end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -88,6 +94,14 @@ class QueueServiceServicer(object):
     def Settle(self, request, context):
         """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
         settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListPending(self, request, context):
+        """What is leased to whom, since when and until when, page by page in the order of deliveries. Changes nothing. Errors:
+        NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -117,6 +131,11 @@ def add_QueueServiceServicer_to_server(servicer, server):
                     servicer.Settle,
                     request_deserializer=stampede__rt_dot_v1_dot_queue__service__pb2.SettleRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_queue__service__pb2.SettleResponse.SerializeToString,
+            ),
+            'ListPending': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListPending,
+                    request_deserializer=stampede__rt_dot_v1_dot_queue__service__pb2.ListPendingRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_queue__service__pb2.ListPendingResponse.SerializeToString,
             ),
             'GetQueueStatus': grpc.unary_unary_rpc_method_handler(
                     servicer.GetQueueStatus,
@@ -208,6 +227,33 @@ class QueueService(object):
             '/stampede_rt.v1.QueueService/Settle',
             stampede__rt_dot_v1_dot_queue__service__pb2.SettleRequest.SerializeToString,
             stampede__rt_dot_v1_dot_queue__service__pb2.SettleResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListPending(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.QueueService/ListPending',
+            stampede__rt_dot_v1_dot_queue__service__pb2.ListPendingRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_queue__service__pb2.ListPendingResponse.FromString,
             options,
             channel_credentials,
             insecure,

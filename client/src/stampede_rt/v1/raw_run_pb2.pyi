@@ -30,6 +30,32 @@ class RawPutRun(_message.Message):
     run: bytes
     def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[bytes] = ...) -> None: ...
 
+class RawEnqueueRequest(_message.Message):
+    __slots__ = ("queue_id", "epoch", "producer_id", "runs")
+    QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
+    EPOCH_FIELD_NUMBER: _ClassVar[int]
+    PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
+    RUNS_FIELD_NUMBER: _ClassVar[int]
+    queue_id: bytes
+    epoch: int
+    producer_id: int
+    runs: _containers.RepeatedCompositeFieldContainer[RawEnqueueRun]
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[RawEnqueueRun, _Mapping]]] = ...) -> None: ...
+
+class RawEnqueueRun(_message.Message):
+    __slots__ = ("first_number", "wait_nanos", "run", "message_id", "origin")
+    FIRST_NUMBER_FIELD_NUMBER: _ClassVar[int]
+    WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
+    RUN_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_ID_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    first_number: int
+    wait_nanos: int
+    run: bytes
+    message_id: str
+    origin: bytes
+    def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[bytes] = ..., message_id: _Optional[str] = ..., origin: _Optional[bytes] = ...) -> None: ...
+
 class RawDeliveredRun(_message.Message):
     __slots__ = ("run", "next_time_unix_nano")
     RUN_FIELD_NUMBER: _ClassVar[int]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.runs import encode_varint
 
 _PUTS_TAG = bytes((4 << 3 | 2,))  # PutRequest.puts
@@ -16,9 +17,16 @@ def put_head(channel_id: bytes, epoch: int, producer_id: int) -> bytes:
     return channel_pb.PutRequest(channel_id=channel_id, epoch=epoch, producer_id=producer_id).SerializeToString()
 
 
-def put_request(head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None) -> bytes:
-    """A PutRequest of one run, given in pieces; `wait_nanos` as in PutRun, None: left out."""
-    put = channel_pb.PutRun(first_number=first_number, wait_nanos=wait_nanos).SerializeToString()
+def put_request(
+    head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
+) -> bytes:
+    """A PutRequest or EnqueueRequest of one run, given in pieces; they differ in the `message_id`, which queues know.
+
+    `wait_nanos` as in PutRun, None: left out.
+    """
+    put = queue_pb.EnqueueRun(
+        first_number=first_number, wait_nanos=wait_nanos, message_id=message_id
+    ).SerializeToString()
     run_length = encode_varint(sum(map(len, run)))
     inner = len(put) + len(_RUN_TAG) + len(run_length) + sum(map(len, run))
     return b"".join((head, _PUTS_TAG, encode_varint(inner), put, _RUN_TAG, run_length, *run))

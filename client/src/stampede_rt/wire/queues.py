@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 from stampede_rt.model import OnFull
-from stampede_rt.queueing import QueueInfo, QueuePolicy, QueueStats
-from stampede_rt.v1 import directory_pb2, queue_pb2
+from stampede_rt.queueing import DeadLetterOrigin, PendingMessage, QueueInfo, QueuePolicy, QueueStats
+from stampede_rt.v1 import directory_pb2, item_pb2, queue_pb2
 
 _ON_FULL: dict[OnFull, queue_pb2.QueueOnFull] = {
     "block": queue_pb2.QUEUE_ON_FULL_BLOCK,
@@ -22,8 +22,13 @@ _OPTIONAL = (
 )  # fmt: skip
 _COUNTED = (
     "accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back",
-    "leases_expired", "accepted_bytes", "held_bytes",
+    "leases_expired", "terminated", "duplicates", "accepted_bytes", "held_bytes",
 )  # fmt: skip
+_ENDS = {
+    item_pb2.DELIVERY_END_LEASE_EXPIRED: "lease_expired",
+    item_pb2.DELIVERY_END_GIVEN_BACK: "given_back",
+    item_pb2.DELIVERY_END_TERMINATED: "terminated",
+}
 REJECTED_REASONS = ("full", "too_large", "malformed", "overloaded")
 
 
@@ -83,12 +88,14 @@ class Delivery:
     content_type: str
     deliveries: int
     lease_nanos: int
+    origin: DeadLetterOrigin | None
 
 
 def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[Delivery]:
     """The items of a leased run, one delivery for each; `content_type` is the queue's."""
     run = leased.run
     counts = leased.deliveries or (1,) * len(run.payload_length_bytes)
+    origin = _origin(run.origin) if run.HasField("origin") else None
     bounds = pairwise(accumulate(run.payload_length_bytes, initial=0))
     columns = zip(leased.delivery_ids, run.time_unix_nano, bounds, counts, strict=True)
     for offset, (delivery_id, time, (start, end), count) in enumerate(columns):
@@ -101,4 +108,32 @@ def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[De
             content_type=run.content_type or content_type,
             deliveries=count,
             lease_nanos=leased.lease_nanos,
+            origin=origin,
         )
+
+
+def _origin(origin: item_pb2.DeadLetterOrigin) -> DeadLetterOrigin:
+    return DeadLetterOrigin(
+        queue=origin.queue_name,
+        queue_id=origin.queue_id,
+        seq=origin.seq,
+        incarnation=origin.incarnation,
+        enqueued=origin.enqueued_unix_nano,
+        deliveries=origin.deliveries,
+        ended=_ENDS.get(origin.last_end, ""),
+        reason=origin.reason,
+        taker=origin.last_taker_name,
+        taker_id=origin.last_taker_id,
+    )
+
+
+def pending_message(pending: queue_pb2.PendingDelivery) -> PendingMessage:
+    """A leased delivery as callers see it."""
+    return PendingMessage(
+        seq=pending.seq,
+        taker=pending.taker_name,
+        taker_id=pending.taker_id,
+        deliveries=pending.deliveries,
+        leased=pending.leased_unix_nano,
+        expires=pending.expires_unix_nano,
+    )

@@ -30,6 +30,7 @@ ABSENT = -1
 _FIRST_SEQ = struct.Struct("<BQ")
 _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
 _TIMES_TAG = 1 << 3 | 2  # field 1, packed
+_ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = bytes((6 << 3 | 2,))
 
 
@@ -113,8 +114,8 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
 
 
 def _check_labels(run: item_pb2.ItemRun) -> None:
-    if run.first_seq or len(UnknownFieldSet(run)):
-        raise MalformedRun("the run sets first_seq or fields that item.proto does not have; leave them out")
+    if run.first_seq or run.HasField("origin") or len(UnknownFieldSet(run)):
+        raise MalformedRun("the run sets first_seq, origin or fields that item.proto does not have; leave them out")
     if len(run.content_type.encode()) > CONTENT_TYPE_BYTES_MAX:
         raise MalformedRun(f"the run's content type is longer than {CONTENT_TYPE_BYTES_MAX} bytes")
     if run.attributes and attributes_length_bytes(run.attributes) > ATTRIBUTES_BYTES_MAX:
@@ -135,6 +136,11 @@ def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = N
         return raw + seq
     column = struct.pack(f"<{len(stamped_times)}q", *stamped_times)
     return b"".join((raw, bytes((_TIMES_TAG,)), encode_varint(len(column)), column, seq))
+
+
+def origin_field(origin: bytes) -> bytes:
+    """What a host appends to a sealed run of one dead letter; `origin` is an encoded DeadLetterOrigin."""
+    return b"".join((_ORIGIN_TAG, encode_varint(len(origin)), origin))
 
 
 def encode_varint(value: int) -> bytes:

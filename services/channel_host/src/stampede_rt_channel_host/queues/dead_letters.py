@@ -1,4 +1,4 @@
-"""Moves items that were delivered too often to the dead-letter queue, wherever that lives (paper, section 3.5).
+"""Moves items that were delivered too often, or given up by a taker, to the dead-letter queue (paper, section 3.5).
 
 An item stays until the other queue has acknowledged it. The move is an enqueue like any other, from a producer whose
 id follows from the queue and whose numbers follow from the items' seqs: one that is tried again, by any host, is not
@@ -23,7 +23,7 @@ from stampede_rt.v1 import channel_service_pb2, item_pb2, queue_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.wire.runs import select_items
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
-from stampede_rt_channel_host.core.queue import Departure
+from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, Departure
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.refusals import shown
 
@@ -35,6 +35,11 @@ ROOM_WAIT_NANOS = 2_000_000_000
 """How long an attempt waits for room in a dead-letter queue that blocks."""
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.1, 30.0
 _SEQ_BITS = 48  # of a number; above them it counts refusals
+_ENDS = {
+    LEASE_EXPIRED: item_pb2.DELIVERY_END_LEASE_EXPIRED,
+    GIVEN_BACK: item_pb2.DELIVERY_END_GIVEN_BACK,
+    TERMINATED: item_pb2.DELIVERY_END_TERMINATED,
+}
 _ENQUEUE = "/stampede_rt.v1.QueueService/Enqueue"
 
 
@@ -120,13 +125,14 @@ def _requests(
     """One for each item, since several together might exceed the limit of a request."""
     requests = []
     for item in items:
-        put = raw_run_pb2.RawPutRun(
+        run = raw_run_pb2.RawEnqueueRun(
             first_number=refusals[item.seq] << _SEQ_BITS | item.seq,
             wait_nanos=ROOM_WAIT_NANOS,
             run=_run_of(item, source.spec.content_type),
+            origin=_origin_of(item, source).SerializeToString(),
         )
-        request = raw_run_pb2.RawPutRequest(
-            channel_id=target.queue_id, epoch=target.epoch, producer_id=producer_id_of(source), puts=[put]
+        request = raw_run_pb2.RawEnqueueRequest(
+            queue_id=target.queue_id, epoch=target.epoch, producer_id=producer_id_of(source), runs=[run]
         )
         requests.append(request.SerializeToString())
     return requests
@@ -138,6 +144,21 @@ def _run_of(item: Departure, content_type: str) -> bytes:
     if content_type and not item_pb2.ItemRun.FromString(alone).content_type:
         return alone + item_pb2.ItemRun(content_type=content_type).SerializeToString()
     return alone
+
+
+def _origin_of(item: Departure, source: queue_pb2.QueueRecord) -> item_pb2.DeadLetterOrigin:
+    origin = item_pb2.DeadLetterOrigin(
+        queue_id=source.queue_id,
+        queue_name=source.name,
+        seq=item.seq,
+        incarnation=source.incarnation,
+        enqueued_unix_nano=item.run.accepted_at,
+    )
+    if item.last is not None:
+        origin.deliveries, origin.last_end = item.last.number, _ENDS[item.last.ended]
+        origin.reason, origin.last_taker_id = item.last.reason, item.last.taker_id
+        origin.last_taker_name = item.last.taker_name
+    return origin
 
 
 async def _enqueue(connection: grpc.aio.Channel, requests: Sequence[bytes]) -> list[channel_service_pb2.PutAck]:

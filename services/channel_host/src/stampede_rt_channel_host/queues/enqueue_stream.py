@@ -64,20 +64,19 @@ class EnqueueStream:
             raise failure
 
     async def _take(self, raw: bytes, came_s: float) -> None:
-        # The same bytes as an EnqueueRequest, field by field, with the runs left encoded.
-        request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "EnqueueRequest")
-        if request.channel_id:
-            check_queue_id(request.channel_id)
-            self._queue_id, self._epoch = request.channel_id, request.epoch
+        request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
+        if request.queue_id:
+            check_queue_id(request.queue_id)
+            self._queue_id, self._epoch = request.queue_id, request.epoch
             self._producer_id = request.producer_id
         if not self._queue_id:
             raise InvalidArgument("the stream names no queue; set queue_id and epoch in its first request")
-        if len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX:
+        if len(request.runs) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX:
             raise InvalidArgument(
                 f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
             )
         failure = await self._failure_to_find()
-        for message in request.puts:
+        for message in request.runs:
             await self._add(await self._enqueue(message, came_s, failure))
         self._news.set()
         await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
@@ -91,7 +90,7 @@ class EnqueueStream:
         return None
 
     async def _enqueue(
-        self, message: raw_run_pb2.RawPutRun, came_s: float, failure: StampedeError | None
+        self, message: raw_run_pb2.RawEnqueueRun, came_s: float, failure: StampedeError | None
     ) -> channel_service_pb2.PutAck:
         """The ack of one run. Blocks while the run waits for room."""
         check_number(self._producer_id, message.first_number)

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import (
     Batch,
     Enqueue,
+    PendingDelivery,
     Queue,
     Settlement,
     SettlementResult,
@@ -34,6 +35,9 @@ class TakerStream(Protocol):
 
     def deliver(self, batch: Batch) -> None:
         """It was dealt this, and sends it."""
+
+    def ask(self) -> None:
+        """It is silent: ask whether it lives."""
 
     def end(self, error: StampedeError) -> None:
         """The queue is not served any more."""
@@ -124,7 +128,7 @@ class HostedQueue:
         self._streams[taker] = stream
 
     def grant(self, taker: Taker, credit: int) -> None:
-        """The taker may be sent so many more."""
+        """The taker may be sent so many more; 0: it lives."""
         self.queue.grant(taker, credit, self._now())
         self._follow_up()
 
@@ -144,6 +148,12 @@ class HostedQueue:
         results = self.queue.settle(taker_id, settlements, self._now())
         self._follow_up()
         return results
+
+    def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
+        """What is leased to whom, at most `limit` deliveries behind the one named."""
+        found = self.queue.pending(after_delivery_id, limit, self._now())
+        self._follow_up()
+        return found
 
     def departed(self, seq: int) -> None:
         """The dead-letter queue has the item."""
@@ -180,6 +190,8 @@ class HostedQueue:
         """After every call of the core: hand on what came of it, and see when something is due."""
         for taker, batch in self.queue.take_dealt():
             self._streams[taker].deliver(batch)
+        for taker in self.queue.take_silent():
+            self._streams[taker].ask()
         for run in self.queue.take_finished():
             done = self._waiting.pop(run, None)
             if done is not None:

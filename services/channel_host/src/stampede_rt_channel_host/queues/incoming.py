@@ -4,24 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stampede_rt.errors import InvalidArgument
+from google.protobuf.message import DecodeError
+
+from stampede_rt.errors import InvalidArgument, MalformedRun
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.v1 import raw_run_pb2
-from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt.v1 import item_pb2, raw_run_pb2
+from stampede_rt.wire.runs import origin_field, parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.read_ahead import left_nanos
 from stampede_rt_channel_host.core.queue import Enqueue
 
+MESSAGE_ID_BYTES_MAX = 128
+ORIGIN_BYTES_MAX = 4096
 
-def enqueue_of(message: raw_run_pb2.RawPutRun, producer_id: int, came_s: float) -> Enqueue:
+
+def enqueue_of(message: raw_run_pb2.RawEnqueueRun, producer_id: int, came_s: float) -> Enqueue:
     """The run that came then, not judged yet. Raises MalformedRun, or ItemTooLarge for what no queue can hold."""
     encoded = message.run
     columns = parse_run(encoded)
     items = len(columns.lengths)
+    origin = _origin_of(message, items)
 
     def seal(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
         kept = encoded if len(places) == items else select_items(encoded, places)
-        return seal_run(kept, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
+        return seal_run(kept, first_seq, None if stamped_time is None else (stamped_time,) * len(places)) + origin
 
     return Enqueue(
         columns.lengths,
@@ -30,7 +36,34 @@ def enqueue_of(message: raw_run_pb2.RawPutRun, producer_id: int, came_s: float) 
         producer_id=producer_id,
         first_number=message.first_number,
         wait_nanos=left_nanos(message.wait_nanos, came_s) if message.HasField("wait_nanos") else None,
+        message_id=_message_id_of(message, items),
     )
+
+
+def _message_id_of(message: raw_run_pb2.RawEnqueueRun, items: int) -> str:
+    length = len(message.message_id.encode())
+    if length > MESSAGE_ID_BYTES_MAX or (length and items != 1):
+        raise MalformedRun(
+            f"the run of {items} items has a message_id of {length} bytes; an id has {MESSAGE_ID_BYTES_MAX} bytes of "
+            "UTF-8 at most, and names one item: put each message in a run of its own"
+        )
+    return message.message_id
+
+
+def _origin_of(message: raw_run_pb2.RawEnqueueRun, items: int) -> bytes:
+    """What is appended to the stored run of a dead letter; nothing for others."""
+    if not message.origin:
+        return b""
+    try:
+        item_pb2.DeadLetterOrigin.FromString(message.origin)
+    except DecodeError as error:
+        raise MalformedRun("the run's origin is no valid DeadLetterOrigin; encode it from item.proto") from error
+    if items != 1 or len(message.origin) > ORIGIN_BYTES_MAX:
+        raise MalformedRun(
+            f"the run has {items} items and an origin of {len(message.origin)} bytes; a dead letter is a run of one "
+            f"item, its origin has {ORIGIN_BYTES_MAX} bytes at most"
+        )
+    return origin_field(message.origin)
 
 
 def check_number(producer_id: int, first_number: int) -> None:
@@ -44,4 +77,6 @@ def answer(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
     if run.error is not None:
         return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
     assert run.outcome is not None, "a run that is through has an outcome"
-    return ack_of(run.first_number, run.outcome, incarnation)
+    ack = ack_of(run.first_number, run.outcome, incarnation)
+    ack.duplicate = run.is_duplicate
+    return ack

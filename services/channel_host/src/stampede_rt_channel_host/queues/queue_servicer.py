@@ -15,7 +15,14 @@ from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.queues.enqueue_stream import EnqueueStream
 from stampede_rt_channel_host.queues.queue_status import queue_status
 from stampede_rt_channel_host.queues.queue_store import QueueStore
-from stampede_rt_channel_host.queues.requests import check_queue_id, check_taker_id, result_message, settlements_of
+from stampede_rt_channel_host.queues.requests import (
+    check_queue_id,
+    check_taker_id,
+    page_size_of,
+    pending_message,
+    result_message,
+    settlements_of,
+)
 from stampede_rt_channel_host.queues.take_stream import TakeStream
 
 SERVICE = "stampede_rt.v1.QueueService"
@@ -34,6 +41,7 @@ class QueueServicer:
             "Enqueue": grpc.stream_stream_rpc_method_handler(self.enqueue),
             "Take": grpc.stream_stream_rpc_method_handler(self.take),
             "Settle": _unary(self.settle, pb.SettleRequest, pb.SettleResponse),
+            "ListPending": _unary(self.list_pending, pb.ListPendingRequest, pb.ListPendingResponse),
             "GetQueueStatus": _unary(self.get_queue_status, pb.GetQueueStatusRequest, pb.GetQueueStatusResponse),
         }
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
@@ -62,6 +70,17 @@ class QueueServicer:
         except StampedeError as error:
             await abort(context, error)
         return pb.SettleResponse(results=map(result_message, results))
+
+    async def list_pending(self, request: pb.ListPendingRequest, context: Any) -> pb.ListPendingResponse:
+        """QueueService.ListPending."""
+        try:
+            check_queue_id(request.queue_id)
+            page_size = page_size_of(request)
+            hosted = await self._store.use(request.queue_id, request.epoch or None)
+            found = hosted.pending(request.after_delivery_id, page_size)
+        except StampedeError as error:
+            await abort(context, error)
+        return pb.ListPendingResponse(deliveries=map(pending_message, found), more=len(found) == page_size)
 
     async def get_queue_status(self, request: pb.GetQueueStatusRequest, context: Any) -> pb.GetQueueStatusResponse:
         """QueueService.GetQueueStatus."""

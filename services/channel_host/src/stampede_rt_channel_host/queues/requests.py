@@ -14,13 +14,18 @@ from stampede_rt_channel_host.core.queue import (
     Acknowledge,
     Extend,
     GiveBack,
+    PendingDelivery,
     Settlement,
     SettlementResult,
     Taker,
+    Terminate,
 )
 
 CREDIT_MAX = 1024
 SETTLEMENTS_MAX = 1024
+TAKER_NAME_BYTES_MAX = 128
+REASON_BYTES_MAX = 1024
+PAGE_SIZE_MAX = 1000
 
 
 def check_queue_id(queue_id: bytes) -> None:
@@ -42,7 +47,9 @@ def taker_of(opened: pb.TakeOpen) -> Taker:
     lease_nanos = opened.lease_nanos if opened.HasField("lease_nanos") else None
     if lease_nanos is not None:
         _check_lease(lease_nanos)
-    return Taker(opened.taker_id, lease_nanos)
+    if len(opened.taker_name.encode()) > TAKER_NAME_BYTES_MAX:
+        raise InvalidArgument(f"taker_name has more than {TAKER_NAME_BYTES_MAX} bytes of UTF-8; shorten it")
+    return Taker(opened.taker_id, lease_nanos, opened.taker_name)
 
 
 def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]:
@@ -53,6 +60,26 @@ def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]
             f"the request holds {len(settlements)} settlements; {SETTLEMENTS_MAX} are the most: send several requests"
         )
     return settlements
+
+
+def page_size_of(request: pb.ListPendingRequest) -> int:
+    """How many deliveries are asked for. Raises InvalidArgument."""
+    if request.page_size > PAGE_SIZE_MAX:
+        raise InvalidArgument(f"page_size is {request.page_size}; {PAGE_SIZE_MAX} is the most")
+    return request.page_size or PAGE_SIZE_MAX
+
+
+def pending_message(one: PendingDelivery) -> queue_pb2.PendingDelivery:
+    """A delivery that is leased."""
+    return queue_pb2.PendingDelivery(
+        delivery_id=one.delivery_id,
+        seq=one.seq,
+        taker_id=one.taker_id,
+        taker_name=one.taker_name,
+        deliveries=one.number,
+        leased_unix_nano=one.leased_at,
+        expires_unix_nano=one.expires,
+    )
 
 
 def result_message(result: SettlementResult) -> queue_pb2.SettlementResult:
@@ -75,6 +102,11 @@ def _settlement_of(message: queue_pb2.Settlement) -> Settlement:
         if delay_nanos < 0:
             raise InvalidArgument(f"delay_nanos is {delay_nanos}; it is 0 or more")
         return Settlement(message.delivery_id, GiveBack(delay_nanos, message.give_back.uncounted))
+    if verdict == "terminate":
+        reason = message.terminate.reason
+        if len(reason.encode()) > REASON_BYTES_MAX:
+            raise InvalidArgument(f"the reason has more than {REASON_BYTES_MAX} bytes of UTF-8; shorten it")
+        return Settlement(message.delivery_id, Terminate(reason))
     _check_lease(message.extend_lease.lease_nanos)
     return Settlement(message.delivery_id, Extend(message.extend_lease.lease_nanos))
 

@@ -42,13 +42,18 @@ class TakeStream:
         self._stream = stream
         self._batch: Batch | None = None
         self._results: list[queue_pb2.SettlementResult] = []
-        self._owes_drained = self._drains = self._closed = False
+        self._owes_drained = self._drains = self._closed = self._asks = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
 
     def deliver(self, batch: Batch) -> None:
         """The queue deals one at a time."""
         self._batch = batch
+        self._news.set()
+
+    def ask(self) -> None:
+        """The queue wants to know whether the taker lives."""
+        self._asks = True
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
@@ -99,8 +104,8 @@ class TakeStream:
             await self._room.wait()
 
     def _grant(self, hosted: HostedQueue, taker: Taker, credit: int) -> None:
-        if not credit or self._drains:
-            return
+        """Also without credit the taker lives; one that drains is given none."""
+        credit = 0 if self._drains else credit
         if taker.credit + credit > CREDIT_MAX:
             raise InvalidArgument(
                 f"the taker has {taker.credit} credit and gives {credit} more; at most {CREDIT_MAX} may be open"
@@ -124,6 +129,7 @@ class TakeStream:
         batch, self._batch = self._batch, None
         results, self._results = self._results, []
         drained, self._owes_drained = self._owes_drained, False
+        asks, self._asks = self._asks, False
         self._room.set()
         if batch is not None:
             hosted.queue.sending(taker)
@@ -132,6 +138,8 @@ class TakeStream:
             results = []
         if batch is not None or results or drained:
             await self._write(hosted, take_response(batch, results, self._store.now(), drained=drained))
+        elif asks and not self._closed:
+            await self._write(hosted, b"")
         if batch is not None:
             hosted.sent(taker)
 

@@ -1,9 +1,9 @@
 """The core of queues and mailboxes (paper, section 3.5). Pure."""
 
-from stampede_rt_channel_host.core.queue.dealing import BATCH_BYTES_MAX, Taker
+from stampede_rt_channel_host.core.queue.dealing import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueState, SeqRange
-from stampede_rt_channel_host.core.queue.items import QueuedRun
+from stampede_rt_channel_host.core.queue.items import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, FailedDelivery, QueuedRun
 from stampede_rt_channel_host.core.queue.limits import (
     BLOCK,
     DROP_OLDEST,
@@ -12,7 +12,9 @@ from stampede_rt_channel_host.core.queue.limits import (
     REJECT,
     QueueLimits,
 )
+from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.queue import Queue
+from stampede_rt_channel_host.core.queue.takers import Taker
 from stampede_rt_channel_host.core.queue.values import (
     Acknowledge,
     Batch,
@@ -20,27 +22,35 @@ from stampede_rt_channel_host.core.queue.values import (
     Extend,
     GiveBack,
     LeasedSlice,
+    PendingDelivery,
     QueueCounters,
     Settlement,
     SettlementResult,
+    Terminate,
 )
 
 __all__ = [
     "BATCH_BYTES_MAX",
     "BLOCK",
     "DROP_OLDEST",
+    "GIVEN_BACK",
     "ITEM_OVERHEAD_BYTES",
+    "LEASE_EXPIRED",
     "LEASE_NANOS_MAX",
     "REJECT",
+    "TERMINATED",
     "Acknowledge",
     "Batch",
     "Departure",
     "Enqueue",
     "Extend",
+    "FailedDelivery",
     "GiveBack",
     "ItemState",
+    "KnownMessage",
     "LeaseState",
     "LeasedSlice",
+    "PendingDelivery",
     "Queue",
     "QueueCounters",
     "QueueLimits",
@@ -50,4 +60,5 @@ __all__ = [
     "Settlement",
     "SettlementResult",
     "Taker",
+    "Terminate",
 ]

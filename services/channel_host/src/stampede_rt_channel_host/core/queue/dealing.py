@@ -9,6 +9,7 @@ from itertools import islice
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.takers import Taker
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
@@ -57,22 +58,6 @@ class View:
         if not is_behind:
             self.returns_seen = shelf.returns_logged
         return is_behind
-
-
-class Taker:
-    """One stream that takes. `credit` is what it may still be sent; it waits whenever that is left and it is not busy.
-
-    `lease_nanos` None: the queue's. `unsent` was dealt to it, and nobody has begun to send it.
-    """
-
-    __slots__ = ("credit", "is_busy", "lease_nanos", "taker_id", "unsent")
-
-    def __init__(self, taker_id: int, lease_nanos: int | None = None) -> None:
-        self.taker_id = taker_id
-        self.lease_nanos = lease_nanos
-        self.credit = 0
-        self.is_busy = False  # from being dealt a batch until that is sent
-        self.unsent: Batch | None = None
 
 
 class _Draft:
@@ -127,7 +112,7 @@ class Dealing:
 
     def wait(self, taker: Taker, now: int) -> None:
         """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
-        waits = taker.credit and not taker.is_busy and taker not in self._line
+        waits = taker.credit and not taker.is_busy and not taker.is_silent and taker not in self._line
         if waits and (self.is_paused or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
@@ -152,7 +137,7 @@ class Dealing:
         share = min(-(-there // takers), taker.credit)
         lease_nanos = taker.lease_nanos or self._shelf.limits.lease_nanos
         draft = _Draft()
-        while draft.items < share and self._give_next(taker, draft, now + lease_nanos):
+        while draft.items < share and self._give_next(taker, draft, now, now + lease_nanos):
             pass
         if not draft.items:
             return False
@@ -162,7 +147,7 @@ class Dealing:
         self.dealt.append((taker, taker.unsent))
         return True
 
-    def _give_next(self, taker: Taker, draft: _Draft, expires: int) -> bool:
+    def _give_next(self, taker: Taker, draft: _Draft, now: int, expires: int) -> bool:
         shelf = self._shelf
         view = self._view(taker.taker_id) if shelf.limits.copies > 1 else None
         item = view.next_for(taker.taker_id, shelf) if view else shelf.first_available()
@@ -175,7 +160,7 @@ class Dealing:
             return False
         if view is not None:
             view.cursor = max(view.cursor, item.seq + 1)
-        draft.add(item.run, item.place, self._leasing.deliver(item, taker.taker_id, expires))
+        draft.add(item.run, item.place, self._leasing.deliver(item, taker, now, expires))
         return True
 
     def _view(self, taker_id: int) -> View:

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged, Judging
+from stampede_rt_channel_host.core.judging import Judged, Judging, Part
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
+from stampede_rt_channel_host.core.queue.message_ids import MessageIds
 from stampede_rt_channel_host.core.queue.shelf import Shelf
 from stampede_rt_channel_host.core.queue.values import SealRun
 
@@ -25,13 +26,13 @@ WAITING_BYTES_MAX = 64 * 2**20
 class Enqueue:
     """A run that asks to be put into a queue, and how far it has come.
 
-    `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. Once it is
-    through it has either an `outcome` or, refused as a whole, an `error`.
+    `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. A run with a
+    `message_id` holds one item. Once it is through it has either an `outcome` or, refused as a whole, an `error`.
     """
 
     __slots__ = (
-        "due", "error", "first_number", "is_stamped", "judging", "lengths", "order", "outcome", "producer_id", "seal",
-        "wait_nanos",
+        "due", "error", "first_number", "is_duplicate", "is_stamped", "judging", "lengths", "message_id", "order",
+        "outcome", "producer_id", "seal", "wait_nanos",
     )  # fmt: skip
 
     def __init__(
@@ -43,6 +44,7 @@ class Enqueue:
         producer_id: int = 0,
         first_number: int = 0,
         wait_nanos: int | None = None,
+        message_id: str = "",
     ) -> None:
         self.lengths = lengths
         self.seal = seal
@@ -50,6 +52,8 @@ class Enqueue:
         self.producer_id = producer_id
         self.first_number = first_number
         self.wait_nanos = wait_nanos
+        self.message_id = message_id
+        self.is_duplicate = False
         self.judging = Judging(len(lengths))
         self.outcome: Judged | None = None
         self.error: StampedeError | None = None
@@ -78,6 +82,7 @@ class Enqueuing:
         self._deadlines: Deadlines[Enqueue] = Deadlines()
         self._arrivals = 0
         self.retries = RetryWindow()
+        self.message_ids = MessageIds()
         self.waiting_bytes = 0
         self.finished: list[Enqueue] = []
 
@@ -137,15 +142,27 @@ class Enqueuing:
         return self._deadlines.next()
 
     def _recognise(self, run: Enqueue, now: int) -> bool:
-        """True if the run came before and was answered; one of which only the front was judged goes on behind it."""
+        """True if the run came before and was answered; one of which only the front was judged goes on behind it.
+
+        Also if another run came with its message id.
+        """
         known = None
         if run.producer_id:
             known = self.retries.find(run.producer_id, run.first_number, len(run.lengths), now)
         if known is None:
-            return False
+            return self._is_duplicate(run, now)
         run.judging.resume(known)
         run.outcome = known if known.is_whole else None
         return known.is_whole
+
+    def _is_duplicate(self, run: Enqueue, now: int) -> bool:
+        """An item was accepted under the run's message id before, whose seq answers this one, too."""
+        seq = self.message_ids.find(run.message_id, now) if run.message_id else None
+        if seq is not None:
+            self._shelf.tally.duplicates += 1
+            run.is_duplicate = True
+            run.outcome = Judged(1, 1, (Part(0, seq, 1, None),), (), now)
+        return run.is_duplicate
 
     def _judge_again(self, run: Enqueue, now: int) -> bool:
         """Also whether the same run came in meanwhile, by another stream. True if the run is through."""
@@ -210,6 +227,8 @@ class Enqueuing:
 
     def _settle(self, run: Enqueue, now: int) -> None:
         run.outcome = self._remember(run, now)
+        if run.message_id and run.judging.accepted_any:
+            self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now)
 
     def _remember(self, run: Enqueue, now: int) -> Judged:
         judged = run.judging.outcome(now)

@@ -11,19 +11,24 @@ from dataclasses import dataclass, replace
 from itertools import chain, groupby
 from typing import NamedTuple
 
-from stampede_rt_channel_host.core.dedup import KeptRun, RetryWindow
+from stampede_rt_channel_host.core.dedup import KeptRun
 from stampede_rt_channel_host.core.queue.acknowledged import Acknowledged
-from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
+from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
+from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
+from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
 from stampede_rt_channel_host.core.queue.shelf import Shelf, Tally
+from stampede_rt_channel_host.core.queue.takers import Taker
 
 
 class LeaseState(NamedTuple):
-    """A lease, and how long it still holds."""
+    """A lease, how long it still holds, and for how long it has."""
 
     delivery_id: int
     taker_id: int
+    taker_name: str
     lease_nanos: int
+    leased_ago_nanos: int
 
 
 class ItemState(NamedTuple):
@@ -31,6 +36,7 @@ class ItemState(NamedTuple):
 
     `deliveries`: of each copy that was given out and not acknowledged: first of the leased ones, as `leases` are, then
     of those that nobody has. `delay_nanos`: held back for so long. `is_leaving`: on its way to the dead-letter queue.
+    `last`: its last delivery in vain.
     """
 
     seq: int
@@ -39,6 +45,7 @@ class ItemState(NamedTuple):
     leases: Sequence[LeaseState]
     delay_nanos: int
     is_leaving: bool
+    last: FailedDelivery | None
 
 
 class SeqRange(NamedTuple):
@@ -51,7 +58,7 @@ class SeqRange(NamedTuple):
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueState:
     """Everything. Runs ascend, and each has an item that is held. `held` ascends; held items without a state are as
-    they came. The runs' `accepted_at`, and the times of acknowledgements and recorded runs, are ages."""
+    they came. The runs' `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages."""
 
     next_seq: int
     next_delivery_id: int
@@ -61,9 +68,10 @@ class QueueState:
     items: Sequence[ItemState]
     acknowledged: Sequence[Acknowledged]
     producers: Sequence[KeptRun]
+    message_ids: Sequence[KnownMessage]
 
 
-def export(shelf: Shelf, leasing: Leasing, retries: RetryWindow, now: int) -> QueueState:
+def export(shelf: Shelf, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueState:
     """The queue as it is at `now`; it shares nothing that changes."""
     held = [item.seq for item in shelf.touched.values()]
     fresh = [seq for run, place in shelf.fresh() for seq in range(run.first_seq + place, run.end_seq)]
@@ -75,11 +83,12 @@ def export(shelf: Shelf, leasing: Leasing, retries: RetryWindow, now: int) -> Qu
         held=_ranges(chain(held, fresh)),
         items=[_state(item, leasing, now) for item in chain(_not_leaving(shelf), shelf.leaving.values())],
         acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now)],
-        producers=[_aged(kept, now) for kept in retries.kept(now)],
+        producers=[_aged(kept, now) for kept in enqueuing.retries.kept(now)],
+        message_ids=[known._replace(time=now - known.time) for known in enqueuing.message_ids.all(now)],
     )
 
 
-def restore(state: QueueState, shelf: Shelf, leasing: Leasing, retries: RetryWindow, now: int) -> None:
+def restore(state: QueueState, shelf: Shelf, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
     """Fill an empty queue. Times that are over by now are looked after at the next tick."""
     shelf.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
@@ -103,7 +112,9 @@ def restore(state: QueueState, shelf: Shelf, leasing: Leasing, retries: RetryWin
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
-        retries.record(kept.producer_id, kept.first_number, _aged(kept, now).outcome)
+        enqueuing.retries.record(kept.producer_id, kept.first_number, _aged(kept, now).outcome)
+    for known in state.message_ids:
+        enqueuing.message_ids.record(known.message_id, known.seq, now - known.time)
 
 
 def _aged(kept: KeptRun, now: int) -> KeptRun:
@@ -151,18 +162,27 @@ def _state(item: TouchedItem, leasing: Leasing, now: int) -> ItemState:
         seq=item.seq,
         deliveries=[*(lease.number for lease in leases), *item.returned],
         acknowledged=item.acknowledged,
-        leases=[LeaseState(lease.order, lease.taker_id, (lease.due or now) - now) for lease in leases],
+        leases=[_lease_state(lease, now) for lease in leases],
         delay_nanos=0 if item.due is None else item.due - now,
         is_leaving=item.is_leaving,
+        last=item.last,
     )
+
+
+def _lease_state(lease: Lease, now: int) -> LeaseState:
+    taker = lease.taker
+    return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
 
 
 def _enter(shelf: Shelf, leasing: Leasing, state: ItemState, now: int) -> None:
     item = shelf.touched[state.seq]
     item.acknowledged = tuple(state.acknowledged)
+    item.last = state.last
     item.returned = sorted(state.deliveries[len(state.leases) :])
     for lease, number in zip(state.leases, state.deliveries, strict=False):
-        leasing.enter(Lease(lease.delivery_id, item, number, lease.taker_id), now + lease.lease_nanos)
+        taker = Taker(lease.taker_id, name=lease.taker_name)
+        leased = Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
+        leasing.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:
         shelf.delays.arm(item, now + state.delay_nanos)
     shelf.refresh(item)

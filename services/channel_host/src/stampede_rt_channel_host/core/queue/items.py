@@ -6,6 +6,7 @@ An item that nobody has been given yet costs nothing beside its run; a queue may
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel.run import Slicer
 
@@ -38,16 +39,31 @@ class QueuedRun:
         return len(self.body) - sum(self.lengths)
 
 
+LEASE_EXPIRED, GIVEN_BACK, TERMINATED = "lease_expired", "given_back", "terminated"
+"""How a delivery can be in vain."""
+
+
+class FailedDelivery(NamedTuple):
+    """A delivery that ended without an acknowledgement: which of its copy it was, to whom, and how it ended."""
+
+    number: int
+    taker_id: int
+    taker_name: str
+    ended: str
+    reason: str = ""
+
+
 class TouchedItem:
     """An item that was given to a taker, or held back, at least once.
 
     `returned` has the number of deliveries of each copy that was given out and that nobody has, ascending. `leases`
-    maps takers to delivery ids, `acknowledged` lists takers that are done. `due`: held back until then.
+    maps takers to delivery ids, `acknowledged` lists takers that are done. `due`: held back until then. `last`: its
+    last delivery in vain.
     """
 
     __slots__ = (
-        "acknowledged", "due", "is_available", "is_leaving", "is_unleased", "leases", "place", "return_number",
-        "returned", "run",
+        "acknowledged", "due", "is_available", "is_leaving", "is_unleased", "last", "leases", "place",
+        "return_number", "returned", "run",
     )  # fmt: skip
 
     def __init__(self, run: QueuedRun, place: int) -> None:
@@ -57,6 +73,7 @@ class TouchedItem:
         self.leases: dict[int, int] = {}
         self.acknowledged: tuple[int, ...] = ()
         self.due: int | None = None
+        self.last: FailedDelivery | None = None
         self.return_number = 0
         self.is_available = self.is_unleased = self.is_leaving = False
 

@@ -7,33 +7,51 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Iterable
+from itertools import islice
+from typing import Any
+
+from sortedcontainers import SortedDict
 
 from stampede_rt.errors import LeaseExpired
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries
-from stampede_rt_channel_host.core.queue.items import TouchedItem
+from stampede_rt_channel_host.core.queue.items import (
+    GIVEN_BACK,
+    LEASE_EXPIRED,
+    TERMINATED,
+    FailedDelivery,
+    TouchedItem,
+)
 from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.takers import Taker
 from stampede_rt_channel_host.core.queue.values import (
     Acknowledge,
     Extend,
     GiveBack,
     LeasedSlice,
+    PendingDelivery,
     Settlement,
     SettlementResult,
+    Terminate,
 )
 
 
 class Lease:
     """One delivery: a copy of `item` is the taker's until `due`. `number`: which delivery of that copy it is."""
 
-    __slots__ = ("due", "item", "number", "order", "taker_id")
+    __slots__ = ("due", "item", "leased_at", "number", "order", "taker")
 
-    def __init__(self, delivery_id: int, item: TouchedItem, number: int, taker_id: int) -> None:
+    def __init__(self, delivery_id: int, item: TouchedItem, number: int, taker: Taker, leased_at: int) -> None:
         self.order = delivery_id
         self.item = item
         self.number = number
-        self.taker_id = taker_id
+        self.taker = taker
+        self.leased_at = leased_at
         self.due: int | None = None
+
+    def in_vain(self, ended: str, reason: str = "") -> FailedDelivery:
+        """What is remembered of it."""
+        return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
 
 class Leasing:
@@ -43,11 +61,12 @@ class Leasing:
         self._shelf = shelf
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
-        self.leases: dict[int, Lease] = {}
+        self.leases: Any = SortedDict()  # delivery id -> Lease
+        self.silent: list[Taker] = []  # who let a lease end and said nothing, until the caller takes them
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
 
-    def deliver(self, item: TouchedItem, taker_id: int, expires: int) -> tuple[int, int]:
+    def deliver(self, item: TouchedItem, taker: Taker, now: int, expires: int) -> tuple[int, int]:
         """Lease a free copy of the item; gives the delivery's id and which delivery of that copy it is.
 
         The copy that came back most often goes first: an item that no taker can cope with is soon found out.
@@ -55,7 +74,7 @@ class Leasing:
         number = 1 + (item.returned.pop() if item.returned else 0)
         delivery_id = self.next_delivery_id
         self.next_delivery_id += 1
-        self.enter(Lease(delivery_id, item, number, taker_id), expires)
+        self.enter(Lease(delivery_id, item, number, taker, now), expires)
         self._shelf.refresh(item)
         self._shelf.tally.delivered += 1
         return delivery_id, number
@@ -63,23 +82,27 @@ class Leasing:
     def enter(self, lease: Lease, expires: int) -> None:
         """The lease holds from now on."""
         self._shelf.leased += not lease.item.leases
-        lease.item.leases[lease.taker_id] = lease.order
+        lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
         self._deadlines.arm(lease, expires)
 
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
         """Do what the taker says of a delivery, or say that it cannot any more."""
         delivery_id, verdict = settlement
-        lease = self.leases.get(delivery_id)
-        if lease is None or lease.taker_id != taker_id or lease.due is None or lease.due <= now:
+        lease: Lease | None = self.leases.get(delivery_id)
+        if lease is None or lease.taker.taker_id != taker_id or lease.due is None or lease.due <= now:
             repeated = isinstance(verdict, Acknowledge) and self.acknowledged.knows(delivery_id, taker_id, now)
             return SettlementResult(delivery_id, None if repeated else self._stale(delivery_id))
+        lease.taker.heard_at = now
         if isinstance(verdict, Acknowledge):
             self._acknowledge(lease, now)
         elif isinstance(verdict, GiveBack):
             self._shelf.tally.given_back += 1
             lease.number -= verdict.uncounted
-            self._take_back(lease, now + verdict.delay_nanos if verdict.delay_nanos else None)
+            ended = None if verdict.uncounted else GIVEN_BACK
+            self._take_back(lease, ended, now + verdict.delay_nanos if verdict.delay_nanos else None)
+        elif isinstance(verdict, Terminate):
+            self._terminate(lease, verdict.reason)
         else:
             return self._extend(lease, verdict, now)
         return SettlementResult(delivery_id)
@@ -90,8 +113,17 @@ class Leasing:
         if lease is None:
             return False
         self._shelf.tally.leases_expired += 1
-        self._take_back(lease, None)
+        taker = lease.taker
+        if taker.credit and not taker.is_silent and taker.heard_at <= lease.leased_at:
+            taker.is_silent = True
+            self.silent.append(taker)
+        self._take_back(lease, LEASE_EXPIRED)
         return True
+
+    def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
+        """At most so many of the leases behind a delivery, in the order of deliveries."""
+        found: Iterable[int] = self.leases.irange(minimum=after_delivery_id, inclusive=(False, True))
+        return [_pending(self.leases[delivery_id]) for delivery_id in islice(found, limit)]
 
     def next_deadline(self) -> int | None:
         """When the next lease ends."""
@@ -153,8 +185,8 @@ class Leasing:
     def _acknowledge(self, lease: Lease, now: int) -> None:
         item = lease.item
         self._end(lease)
-        item.acknowledged = (*item.acknowledged, lease.taker_id)
-        self.acknowledged.record(lease.order, lease.taker_id, now)
+        item.acknowledged = (*item.acknowledged, lease.taker.taker_id)
+        self.acknowledged.record(lease.order, lease.taker.taker_id, now)
         if not self.settle_copies(item):
             self._shelf.refresh(item)
 
@@ -162,12 +194,22 @@ class Leasing:
         self._deadlines.arm(lease, now + verdict.lease_nanos)
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
-    def _take_back(self, lease: Lease, not_before: int | None) -> None:
-        """The delivery was in vain. After the last that is allowed the item leaves, and with it its other leases."""
+    def _terminate(self, lease: Lease, reason: str) -> None:
+        """The item leaves, and with it its other leases."""
+        self._shelf.tally.terminated += 1
+        self._end(lease)
+        lease.item.last = lease.in_vain(TERMINATED, reason)
+        self.give_up(lease.item)
+
+    def _take_back(self, lease: Lease, ended: str | None, not_before: int | None = None) -> None:
+        """The delivery was in vain, or does not count (`ended` None). After the last that is allowed the item leaves,
+        and with it its other leases."""
         item = lease.item
         self._end(lease)
         if lease.number:
             insort(item.returned, lease.number)
+        if ended is not None:
+            item.last = lease.in_vain(ended)
         if self.is_exhausted(item):
             self.give_up(item)
             return
@@ -184,7 +226,7 @@ class Leasing:
             self._end(self.leases[delivery_id])
 
     def _end(self, lease: Lease) -> None:
-        del self.leases[lease.order], lease.item.leases[lease.taker_id]
+        del self.leases[lease.order], lease.item.leases[lease.taker.taker_id]
         self._shelf.leased -= not lease.item.leases
         self._deadlines.disarm(lease)
 
@@ -193,3 +235,10 @@ class Leasing:
             f"delivery {delivery_id} of {self._queue} is not leased to this taker (any more): its lease has ended, or "
             "it was settled; the item may have gone to another taker: settle sooner, extend, or lease for longer"
         )
+
+
+def _pending(lease: Lease) -> PendingDelivery:
+    taker, expires = lease.taker, lease.due if lease.due is not None else lease.leased_at
+    return PendingDelivery(
+        lease.order, lease.item.seq, taker.taker_id, taker.name, lease.number, lease.leased_at, expires
+    )

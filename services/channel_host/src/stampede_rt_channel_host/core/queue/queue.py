@@ -8,15 +8,17 @@ from itertools import islice
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.queue import handoff
-from stampede_rt_channel_host.core.queue.dealing import Dealing, Taker
+from stampede_rt_channel_host.core.queue.dealing import Dealing
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
 from stampede_rt_channel_host.core.queue.handoff import QueueState
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.takers import Taker
 from stampede_rt_channel_host.core.queue.values import (
     Batch,
     Departure,
+    PendingDelivery,
     QueueCounters,
     Settlement,
     SettlementResult,
@@ -50,13 +52,13 @@ class Queue:
     def export(self, now: int) -> QueueState:
         """The whole queue as values. Those who wait are not in it: withdraw them, and let them go, before."""
         clock = self._tick(now)
-        return handoff.export(self._shelf, self._leasing, self._enqueuing.retries, clock)
+        return handoff.export(self._shelf, self._leasing, self._enqueuing, clock)
 
     @classmethod
     def restore(cls, limits: QueueLimits, state: QueueState, now: int, *, incarnation: int, name: str = "") -> Queue:
         """The queue that another host exported, with its seqs, leases and counters. Takes as long as it has items."""
         queue = cls(limits, incarnation=incarnation, name=name)
-        handoff.restore(state, queue._shelf, queue._leasing, queue._enqueuing.retries, now)
+        handoff.restore(state, queue._shelf, queue._leasing, queue._enqueuing, now)
         queue._unchecked = deque(queue._shelf.touched)  # the other host may have known other limits
         queue._tick(now)
         return queue
@@ -64,8 +66,8 @@ class Queue:
     def enqueue(self, run: Enqueue, now: int) -> None:
         """Judge a run: it is through when this returns, or it waits, and comes with `take_finished` later.
 
-        A run that its producer put before is answered as it was. Raises InvalidArgument if its numbers overlap another
-        run's, Overloaded if too many wait.
+        A run that its producer put before is answered as it was; one whose message id is known, with the seq of the
+        first. Raises InvalidArgument if its numbers overlap another run's, Overloaded if too many wait.
         """
         clock = self._tick(now)
         self._enqueuing.enqueue(run, clock)
@@ -98,9 +100,10 @@ class Queue:
         self._shelf.tally.rejected_too_large += 1
 
     def grant(self, taker: Taker, credit: int, now: int) -> None:
-        """The taker may be sent so many more; 0 looks whether it can be served with what it has."""
+        """The taker says that it may be sent so many more; 0: only that it is there. Was it silent, it waits again."""
         clock = self._tick(now)
         taker.credit += credit
+        taker.heard_at, taker.is_silent = clock, False
         self._dealing.wait(taker, clock)
 
     def sending(self, taker: Taker) -> None:
@@ -109,8 +112,9 @@ class Queue:
 
     def sent(self, taker: Taker, now: int) -> None:
         """What it was dealt last has been sent: it waits for more."""
+        clock = self._tick(now)
         taker.unsent, taker.is_busy = None, False
-        self.grant(taker, 0, now)
+        self._dealing.wait(taker, clock)
 
     def drain(self, taker: Taker) -> None:
         """It wants no more: its credit is void."""
@@ -133,10 +137,15 @@ class Queue:
         self._follow_up(clock)
         return results
 
+    def pending(self, after_delivery_id: int, limit: int, now: int) -> list[PendingDelivery]:
+        """What is leased to whom: at most `limit` deliveries behind the one named, in their order."""
+        self._tick(now)
+        return self._leasing.pending(after_delivery_id, limit)
+
     def departing(self, items_max: int) -> list[Departure]:
         """Items that wait for being moved to the dead-letter queue, those first that wait longest."""
         leaving = islice(self._shelf.leaving.values(), items_max)
-        return [Departure(item.seq, item.run, item.place) for item in leaving]
+        return [Departure(item.seq, item.run, item.place, item.last) for item in leaving]
 
     def departed(self, seq: int, now: int) -> None:
         """The dead-letter queue has the item. Idempotent."""
@@ -169,7 +178,8 @@ class Queue:
         """When `tick` is next useful; None: only after another call."""
         if self._unchecked:
             return self._clock
-        due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline())
+        known = self._enqueuing.message_ids.next_deadline()
+        due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline(), known)
         return min((one for one in due if one is not None), default=None)
 
     def expire(self, now: int) -> None:
@@ -184,6 +194,15 @@ class Queue:
         """Who was given what since the last call. Each batch is to be sent: say `sending`, then `sent`."""
         dealt, self._dealing.dealt = self._dealing.dealt, []
         return dealt
+
+    def take_silent(self) -> list[Taker]:
+        """Takers that let a lease end and have said nothing since it began, found since the last call.
+
+        They do not count as waiting, and are dealt nothing, until they say something (`grant`): ask them whether they
+        live.
+        """
+        silent, self._leasing.silent = self._leasing.silent, []
+        return silent
 
     def take_finished(self) -> list[Enqueue]:
         """The runs that waited and are through since the last call."""
@@ -229,21 +248,25 @@ class Queue:
     @property
     def footprint_bytes(self) -> int:
         """What the queue takes of the host's memory: stored runs, 64 bytes for each item, runs that wait, and what it
-        knows of acknowledged deliveries and of producers' last runs."""
-        shelf = self._shelf
-        stored = shelf.stored_bytes + shelf.items * 64
-        known = self._leasing.acknowledged.footprint_bytes + self._enqueuing.retries.footprint_bytes
-        return stored + self._enqueuing.waiting_bytes + known
+        knows of acknowledged deliveries, of producers' last runs and of message ids."""
+        shelf, enqueuing = self._shelf, self._enqueuing
+        known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
+        known += enqueuing.message_ids.footprint_bytes
+        return shelf.stored_bytes + shelf.items * 64 + enqueuing.waiting_bytes + known
 
     def _tick(self, now: int) -> int:
         clock = self._clock = now if self._clock is None else max(self._clock, now)
         due = self._check_again()
         while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
             due += 1
+        for taker in self._leasing.silent:
+            self._dealing.leave(taker)
         while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
             due += 1
         if due:
             self._follow_up(clock)
+        while due < DUE_PER_CALL_MAX and self._enqueuing.message_ids.forget_one(clock):
+            due += 1
         return clock
 
     def _check_again(self) -> int:

@@ -30,6 +30,8 @@ class Tally:
     delivered: int = 0
     given_back: int = 0
     leases_expired: int = 0
+    terminated: int = 0
+    duplicates: int = 0
     rejected_full: int = 0
     rejected_too_large: int = 0
     rejected_malformed: int = 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_channel_host.core.queue.items import QueuedRun
+from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun
 
 
 class SealRun(Protocol):
@@ -65,7 +65,14 @@ class Extend:
     lease_nanos: int
 
 
-Verdict = Acknowledge | GiveBack | Extend
+@dataclass(frozen=True, slots=True)
+class Terminate:
+    """The item is given up for good, for all takers, and leaves the queue. `reason` is for people."""
+
+    reason: str = ""
+
+
+Verdict = Acknowledge | GiveBack | Extend | Terminate
 
 
 class Settlement(NamedTuple):
@@ -84,11 +91,24 @@ class SettlementResult(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """An item on its way to the dead-letter queue: the one at `place` of `run`."""
+    """An item on its way to the dead-letter queue: the one at `place` of `run`. `last`: the last delivery in vain."""
 
     seq: int
     run: QueuedRun
     place: int
+    last: FailedDelivery | None
+
+
+class PendingDelivery(NamedTuple):
+    """An item in the hands of a taker: `number` says which delivery of it that is, from 1."""
+
+    delivery_id: int
+    seq: int
+    taker_id: int
+    taker_name: str
+    number: int
+    leased_at: int
+    expires: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -105,6 +125,8 @@ class QueueCounters:
     delivered: int = 0
     given_back: int = 0
     leases_expired: int = 0
+    terminated: int = 0
+    duplicates: int = 0
     rejected_full: int = 0
     rejected_too_large: int = 0
     rejected_malformed: int = 0
