@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 import grpc
 import pytest
 
-from stampede_rt.v1 import channel_service_pb2, error_pb2, group_pb2, item_pb2
+from stampede_rt.v1 import channel_service_pb2, error_pb2, group_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from tests.unit.channel_host.manual_clock import ManualClock
 from tests.unit.channel_host.rig import MS, S, between
@@ -68,6 +68,47 @@ async def test_a_blocked_get_is_released_when_the_cut_comes(host: Host) -> None:
     times, summary = await waiting
     assert times == [t]
     assert summary.cut_unix_nano > t
+
+
+async def test_blocked_gets_that_a_put_cannot_release_cost_it_nothing(host: Host) -> None:
+    """Each put looked at all of them: 1000 took 129 ms, though the group did not show the item."""
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t, t + 5)
+    await right.put(t + 1)
+    assert (await left.get(group))[0] == [t]
+    later = {"newer_than": item_pb2.ItemPosition(time_unix_nano=t), "match": time_pb2.MATCH_START, "wait_nanos": -1}
+    waiting = [asyncio.create_task(left.get(group, **later)) for _ in range(200)]
+    opened = host.host.store.find_any_epoch(left.channel_id)
+    async with asyncio.timeout(10):
+        while len(opened.group_gets) < 200:
+            await host.status(group)
+    known = host.host.groups.known(group.group_id)
+    assert known is not None
+    gets = known.gets[opened].gets
+    looked_at = gets.looked_at
+    for later_still in range(10, 20):
+        await left.put(t + later_still)
+    assert gets.looked_at == looked_at, "right holds the cut back"
+    await right.put(t + 15)
+    assert [(await one)[0] for one in waiting] == [[t + 5, t + 10, t + 11, t + 12, t + 13, t + 14]] * 200
+    assert gets.looked_at == looked_at + 200
+    assert not known.gets
+    assert not opened.group_gets
+
+
+async def test_a_blocked_get_ends_when_its_channel_leaves_the_group(host: Host) -> None:
+    left, right, t = await host.open("left"), await host.open("right"), host.now() - S
+    group = host.directory.add_group("pair", [left, right])
+    await left.put(t)
+    waiting = asyncio.create_task(left.get(group, wait_nanos=-1))
+    opened = host.host.store.find_any_epoch(left.channel_id)
+    async with asyncio.timeout(10):
+        while not opened.group_gets:
+            await host.status(group)
+    host.directory.change_members(group.group_id, [right])
+    with pytest.raises(AssertionError, match="is no member of group pair"):
+        await waiting
 
 
 async def test_a_blocked_get_ends_with_its_time_and_says_who_holds_it(host: Host) -> None:

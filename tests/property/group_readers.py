@@ -106,7 +106,8 @@ class Readers:
         within = reader.resolve(pending.query) if within is None else within
         assert pending.interval == within
         if within is None:
-            assert answer == WakeAt(None)
+            assert isinstance(answer, WakeAt)
+            assert answer.instant is None
             return False
         expected = reader.read(pending.query, within)
         due = expected.complete or (bool(expected.items) and not pending.query.complete)

@@ -12,7 +12,17 @@ from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt.model import Policy
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX, Outcome, WaitingGet, WaitingGets
-from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Pending, Pieces, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import (
+    Answer,
+    Channel,
+    Coming,
+    Offer,
+    Pending,
+    Pieces,
+    Position,
+    Query,
+    WakeAt,
+)
 
 START = 1_700_000_000_000_000_000
 S = 10**9
@@ -30,7 +40,7 @@ class Blocked:
     def __init__(self) -> None:
         self.now = START
         self.channel = CountingChannel(Policy(max_items=10, max_future_nanos=100 * S), incarnation=1, name="a")
-        self.gets = WaitingGets(self.channel, lambda: self.now)
+        self.gets = WaitingGets(self.channel, Coming(self.channel), lambda: self.now)
         self.released: list[int] = []
 
     def block(self, number: int, query: Query, wait_nanos: int = FOREVER) -> WaitingGet:
@@ -97,6 +107,45 @@ async def test_gets_for_what_is_still_to_come_cost_a_put_nothing() -> None:
     assert blocked.channel.polls == 3
     blocked.gets.end_all(Unavailable("gone"))
     assert blocked.released == list(range(10_000))
+
+
+@pytest.mark.parametrize("match", [Match.START, Match.SPAN])
+async def test_gets_between_the_newest_item_and_the_clock_cost_a_put_nothing(match: Match) -> None:
+    """As in a replay: 2000 of them took 59 ms for each put."""
+    blocked = Blocked()
+    blocked.now += 10_000 * S
+    for number in range(2000):
+        start = START + (number + 10) * S
+        blocked.block(number, Query(interval=parse_interval(start, start + S), match=match))
+    for second in range(9):
+        blocked.put(START + second * S, duration=S)
+    assert blocked.channel.polls == 0
+    blocked.put(START + 10 * S + 1, duration=S // 2)
+    assert blocked.released == [0]
+    assert blocked.channel.polls == 1
+
+
+async def test_late_items_cost_nothing_for_gets_of_what_is_newer() -> None:
+    blocked = Blocked()
+    blocked.put(START)
+    for number in range(1000):
+        blocked.block(number, NEWEST)
+    blocked.put(START - 5 * S)
+    assert blocked.channel.polls == 0
+    blocked.put(START + 1)
+    assert len(blocked.released) == 1000
+
+
+async def test_an_advance_is_looked_at_by_those_whose_interval_it_ends() -> None:
+    blocked = Blocked()
+    for number in range(1000):
+        start = START + (number + 1) * S
+        blocked.block(number, Query(interval=parse_interval(start, start + S, "[)"), complete=bool(number % 2)))
+    blocked.channel.advance(START + 3 * S, blocked.now)
+    blocked.channel.polls = 0
+    blocked.gets.changed(blocked.now)
+    assert blocked.released == [0, 1]
+    assert blocked.channel.polls == 2
 
 
 async def test_those_who_come_into_reach_together_end_in_the_order_of_their_arrival() -> None:

@@ -7,7 +7,17 @@ import pytest
 from stampede_rt.errors import IncarnationLost, InvalidArgument
 from stampede_rt.model import Policy, Reason
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, NEWEST, NOW, OLDEST, Bound, Interval, Match, parse_interval
-from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import (
+    Answer,
+    Channel,
+    Coming,
+    Needs,
+    Pending,
+    Position,
+    Query,
+    Reach,
+    WakeAt,
+)
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
 
 
@@ -153,19 +163,43 @@ def test_a_blocking_get_resolves_its_anchors_at_the_first_item_and_never_again()
     assert times_of(answer.slices) == [10, 30]
 
 
-def test_a_blocked_get_says_how_far_the_channel_must_come_before_it_can_be_released() -> None:
+def test_a_blocked_get_says_what_must_come_before_it_can_be_released() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
-    for complete, needs in ((False, CLOCK + 50), (True, CLOCK + 91)):
-        query = Query(interval=parse_interval(CLOCK + 50, CLOCK + 90), complete=complete)
+    expected = {
+        (Match.SPAN, False): Needs(passed=CLOCK + 91, end=CLOCK + 50),
+        (Match.START, False): Needs(passed=CLOCK + 91, time=CLOCK + 50),
+        (Match.SPAN, True): Needs(passed=CLOCK + 91),
+    }
+    for (match, complete), needs in expected.items():
+        query = Query(interval=parse_interval(CLOCK + 50, CLOCK + 90), match=match, complete=complete)
         found = channel.poll(channel.begin(query, CLOCK), CLOCK)
         assert isinstance(found, WakeAt)
         assert found.needs == needs
-    assert channel.reach(CLOCK) == CLOCK
+
+
+def test_a_change_reaches_as_far_as_what_came_with_it() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10)
+    coming = Coming(channel)
+    coming.begin()
     channel.advance(CLOCK + 60, CLOCK)
-    assert channel.reach(CLOCK) == CLOCK + 60
+    assert coming.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
     put(channel, CLOCK + 60, durations=[500])
-    assert channel.reach(CLOCK) == CLOCK + 560
+    assert coming.reach(CLOCK) == Reach(passed=CLOCK + 60, time=CLOCK + 60, end=CLOCK + 560)
+    assert coming.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
+
+
+def test_what_a_group_hides_reaches_nobody_until_it_is_visible() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10, durations=[5])
+    coming = Coming(channel)
+    coming.begin(cut=20)
+    put(channel, 30, durations=[5])
+    assert coming.reach(CLOCK, cut=20) == Reach(passed=20, time=None, end=None)
+    put(channel, 12, durations=[5])
+    assert coming.reach(CLOCK, cut=20) == Reach(passed=20, time=12, end=17)
+    assert coming.reach(CLOCK, cut=31) == Reach(passed=30, time=30, end=35)
 
 
 def test_a_blocking_get_for_the_future_is_looked_at_when_that_instant_comes() -> None:

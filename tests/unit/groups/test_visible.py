@@ -9,7 +9,7 @@ import pytest
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.model import Policy
 from stampede_rt.timeline import NEWEST, NOW, OLDEST, parse_interval
-from stampede_rt_channel_host.core.channel import Offer, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Needs, Offer, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from tests.unit.groups.channels import INCARNATION, channel, put, times
 from tests.unit.groups.channels import NOW as CLOCK
@@ -59,7 +59,7 @@ def test_complete_waits_for_the_cut_too() -> None:
     view = GroupView(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 25, "[)"), complete=True)
     pending = view.begin(query, horizon(22), CLOCK)
-    assert view.poll(pending, horizon(22), CLOCK) == WakeAt(None)
+    assert view.poll(pending, horizon(22), CLOCK) == WakeAt(None, Needs(passed=25))
     answer = view.poll(pending, horizon(25), CLOCK)
     assert not isinstance(answer, WakeAt)
     assert answer.complete
@@ -172,8 +172,9 @@ def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_
     view = GroupView(channel(10))
     query = Query(interval=parse_interval(CLOCK + 5, CLOCK + 9))
     pending = view.begin(query, horizon(20), CLOCK)
-    assert view.poll(pending, horizon(20), CLOCK) == WakeAt(None)
-    assert view.poll(pending, horizon(CLOCK + 5), CLOCK) == WakeAt(CLOCK + 5)
+    needs = Needs(passed=CLOCK + 10, end=CLOCK + 5)
+    assert view.poll(pending, horizon(20), CLOCK) == WakeAt(None, needs)
+    assert view.poll(pending, horizon(CLOCK + 5), CLOCK) == WakeAt(CLOCK + 5, needs)
     assert not isinstance(view.poll(pending, horizon(CLOCK + 6), CLOCK + 5), WakeAt)
 
 

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import LEASE_NANOS, Channel
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, Channel, Coming
 
 SUBSCRIPTIONS_MAX = 4096
 _orders = itertools.count()
@@ -52,7 +52,7 @@ class HostedChannel:
             lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
             cut=slice_run,
         )
-        self.gets = WaitingGets(self.channel, now)
+        self.gets = WaitingGets(self.channel, Coming(self.channel), now)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched)
         self.listeners: dict[Listener, None] = {}
         self.followers: dict[Listener, None] = {}  # as listeners, but no subscriptions: groups

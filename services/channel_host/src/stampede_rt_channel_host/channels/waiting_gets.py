@@ -1,8 +1,8 @@
 """The blocked gets of one channel: each is looked at again when the channel changes and at instants of its own.
 
-Ten thousand of them cost about 1 KiB each. After a change only those are looked at that it may release: a get for what
-is still to come waits in the order of how far the channel must come for it. Those that are released are so in the order
-of their arrival.
+Ten thousand of them cost about 2 KiB each. After a change only those are looked at that it may release: they wait in
+the order of what they need, and are found by how far the change reaches. Those that are released are so in the order of
+their arrival.
 """
 
 from __future__ import annotations
@@ -10,12 +10,23 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from operator import attrgetter
-from typing import Any
+from typing import Protocol
 
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import Overloaded, StampedeError
-from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Unfinished, WakeAt, first_of
+from stampede_rt_channel_host.core.channel import (
+    AFTER_ALL,
+    BEFORE_ALL,
+    Answer,
+    Coming,
+    Needs,
+    Pending,
+    Pieces,
+    Unfinished,
+    WakeAt,
+    first_of,
+)
 
 Outcome = Answer | Unfinished[Answer | WakeAt] | Unfinished[Answer] | StampedeError
 """A long answer is begun where the get is released, and finished by whoever hears of it."""
@@ -28,7 +39,7 @@ _TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come so
 class WaitingGet:
     """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before.
 
-    `arrival` and `needs` are its place among others that wait for the channel to come further.
+    `arrival` and `needs` are its place among the others.
     """
 
     __slots__ = ("_deadline", "_instant", "_on_outcome", "_timer", "_waiting", "arrival", "needs", "pending")
@@ -38,7 +49,7 @@ class WaitingGet:
     ) -> None:
         self.pending = pending
         self.arrival = arrival
-        self.needs: int | None = None
+        self.needs = Needs()
         self._waiting = waiting
         self._on_outcome = on_outcome
         self._instant: int | None = None
@@ -81,20 +92,36 @@ class WaitingGet:
             self._timer = None
 
 
-class WaitingGets:
-    """Of one channel, WAITING_GETS_MAX at the most. Released in the order of their arrival."""
+class Source(Protocol):
+    """What gets wait for: a channel, or what a group shows of it."""
 
-    def __init__(self, channel: Channel, now: Callable[[], int]) -> None:
-        self._channel = channel
+    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
+        """As `Channel.polling`."""
+
+    def giving_up(self, pending: Pending, now: int) -> Pieces[Answer]:
+        """As `Channel.giving_up`."""
+
+
+class WaitingGets:
+    """Of one channel, WAITING_GETS_MAX at the most. Released in the order of their arrival.
+
+    `coming` follows the channel; `cut` gives up to where it is visible. `looked_at` counts looks.
+    """
+
+    def __init__(
+        self, source: Source, coming: Coming, now: Callable[[], int], cut: Callable[[], int] = lambda: AFTER_ALL
+    ) -> None:
+        self.looked_at = 0
+        self._source = source
+        self._coming = coming
         self._now = now
+        self._cut = cut
         self._arrivals = 0
-        self._near: dict[WaitingGet, None] = {}  # any change may release them
-        self._far: Any = SortedKeyList(
-            key=attrgetter("needs", "arrival")
-        )  # until the channel has come so far, none can
+        self._waiting: dict[WaitingGet, None] = {}
+        self._by_need = [SortedKeyList(key=_Key(place)) for place in range(len(Needs._fields))]
 
     def __len__(self) -> int:
-        return len(self._near) + len(self._far)
+        return len(self._waiting)
 
     def add(
         self, pending: Pending, wake: WakeAt, wait_nanos: int, now: int, on_outcome: Callable[[Outcome], None]
@@ -107,6 +134,8 @@ class WaitingGets:
             raise Overloaded(
                 f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
             )
+        if not self._waiting:
+            self._coming.begin(self._cut())
         self._arrivals += 1
         get = WaitingGet(pending, self, self._arrivals, on_outcome)
         self._put_aside(get, wake, now)
@@ -116,44 +145,68 @@ class WaitingGets:
 
     def remove(self, get: WaitingGet) -> None:
         """It does not wait any more."""
-        if get in self._near:
-            del self._near[get]
-        elif get.needs is not None:
-            self._far.discard(get)
+        if get in self._waiting:
+            del self._waiting[get]
+            self._leave(get)
 
     def changed(self, now: int) -> None:
-        """The channel has a new item, an advance or another policy: look at those whom that may release, in order."""
-        reach = self._channel.reach(now)
-        while self._far and self._far[0].needs <= reach:
-            self._near[self._far.pop(0)] = None
-        for get in sorted(self._near, key=attrgetter("arrival")):
-            if get in self._near:  # an outcome may have cancelled others
+        """The channel has a new item, an advance or another policy, or more of it is visible: look at those whom that
+        may release, in order."""
+        found: dict[WaitingGet, None] = {}
+        for ordered, reached in zip(self._by_need, self._coming.reach(now, self._cut()), strict=True):
+            if reached is not None:
+                found |= dict.fromkeys(ordered.irange_key(max_key=(reached, self._arrivals)))
+        for get in sorted(found, key=attrgetter("arrival")):
+            if get in self._waiting:  # an outcome may have cancelled others
                 self._look(get, now)
 
     def end_all(self, error: StampedeError) -> None:
         """The channel is not served any more."""
-        for get in sorted([*self._near, *self._far], key=attrgetter("arrival")):
+        for get in list(self._waiting):
             get.finish(error)
 
     def _look(self, get: WaitingGet, now: int) -> None:
-        found = first_of(self._channel.polling(get.pending, now))
+        self.looked_at += 1
+        found = first_of(self._source.polling(get.pending, now))
         if isinstance(found, WakeAt):
             self._put_aside(get, found, now)
         else:
             get.finish(found)
 
     def _put_aside(self, get: WaitingGet, wake: WakeAt, now: int) -> None:
-        self.remove(get)
-        get.needs = wake.needs
-        if wake.needs is not None and wake.needs > now:
-            self._far.add(get)
-        else:
-            self._near[get] = None
+        needs = wake.needs or Needs(BEFORE_ALL)
+        if get not in self._waiting or needs != get.needs:
+            self._leave(get)
+            get.needs = needs
+            self._waiting[get] = None
+            for ordered, need in zip(self._by_need, needs, strict=True):
+                if need is not None:
+                    ordered.add(get)
         get.arm(wake.instant, now, self._look_now)
+
+    def _leave(self, get: WaitingGet) -> None:
+        for ordered, need in zip(self._by_need, get.needs, strict=True):
+            if need is not None:
+                ordered.remove(get)
+        get.needs = Needs()
 
     def _look_now(self, get: WaitingGet) -> None:
         self._look(get, self._now())
 
     def _give_up(self, get: WaitingGet) -> None:
-        found: Answer | Unfinished[Answer] = first_of(self._channel.giving_up(get.pending, self._now()))
+        found: Answer | Unfinished[Answer] = first_of(self._source.giving_up(get.pending, self._now()))
         get.finish(found)
+
+
+class _Key:
+    """The order by one of the needs, and by arrival."""
+
+    __slots__ = ("_place",)
+
+    def __init__(self, place: int) -> None:
+        self._place = place
+
+    def __call__(self, get: WaitingGet) -> tuple[int, int]:
+        need = get.needs[self._place]
+        assert need is not None, "it is in no order that it has no place in"
+        return need, get.arrival

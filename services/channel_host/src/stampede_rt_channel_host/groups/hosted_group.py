@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Callable
+from operator import itemgetter
+from typing import Any
+
+from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.timeline import MIN_INSTANT
@@ -11,10 +16,10 @@ from stampede_rt.v1 import group_directory_service_pb2, group_pb2
 from stampede_rt_channel_host.channels.hosted_channels import Listener
 from stampede_rt_channel_host.core.group import GroupCut, Horizon, Member, TimesBoard
 from stampede_rt_channel_host.groups.messages import definition_of
-from stampede_rt_channel_host.groups.waiting import Waiter
 
 NOTHING_VISIBLE = MIN_INSTANT  # stands on the wire for the cut of a group that has none yet
 _TIMER_SECONDS_MIN = 0.001
+_arrivals = itertools.count()
 
 
 class HostedGroup:
@@ -38,6 +43,8 @@ class HostedGroup:
         self.cut = GroupCut(definition_of(told.group), board)
         self.listeners: dict[Listener, None] = {}
         self.watchers: dict[Listener, None] = {}
+        self.gets: dict[object, Listener] = {}  # by channel, whoever has blocked gets of it
+        self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))  # floors that are waited for, with their futures
         self.unheard: set[bytes] = set()
         self.arrangement = 0
         self.looked_up_s = 0.0  # on the loop's clock: when the directory was asked last, and when somebody named it
@@ -100,6 +107,7 @@ class HostedGroup:
         shown = self.cut.cut, self.cut.is_settled, self.arrangement
         woken = [*self.watchers] if shown == self._shown else [*self.listeners, *self.watchers]
         self._shown = shown
+        self._release_reached()
         for listener in woken:
             listener.wake()
         self._arm()
@@ -110,22 +118,34 @@ class HostedGroup:
             self._idle_timer.cancel()
         for listener in [*self.listeners, *self.watchers]:
             listener.end(error)
+        for _, _, reached in self._reaching:
+            if not reached.done():
+                reached.set_exception(error)
 
     async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
-        """Block until the group is settled and its cut has come to `floor`; False after `timeout_s`, if it is given."""
+        """Block until the group is settled and its cut has come to `floor`; False after `timeout_s`, if it is given.
+
+        Raises what ends the group.
+        """
         if self.has_reached(floor):
             return True
-        waiter = Waiter()
-        self.listeners[waiter] = None
+        reached: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        waiting = (NOTHING_VISIBLE if floor is None else floor, next(_arrivals), reached)
+        self._reaching.add(waiting)
         try:
             async with asyncio.timeout(timeout_s):
-                while not self.has_reached(floor):
-                    await waiter.wait(None)
+                await reached
         except TimeoutError:
             return self.has_reached(floor)
         finally:
-            self.listeners.pop(waiter, None)
+            self._reaching.discard(waiting)
         return True
+
+    def _release_reached(self) -> None:
+        while self._reaching and self.has_reached(self._reaching[0][0]):
+            _, _, reached = self._reaching.pop(0)
+            if not reached.done():
+                reached.set_result(None)
 
     def has_reached(self, floor: int | None) -> bool:
         """The group is settled and its cut is at or past `floor`."""

@@ -20,21 +20,20 @@ from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.core.channel import (
     Answer,
     Delivery,
-    Pending,
+    Pieces,
     Query,
     SavedCursor,
     Unfinished,
     WakeAt,
     first_of,
 )
-from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
+from stampede_rt_channel_host.core.group import GroupView, VisibleAll, VisibleNewest
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
-from stampede_rt_channel_host.groups.waiting import Waiter
+from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
 
 STALL_SECONDS_MAX = 1.0
 SETTLE_SECONDS_MAX = 5.0
-_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 
 
 class GroupReads:
@@ -70,7 +69,35 @@ class GroupReads:
             stalled_at = 0 if wanted is None else wanted
             return GroupAnswer(view.stalled(stalled_at, horizon), horizon.cut)
         self._check_served(hosted)
-        return await _Get(self._groups, group, hosted, ask.at).run(query, deadline_s)
+        return await self._get(group, hosted, ask.at, query, deadline_s)
+
+    async def _get(
+        self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
+    ) -> GroupAnswer:
+        """Answer, or wait for what releases the get."""
+        if len(hosted.group_gets) >= WAITING_GETS_MAX:
+            raise Overloaded(
+                f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
+            )
+        channels, view = self._groups.channels, GroupView(hosted.channel)
+        pending = PendingAt(view.begin(query, group.horizon(at), channels.now()), at)
+        while True:  # ends with an answer
+            horizon, stood = group.horizon(at), _state(group, hosted)
+            found = await channels.turns.do(view.polling(pending, horizon, channels.now()))
+            if not isinstance(found, WakeAt):
+                return GroupAnswer(found, horizon.cut)
+            if _state(group, hosted) != stood:  # it has changed between the pieces
+                member_of(group, hosted)
+                continue
+            left_s = -1 if deadline_s is None else max(deadline_s - _now_s(), 0.0)
+            waiting = GroupGets.of(group, hosted, channels.now, lambda: member_of(group, hosted))
+            released, cut = await waiting.wait(pending, found, round(left_s * 1e9))
+            if isinstance(released, Answer):
+                return GroupAnswer(released, cut)
+            rest: Pieces[Answer | WakeAt] = released.rest
+            found = await channels.turns.finish(rest)
+            if not isinstance(found, WakeAt):
+                return GroupAnswer(found, cut)
 
     @asynccontextmanager
     async def subscribe(
@@ -96,52 +123,6 @@ class GroupReads:
         found = self._groups.channels.find(hosted.record.channel_id, hosted.epoch)
         if found is not hosted:
             raise refusals.wrong_epoch(hosted.record.name, hosted.epoch, found.epoch)
-
-
-class _Get:
-    """One blocked get: looks again when the channel or the group changes, and at instants of its own."""
-
-    def __init__(self, groups: GroupStore, group: HostedGroup, hosted: HostedChannel, at: int | None) -> None:
-        self._now = groups.channels.now
-        self._turns = groups.channels.turns
-        self._group = group
-        self._hosted = hosted
-        self._at = at
-        self._view = GroupView(hosted.channel)
-
-    async def run(self, query: Query, deadline_s: float | None) -> GroupAnswer:
-        if len(self._hosted.group_gets) >= WAITING_GETS_MAX:
-            raise Overloaded(
-                f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
-            )
-        waiter = Waiter()
-        self._group.listeners[waiter] = self._hosted.followers[waiter] = None
-        self._hosted.group_gets.add(waiter)
-        try:
-            pending = self._view.begin(query, self._group.horizon(self._at), self._now())
-            while True:  # ends with an answer, the deadline, or the group or channel itself
-                horizon, now = self._group.horizon(self._at), self._now()
-                found = await self._turns.do(self._view.polling(pending, horizon, now))
-                if not isinstance(found, WakeAt):
-                    return GroupAnswer(found, horizon.cut)
-                if deadline_s is not None and _now_s() >= deadline_s:
-                    return await self._give_up(pending, horizon)
-                await waiter.wait(_pause_s(found, now, deadline_s))
-                member_of(self._group, self._hosted)
-        finally:
-            self._group.listeners.pop(waiter, None)
-            self._hosted.followers.pop(waiter, None)
-            self._hosted.group_gets.discard(waiter)
-
-    async def _give_up(self, pending: Pending, horizon: Horizon) -> GroupAnswer:
-        giving_up = self._view.giving_up(pending, horizon, self._now())
-        return GroupAnswer(await self._turns.do(giving_up), horizon.cut)
-
-
-def _pause_s(wake: WakeAt, now: int, deadline_s: float | None) -> float | None:
-    pauses = [] if wake.instant is None else [max((wake.instant - now) / 1e9, _TIMER_SECONDS_MIN)]
-    pauses += [] if deadline_s is None else [max(deadline_s - _now_s(), 0.0)]
-    return min(pauses, default=None)
 
 
 class _All:
@@ -205,6 +186,11 @@ def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
             f"channel {hosted.record.name} is no member of group {group.record.name}; add it, or leave group_id out"
         )
     return hosted
+
+
+def _state(group: HostedGroup, hosted: HostedChannel) -> object:
+    """What the answers to gets hang on."""
+    return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.arrangement
 
 
 def _wanted(ask: GroupAsk) -> int | None:

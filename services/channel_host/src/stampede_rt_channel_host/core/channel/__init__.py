@@ -47,9 +47,12 @@ from stampede_rt_channel_host.core.channel.values import (
     Seal,
     WakeAt,
 )
+from stampede_rt_channel_host.core.channel.waiting import AFTER_ALL, BEFORE_ALL, Coming, Needs, Reach
 
 __all__ = [
     "ABSENT",
+    "AFTER_ALL",
+    "BEFORE_ALL",
     "ITEM_OVERHEAD_BYTES",
     "LEASE_NANOS",
     "LEASE_NANOS_MAX",
@@ -58,6 +61,7 @@ __all__ = [
     "Answer",
     "Channel",
     "ColumnRun",
+    "Coming",
     "Consumed",
     "ConsumerPlace",
     "Counters",
@@ -65,6 +69,7 @@ __all__ = [
     "Delivery",
     "Gap",
     "Limits",
+    "Needs",
     "NewestCursor",
     "Offer",
     "Pending",
@@ -72,6 +77,7 @@ __all__ = [
     "Position",
     "PutOutcome",
     "Query",
+    "Reach",
     "Rejection",
     "Run",
     "SavedCursor",

@@ -151,12 +151,6 @@ class Channel:
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
-    def reach(self, now: int) -> int:
-        """How far the channel has come: no blocked get whose `WakeAt.needs` lies above it can be released."""
-        clock, held = self._settle(self._tick(now)), self._held
-        marks = (self.advanced_to, held.newest_consumed, held.frontier, held.newest_end(clock))
-        return max([clock, *(mark for mark in marks if mark is not None)])
-
     def give_up(self, pending: Pending, now: int) -> Answer:
         """What there is when the get's time is over, with its reason."""
         return at_once(self.giving_up(pending, now))

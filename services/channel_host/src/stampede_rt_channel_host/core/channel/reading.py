@@ -6,11 +6,12 @@ from dataclasses import replace
 
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.model import Reason
-from stampede_rt.timeline import Bound, Interval, ResolvedInterval, format_instant
+from stampede_rt.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import Readable, Selected, select
 from stampede_rt_channel_host.core.channel.values import Answer, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
 
 class Pending:
@@ -112,12 +113,17 @@ class Reading:
                 return answer
         return self._wake_at(within.start + within.start_exclusive, clock)
 
-    def needs(self, pending: Pending) -> int | None:
-        """How far a channel must come at the least before it can release the get; None: that is not known yet."""
+    def needs(self, pending: Pending) -> Needs:
+        """What may release the get, as far as that is not the clock's doing."""
         if pending.interval is None:
-            return None
+            return Needs(time=BEFORE_ALL)
         region = _region(pending.query, pending.interval)
-        return region.end + (not region.end_exclusive) if pending.query.complete else region.start
+        passed = region.end + (not region.end_exclusive)
+        if pending.query.complete:
+            return Needs(passed)
+        if pending.query.match is Match.SPAN:
+            return Needs(passed, end=region.start)
+        return Needs(passed, time=region.start)
 
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
         """When `now` enters the interval, if it has not: an open newest item then reaches in."""

@@ -14,6 +14,7 @@ from stampede_rt.model import Reason
 from stampede_rt.timeline import Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel.index import Place
 from stampede_rt_channel_host.core.channel.run import Run, Slice
+from stampede_rt_channel_host.core.channel.waiting import Needs
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -142,14 +143,11 @@ class Answer(NamedTuple):
 
 
 class WakeAt(NamedTuple):
-    """Nothing to answer yet: poll again after the next change of the channel, and at `instant` if it is set.
-
-    Changes that leave `Channel.reach` below `needs` cannot release the get, so that it need not be polled after them;
-    None: any may.
-    """
+    """Nothing to answer yet: poll again at `instant`, if it is set, and after the changes of the channel that come so
+    far as `needs`: others cannot release the get. None: any may."""
 
     instant: int | None
-    needs: int | None = None
+    needs: Needs | None = None
 
 
 class DeliveredSlice(NamedTuple):

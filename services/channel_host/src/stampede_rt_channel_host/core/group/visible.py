@@ -188,7 +188,9 @@ class GroupView:
 
     def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[Answer | WakeAt]:
         """The same in pieces, all as of now."""
-        return VisibleReading(self._channel, horizon, now).poll(pending, now)
+        reading = VisibleReading(self._channel, horizon, now)
+        found = yield from reading.poll(pending, now)
+        return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> Answer:
         """What there is when the get's time is over, with its reason."""

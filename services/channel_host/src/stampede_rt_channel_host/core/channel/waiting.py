@@ -1,0 +1,102 @@
+"""What blocked gets wait for, and how far what came since reaches: only those are looked at that it may release. Pure.
+
+A get is released by an item whose time, or, where spans count, whose span comes so far as its interval, or by whatever
+says that nothing more can come into it. Since when it was looked at last no item did, it is one that has come since.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, NamedTuple
+
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END
+from stampede_rt_channel_host.core.channel.run import ABSENT
+
+if TYPE_CHECKING:
+    from stampede_rt_channel_host.core.channel.channel import Channel
+    from stampede_rt_channel_host.core.channel.holdings import Holdings
+
+BEFORE_ALL, AFTER_ALL = FIRST_PLACE[0], LAST_PLACE[0]
+_BUCKET_PARTS_MAX = 16
+
+
+class Needs(NamedTuple):
+    """What may release a get: the channel has passed an instant; an item comes with this time or a later one; or one
+    whose span lasts until this instant or longer. None: that does not."""
+
+    passed: int | None = None
+    time: int | None = None
+    end: int | None = None
+
+
+class Reach(NamedTuple):
+    """How far a channel, and what came into it since the last look, comes. None: nothing came. May be too far, which
+    costs a look, but never too short."""
+
+    passed: int | None
+    time: int | None
+    end: int | None
+
+
+class Coming:
+    """Follows a channel, or the part of it before a cut, for gets that wait there. Costs what came since."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._seen_seq = 1
+        self._cut = AFTER_ALL
+
+    def begin(self, cut: int = AFTER_ALL) -> None:
+        """What is there by now was looked at."""
+        self._seen_seq, self._cut = self._channel.next_seq, cut
+
+    def reach(self, now: int, cut: int = AFTER_ALL) -> Reach:
+        """How far it comes with what has come since the last call; `cut`: items from this time on are not visible."""
+        held, _ = self._channel.look(now)
+        before, time = self._cut, self._newly_visible(held, cut)
+        self.begin(cut)
+        newest = held.newest if cut == AFTER_ALL else held.floor_time(cut - 1)
+        end = None
+        if time is not None or cut != before:
+            end = self._end(held, time, newest, min(now, cut), has_moved=cut != before)
+        if before == BEFORE_ALL != cut:
+            time = cut  # what hangs on there being a cut
+        return Reach(self._passed(held, cut), time, end)
+
+    def _passed(self, held: Holdings, cut: int) -> int | None:
+        marks = [mark for mark in (held.newest, self._channel.advanced_to, held.newest_consumed) if mark is not None]
+        passed = [min(max(marks), cut)] if marks else []
+        return max([*passed, *([] if held.frontier is None else [held.frontier])], default=None)
+
+    def _newly_visible(self, held: Holdings, cut: int) -> int | None:
+        """The latest time of an item that was not visible at the last call."""
+        found = []
+        for part in held.slices_by_seq(self._seen_seq, self._channel.next_seq):
+            if part.first_time < cut:
+                found.append(min(part.last_time, cut - 1))
+        shown = held.floor_time(cut - 1) if cut > self._cut else None
+        if shown is not None and shown >= self._cut:
+            found.append(shown)
+        return max(found, default=None)
+
+    def _end(self, held: Holdings, time: int | None, newest: int | None, now: int, *, has_moved: bool) -> int | None:
+        """How far the spans of what is new reach, and, with the cut, that of the newest item that is visible."""
+        if newest is None:
+            return time
+        if has_moved or (time is not None and time >= newest):
+            return held.newest_end(now) if newest == held.newest else _bucket_end(held, newest, now)
+        following = None if time is None else held.next_time(time)
+        return newest if following is None else following
+
+
+def _bucket_end(held: Holdings, time: int, now: int) -> int:
+    """How far spans reach from the bucket at `time` if nothing bounds them."""
+    end = time
+    parts = list(islice(held.slices((time, 0), (time, SEQ_END)), _BUCKET_PARTS_MAX + 1))
+    if len(parts) > _BUCKET_PARTS_MAX or sum(part.items for part in parts) > 256:
+        return AFTER_ALL
+    for part in parts:
+        durations = part.run.durations
+        for duration in (ABSENT,) if durations is None else durations[part.lo : part.hi]:
+            end = max(end, now if duration == ABSENT else time + duration)
+    return end

@@ -1,0 +1,115 @@
+"""The blocked gets that read one channel through one group: looked at when the channel or the cut comes so far."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGets
+from stampede_rt_channel_host.core.channel import BEFORE_ALL, Answer, Coming, Pending, Pieces, Unfinished, WakeAt
+from stampede_rt_channel_host.core.group import GroupView
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+
+Released = Answer | Unfinished[Answer | WakeAt] | Unfinished[Answer]
+
+
+class PendingAt(Pending):
+    """A blocking get through a group; `at`: the cut that it reads at, None: that of the moment."""
+
+    __slots__ = ("at",)
+
+    def __init__(self, pending: Pending, at: int | None) -> None:
+        super().__init__(pending.query, pending.interval)
+        self.at = at
+
+
+class GroupGets:
+    """A `Listener` of the group and the channel as long as somebody waits, and a `Source` of answers.
+
+    `check` raises if the channel is no member any more.
+    """
+
+    def __init__(
+        self, group: HostedGroup, hosted: HostedChannel, now: Callable[[], int], check: Callable[[], object]
+    ) -> None:
+        self._group = group
+        self._hosted = hosted
+        self._now = now
+        self._check = check
+        self._view = GroupView(hosted.channel)
+        self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to)
+
+    @classmethod
+    def of(
+        cls, group: HostedGroup, hosted: HostedChannel, now: Callable[[], int], check: Callable[[], object]
+    ) -> GroupGets:
+        """Those that wait already, or nobody yet."""
+        waiting = group.gets.get(hosted)
+        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check)
+
+    async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
+        """Block until the get, which was just polled, is released, or its time is over; below 0: without limit. The
+        answer, or its beginning, and the cut that it reads at.
+
+        Raises Overloaded, what ended the group or the channel, and if the channel is no member any more.
+        """
+        released: asyncio.Future[tuple[Released, int | None]] = asyncio.get_running_loop().create_future()
+
+        def finish(outcome: Outcome) -> None:
+            if released.done():
+                return
+            if isinstance(outcome, StampedeError):
+                released.set_exception(outcome)
+            else:
+                released.set_result((outcome, self._group.horizon(pending.at).cut))
+
+        get = self.gets.add(pending, wake, wait_nanos, self._now(), finish)
+        self._group.gets[self._hosted] = self
+        self._group.listeners[self] = self._hosted.followers[self] = None
+        self._hosted.group_gets.add(get)
+        try:
+            return await released
+        finally:
+            get.cancel()
+            self._hosted.group_gets.discard(get)
+            if not len(self.gets):
+                self._leave()
+
+    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
+        """See `Source`."""
+        return self._view.polling(pending, self._group.horizon(_at(pending)), now)
+
+    def giving_up(self, pending: Pending, now: int) -> Pieces[Answer]:
+        """See `Source`."""
+        return self._view.giving_up(pending, self._group.horizon(_at(pending)), now)
+
+    def wake(self) -> None:
+        """The channel has changed, or the group shows more."""
+        try:
+            self._check()
+        except StampedeError as error:
+            self.end(error)
+        else:
+            self.gets.changed(self._now())
+
+    def end(self, error: StampedeError) -> None:
+        """The group or the channel is not served any more."""
+        self._leave()
+        self.gets.end_all(error)
+
+    def _leave(self) -> None:
+        if self._group.gets.get(self._hosted) is self:
+            del self._group.gets[self._hosted]
+        self._group.listeners.pop(self, None)
+        self._hosted.followers.pop(self, None)
+
+    def _visible_to(self) -> int:
+        cut = self._group.horizon().cut
+        return BEFORE_ALL if cut is None else cut
+
+
+def _at(pending: Pending) -> int | None:
+    assert isinstance(pending, PendingAt), "GroupGets takes no others"
+    return pending.at

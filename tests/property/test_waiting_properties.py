@@ -1,0 +1,166 @@
+"""Whatever comes into a channel, or becomes visible of it through a group: no blocked get that it releases is passed
+over for needing more."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+from collections.abc import Callable
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.model import Policy
+from stampede_rt.timeline import Bound, Interval, Match, MetaTime
+from stampede_rt_channel_host.core.channel import (
+    AFTER_ALL,
+    BEFORE_ALL,
+    Channel,
+    Coming,
+    Needs,
+    Offer,
+    Pending,
+    Position,
+    Query,
+    Reach,
+    WakeAt,
+)
+from stampede_rt_channel_host.core.group import GroupView, Horizon
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "300"))
+POLICIES = (
+    Policy(max_items=6, max_future_nanos=9),
+    Policy(max_age_nanos=12, max_future_nanos=9),
+    Policy(max_bytes=300, max_future_nanos=9),
+    Policy(consumers=1, max_items=9, max_future_nanos=9),
+    Policy(max_age_nanos=9, max_items=4, on_full="block", max_future_nanos=9),
+)
+
+
+class Story:
+    """One channel, and gets that are blocked on it, whole or before a cut that only grows."""
+
+    def __init__(self, seed: int, policy: Policy, *, grouped: bool) -> None:
+        self.dice = random.Random(seed)
+        self.now = 1000
+        self.channel = Channel(policy, incarnation=1)
+        self.grouped = grouped
+        self.cut: int | None = None
+        self.coming = Coming(self.channel)
+        self.waiting: list[tuple[Pending, WakeAt]] = []
+        self.policy = policy
+        self.coming.begin(self.visible_to)
+
+    @property
+    def visible_to(self) -> int:
+        if not self.grouped:
+            return AFTER_ALL
+        return BEFORE_ALL if self.cut is None else self.cut
+
+    def view(self) -> tuple[Callable[[Query], Pending], Callable[[Pending], object]]:
+        if not self.grouped:
+            return (lambda query: self.channel.begin(query, self.now)), lambda one: self.channel.poll(one, self.now)
+        view, horizon = GroupView(self.channel), Horizon(self.cut, str)
+        return (
+            lambda query: view.begin(query, horizon, self.now),
+            lambda one: view.poll(one, horizon, self.now),
+        )
+
+    def bound(self) -> Bound:
+        around = self.channel.newest or self.now
+        kind = self.dice.randrange(6)
+        if kind < 4:
+            return Bound(None, self.dice.choice((around, self.now)) + self.dice.randint(-8, 9))
+        meta = self.dice.choice((MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST))
+        return Bound(meta, self.dice.randint(-3, 3))
+
+    def block(self) -> None:
+        begin, poll = self.view()
+        around = self.channel.newest or self.now
+        position = Position(around + self.dice.randint(-2, 1), self.dice.choice((None, self.channel.next_seq - 1)))
+        start, end = self.bound(), self.bound()
+        if start.meta is None and end.meta is None and start.offset > end.offset:
+            start, end = end, start
+        exclusive = self.dice.random() < 0.3, self.dice.random() < 0.5
+        query = Query(
+            interval=Interval(start, end, *exclusive),
+            match=self.dice.choice(list(Match)),
+            complete=self.dice.random() < 0.3,
+            newer_than=position if self.dice.random() < 0.3 else None,
+            newest_first=self.dice.random() < 0.3,
+        )
+        pending = begin(query)
+        found = poll(pending)
+        if isinstance(found, WakeAt):
+            self.waiting.append((pending, found))
+
+    def step(self) -> None:
+        """Something happens, and whoever it may release is looked at."""
+        kind = self.dice.randrange(8)
+        around = self.dice.choice((self.channel.newest or self.now, self.now))
+        if kind < 4:
+            items = self.dice.choice((1, 1, 2, 4))
+            times = [around + self.dice.randint(-7, 6) for _ in range(items)]
+            durations = [self.dice.choice((-1, 0, 1, 4, 9)) for _ in range(items)]
+            stamped = self.dice.random() < 0.2
+            offer = Offer(times=None if stamped else times, durations=durations, lengths=[8] * items)
+            self.channel.put(offer, self.now, lambda *_: b"")
+        elif kind == 4:
+            self._refused(lambda: self.channel.advance(around + self.dice.randint(-3, 5), self.now))
+        elif kind == 5 and self.policy.consumers:
+            seqs = range(max(1, self.channel.next_seq - 6), self.channel.next_seq)
+            self._refused(lambda: self.channel.consume(7, [*seqs], self.now))
+        elif kind == 6:
+            self.channel.configure(self.dice.choice(POLICIES), self.now)
+            self.channel.configure(self.policy, self.now)
+        if self.grouped and self.dice.random() < 0.4:
+            self.cut = max(self.cut or 0, around + self.dice.randint(-6, 6))
+        self.look()
+
+    def _refused(self, step: Callable[[], object]) -> None:
+        with contextlib.suppress(StampedeError):
+            step()
+
+    def look(self) -> None:
+        """The change is known: those it does not reach are not released by it."""
+        _, poll = self.view()
+        reach = self.coming.reach(self.now, self.visible_to)
+        waiting, self.waiting = self.waiting, []
+        for pending, wake in waiting:
+            found = poll(pending)
+            reached = may_be_released(wake.needs, reach)
+            if isinstance(found, WakeAt):
+                self.waiting.append((pending, found if reached else WakeAt(found.instant, wake.needs)))
+            else:
+                assert reached, (pending.query, pending.interval, wake, reach, found)
+
+    def pass_time(self) -> None:
+        """Those are looked at whose instant has come."""
+        self.now += self.dice.choice((0, 1, 2, 5))
+        _, poll = self.view()
+        waiting, self.waiting = self.waiting, []
+        for pending, wake in waiting:
+            found = poll(pending) if wake.instant is not None and wake.instant <= self.now else wake
+            if isinstance(found, WakeAt):
+                self.waiting.append((pending, found))
+
+
+def may_be_released(needs: Needs | None, reach: Reach) -> bool:
+    assert needs is not None, "a blocked get knows what it waits for"
+    return any(
+        need is not None and reached is not None and need <= reached for need, reached in zip(needs, reach, strict=True)
+    )
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(seed=st.integers(0, 2**40), policy=st.sampled_from(POLICIES))
+def test_whoever_is_released_was_reached(grouped: bool, seed: int, policy: Policy) -> None:
+    story = Story(seed, policy, grouped=grouped)
+    for _ in range(40):
+        story.block()
+        story.step()
+        story.pass_time()
