@@ -223,7 +223,7 @@ class Readers:
         oracle.owe()
         items: list[Item] = []
         gaps: list[Gap] = []
-        while not (part := one.every.take(horizon, clock, limit_bytes)).is_empty:
+        while (part := one.every.take(horizon, clock, limit_bytes)).more or not part.is_empty:
             assert not gaps, "a gap comes behind the items of its step"
             items += items_of([each.slice for each in part.slices])
             gaps += [part.gap] if part.gap else []
@@ -240,13 +240,13 @@ class Readers:
     def _deliver_newest(self, one: Subscriber, pair: LivingPair, horizon: Horizon) -> None:
         reader = OracleView(pair.oracle, self.world.clock, horizon.cut)
         best = reader.newest_place
-        given = one.newest.take(horizon, self.world.clock)
-        if best is None or best <= one.last:
-            assert given is None
-        else:
-            assert given is not None
-            assert (given.slice.first_time, given.slice.first_seq, given.slice.items) == (*best, 1)
-            one.last = best
+        part = one.newest.take(horizon, self.world.clock)
+        given = [(each.slice.first_time, each.slice.first_seq, each.slice.items) for each in part.slices]
+        assert given == ([] if best is None or best <= one.last else [(*best, 1)])
+        one.last = best if given and best is not None else one.last
+        while part.more:
+            part = one.newest.take(horizon, self.world.clock)
+            assert part.is_empty
         if _has_news(one.of_newest, horizon.cut):
             assert horizon.cut is not None
             one.of_newest.owe()

@@ -93,7 +93,7 @@ def test_positions_of_another_incarnation_are_refused() -> None:
 
 def delivered(reader: VisibleAll, cut: int | None) -> list[int]:
     found: list[int] = []
-    while not (part := reader.take(horizon(cut), CLOCK, 100)).is_empty:
+    while (part := reader.take(horizon(cut), CLOCK, 100)).more or not part.is_empty:
         found += times([one.slice for one in part.slices])
     return found
 
@@ -202,7 +202,7 @@ def test_what_a_subscription_is_owed_begins_with_what_is_hidden() -> None:
 
 def newest_time(reader: VisibleNewest, cut: int) -> int | None:
     given = reader.take(horizon(cut), CLOCK)
-    return None if given is None else given.slice.first_time
+    return given.slices[0].slice.first_time if given.slices else None
 
 
 def test_the_newest_visible_item_comes_and_what_was_passed_over_or_lost_is_counted() -> None:

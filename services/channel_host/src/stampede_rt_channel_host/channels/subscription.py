@@ -161,6 +161,8 @@ class Subscription:
             )
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
+        elif part.more:
+            await asyncio.sleep(0)
         elif self._owes_cursor and cursor.saved is not None:
             await self._write(self._standing(cursor))
         elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):

@@ -224,6 +224,9 @@ class CutEvents:
         follower.begin(cut)
         while follower.under_way:
             step = follower.take(self._groups.channels.now(), MESSAGE_BYTES_MAX)
+            if not step.is_last and not step.late and not step.slices:
+                await asyncio.sleep(0)  # much to look at: everybody else first
+                continue
             about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
             if step.loss is not None:
                 about.loss.CopyFrom(_loss(step.loss))

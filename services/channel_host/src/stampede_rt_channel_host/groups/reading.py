@@ -165,8 +165,7 @@ class _Newest:
 
     def take(self, now: int, limit_bytes: int) -> Delivery:
         member_of(self._group, self._hosted)
-        latest = self._cursor.take(self._group.horizon(), now)
-        return Delivery(slices=(latest,)) if latest else Delivery()
+        return self._cursor.take(self._group.horizon(), now)
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), skipped=self._cursor.skipped)

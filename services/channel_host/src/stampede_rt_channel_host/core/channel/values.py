@@ -169,14 +169,16 @@ class Gap:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Delivery:
-    """The next part of a subscription: first the gap, if any, then the slices in seq order."""
+    """The next part of a subscription: first the gap, if any, then the slices in seq order. `more`: there is more to
+    look at; take again soon."""
 
     slices: Sequence[DeliveredSlice] = ()
     gap: Gap | None = None
+    more: bool = False
 
     @property
     def is_empty(self) -> bool:
-        """There is nothing to send; wait for the next put."""
+        """There is nothing to send; unless there is `more`, wait for the next put."""
         return not self.slices and self.gap is None
 
 

@@ -6,13 +6,16 @@ brings the items between the two cuts, and apart from them the late ones: accept
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from heapq import merge
+from itertools import islice
 
 from stampede_rt.model import Reason
-from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Slice
+from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
-from stampede_rt_channel_host.core.group.ledger import Ledger, below_place, newest_gone, split_at
+from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -71,9 +74,12 @@ class CutFollower:
         self.under_way = False
         self._target: Place = FIRST_PLACE
         self._seq_end = 0
-        self._range_place: Place = FIRST_PLACE  # of the step under way: how far each of its two parts was taken
-        self._late_place: Place = FIRST_PLACE
-        self._given_above = self._given_below = 0
+        self._range_place: Place = FIRST_PLACE  # of the step under way: up to where what became visible was taken
+        self._looked_up_to = 0  # and up to which seq it was looked for what had come late
+        self._late_parts: list[list[Slice]] = []  # what was found, each list ascending by (time, seq)
+        self._late: Iterator[Slice] | None = None  # all of it, ascending; None: there is more to look at
+        self._late_rest: Slice | None = None  # of the slice that was taken in part
+        self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)
             next_seq = 1
@@ -104,25 +110,33 @@ class CutFollower:
         self.under_way = True
         self._target = _place(cut)
         self._seq_end = self._channel.next_seq
-        self._range_place, self._late_place = _place(self.cut), FIRST_PLACE
-        self._given_above = self._given_below = 0
+        self._range_place = _place(self.cut)
+        self._looked_up_to, self._late_parts, self._late = self.next_seq, [], None
+        self._came_above = self._given_above = self._given_below = 0
 
     def take(self, now: int, limit_bytes: int) -> Step:
-        """The next part of the step, about `limit_bytes` (payload and overhead; at least one slice if any is left)."""
+        """The next part of the step, about `limit_bytes` (payload and overhead) and a bounded number of slices. It may
+        be empty without being the last: then there was much to look at, and the next one goes on.
+        """
         assert self.under_way, "begin a step first"
         held, _ = self._channel.look(now)
-        late, left = self._take_late(held, limit_bytes)
-        slices, left = self._take_range(held, left)
-        if left <= 0:
+        if not self._look_for_late(held):
+            return Step(is_last=False)
+        late, left, done = self._take_late(held, limit_bytes)
+        slices: list[DeliveredSlice] = []
+        if done:
+            slices, left, done = self._take_range(held, left, pieces.STEPS_PER_PIECE - len(late))
+        if left <= 0 or not done:
             return Step(slices=slices, late=late, is_last=False)
         return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
-    def _take_range(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int]:
-        """Items between the two cuts, from the place reached on, that were there when the step began."""
+    def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
+        """Items between the two cuts, from the place reached on, that were there when the step began; what is left of
+        the limit; and whether that is all."""
         taken: list[DeliveredSlice] = []
         for part in held.slices(self._range_place, self._target):
-            if left <= 0:
-                return taken, left
+            if left <= 0 or steps <= 0:
+                return taken, left, False
             given = part
             if part.run.first_seq < self._seq_end:
                 given = part.within(left)
@@ -130,22 +144,43 @@ class CutFollower:
                 self._given_above += given.items
                 left -= given.charge_bytes
             self._range_place = given.last_time, given.end_seq
-        return taken, left
+            steps -= 1
+        return taken, left, True
 
-    def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int]:
-        """Items below the former cut that were accepted since."""
+    def _look_for_late(self, held: Holdings) -> bool:
+        """Look, in the order of seqs, at some of what came since the last step; True if that is all."""
+        if self._late is not None:
+            return True
+        found = held.slices_by_seq(self._looked_up_to, self._seq_end)
+        came = [*islice(found, pieces.STEPS_PER_PIECE)]
+        parts = [split_at(part, _place(self.cut)) for part in came]
+        self._came_above += sum(above.items for _, above in parts)
+        self._late_parts.append(sorted((below for below, _ in parts if below.items), key=_order))
+        if len(came) == pieces.STEPS_PER_PIECE:
+            self._looked_up_to = came[-1].end_seq
+            return False
+        self._late = merge(*self._late_parts, key=_order)
+        return True
+
+    def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int, bool]:
+        """Items below the former cut that were accepted since, and are still held; see `_take_range`."""
+        assert self._late is not None, "they were looked for"
         taken: list[DeliveredSlice] = []
-        for part in below_place(held, _place(self.cut), self.next_seq, self._seq_end):
+        for _ in range(pieces.STEPS_PER_PIECE):
             if left <= 0:
-                return taken, left
-            _, rest = split_at(part, self._late_place)
+                return taken, left, False
+            part = self._late_rest or next(self._late, None)
+            if part is None:
+                return taken, left, True
+            self._late_rest = None
+            _, rest = split_at(part, held.floor)
             if rest.items:
                 given = rest.within(left)
                 taken.append(self._deliver(held, given))
                 self._given_below += given.items
                 left -= given.charge_bytes
-                self._late_place = given.last_time, given.end_seq
-        return taken, left
+                self._late_rest = Slice(rest.run, given.hi, rest.hi) if given.hi < rest.hi else None
+        return taken, left, False
 
     def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
         """What lies at or past the cut bounds nothing: nobody may see it yet."""
@@ -156,13 +191,22 @@ class CutFollower:
     def _finish(self, held: Holdings) -> Loss | None:
         first_seq = self._ledger.lowest_seq
         lost = self._ledger.settle(
-            held, self._target, self._seq_end, given_above=self._given_above, given_below=self._given_below
+            held,
+            self._target,
+            self._seq_end,
+            given_above=self._given_above,
+            given_below=self._given_below,
+            came_above=self._came_above,
         )
         self.under_way = False
         self.cut = self._target[0]
         loss = _collected(self._channel, held, lost, first_seq) if lost else None
         unreported, self._unreported = self._unreported, None
         return loss if unreported is None else _joined(unreported, loss)
+
+
+def _order(part: Slice) -> Place:
+    return part.first_time, part.first_seq
 
 
 def _place(cut: int | None) -> Place:

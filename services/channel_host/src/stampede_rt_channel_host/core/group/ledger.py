@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator
+from itertools import islice
 
 from stampede_rt_channel_host.core.channel import Slice
 from stampede_rt_channel_host.core.channel.holdings import CONSUMPTION, Holdings
 from stampede_rt_channel_host.core.channel.index import Place
 
+LOOKED_AT_MAX = 4096
+"""So many items, or slices, are looked at for the lowest seq that is owed."""
+
 
 class Ledger:
-    """Of one reader of one channel. Costs what was put and given since the last settling; a walk over what is owed only
-    if an item came in below what consumption had taken.
+    """Of one reader of one channel. Costs what was put and given since the last settling, at the most.
 
     `lowest_seq`: whatever is lost at the next settling has this seq or a later one.
     """
@@ -30,18 +33,23 @@ class Ledger:
         self._held_from = self.lowest_seq  # what is owed and held has this seq or a later one
         self._remember(held, low, next_seq)
 
-    def settle(self, held: Holdings, low: Place, next_seq: int, *, given_above: int, given_below: int) -> int:
+    def settle(
+        self, held: Holdings, low: Place, next_seq: int, *, given_above: int, given_below: int,
+        came_above: int | None = None,
+    ) -> int:  # fmt: skip
         """The reader has dealt with everything below `low` that has a seq below `next_seq`: how many items it lost.
 
         `given_above`, `given_below`: of the items it was given, how many were at or above the former `low`, and below.
+        `came_above`: how many came at or above it since the last settling; None: count them.
         """
         owed = self._owed + next_seq - self.next_seq
         intact = held.floor <= max(self._low, self._floor) and held.collected[CONSUMPTION] == self._consumed
         if intact:
-            above = sum(part.items for part in above_place(held, self._low, self.next_seq, next_seq))
-            left = self._owed + above - given_above
+            if came_above is None:
+                came_above = _items(above_place(held, self._low, self.next_seq, next_seq))
+            left = self._owed + came_above - given_above
         elif held.floor >= low:  # all that is held is owed, but for what came since the step began
-            left = held.items - sum(part.items for part in held.slices_by_seq(next_seq, held.next_seq))
+            left = held.items - _items(held.slices_by_seq(next_seq, held.next_seq))
         else:
             left, self.lowest_seq = _owed(held, low, next_seq)
         self._owed = left
@@ -49,9 +57,12 @@ class Ledger:
         return owed - given_above - given_below - left
 
     def lowest_owed(self, held: Holdings) -> int:
-        """The lowest seq that is still owed. Walks what was given since the last call."""
-        parts = above_place(held, self._low, self._held_from, self.next_seq)
-        self._held_from = next((part.first_seq for part in parts), self.next_seq)
+        """A seq below which nothing is owed any more: the lowest that is, unless very many lie between the last one
+        told and it."""
+        looked = [*islice(held.slices_by_seq(self._held_from, self.next_seq), LOOKED_AT_MAX)]
+        parts = (split_at(part, self._low)[1] for part in looked)
+        beyond = looked[-1].end_seq if len(looked) == LOOKED_AT_MAX else self.next_seq
+        self._held_from = next((part.first_seq for part in parts if part.items), beyond)
         return self._held_from
 
     def _remember(self, held: Holdings, low: Place, next_seq: int) -> None:
@@ -61,10 +72,17 @@ class Ledger:
 
 
 def _owed(held: Holdings, low: Place, next_seq: int) -> tuple[int, int]:
-    """How many held items at or above the place have a seq below `next_seq`, and the lowest seq that is owed."""
-    parts = [part for part in held.slices(low) if part.first_seq < next_seq]
-    items = sum(min(part.end_seq, next_seq) - part.first_seq for part in parts)
-    return items, min((part.first_seq for part in parts), default=next_seq)
+    """How many held items at or above the place have a seq below `next_seq`, and a seq below which none is owed: the
+    lowest that is, unless they are very many."""
+    items = held.items - held.items_below(low) - _items(above_place(held, low, next_seq, held.next_seq))
+    if items > LOOKED_AT_MAX:
+        return items, held.seq_from(1, next_seq, LOOKED_AT_MAX)
+    owed = (part.first_seq for part in held.slices(low) if part.first_seq < next_seq)
+    return items, min(owed, default=next_seq)
+
+
+def _items(parts: Iterator[Slice]) -> int:
+    return sum(part.items for part in parts)
 
 
 def newest_gone(held: Holdings) -> int | None:
@@ -76,12 +94,6 @@ def above_place(held: Holdings, low: Place, first_seq: int, end_seq: int) -> Ite
     """Held items with seqs from `first_seq` up to, not including, `end_seq`, at or above a place, in seq order."""
     parts = (split_at(part, low)[1] for part in held.slices_by_seq(first_seq, end_seq))
     return (part for part in parts if part.items)
-
-
-def below_place(held: Holdings, low: Place, first_seq: int, end_seq: int) -> list[Slice]:
-    """Those below the place, ascending by (time, seq)."""
-    parts = (split_at(part, low)[0] for part in held.slices_by_seq(first_seq, end_seq))
-    return sorted((part for part in parts if part.items), key=lambda part: (part.first_time, part.first_seq))
 
 
 def split_at(part: Slice, place: Place) -> tuple[Slice, Slice]:

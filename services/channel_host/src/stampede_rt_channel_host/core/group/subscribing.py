@@ -12,6 +12,8 @@ from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 
 STEP_BYTES_MAX = 2**20
+PARTS_PER_TAKE = 8
+"""Of what a reader of the newest is not sent, so many parts are counted at a time."""
 
 
 class VisibleAll:
@@ -81,6 +83,8 @@ class VisibleAll:
             if slices:
                 self.delivered += sum(one.slice.items for one in slices)
                 return Delivery(slices=slices)
+            if not step.is_last:
+                return Delivery(more=True)
         gap, self._gap = self._gap, None
         self.dropped += gap.items if gap else 0
         return Delivery(gap=gap)
@@ -138,16 +142,25 @@ class VisibleNewest:
         """As of the last take."""
         return max(0, self._meant - self.delivered)
 
-    def take(self, horizon: Horizon, now: int) -> DeliveredSlice | None:
-        """The newest visible item, if it is later than the last one taken."""
-        while not (part := self._all.take(horizon, now, STEP_BYTES_MAX)).is_empty:
-            self._meant += sum(one.slice.items for one in part.slices) + (part.gap.items if part.gap else 0)
+    def take(self, horizon: Horizon, now: int) -> Delivery:
+        """The newest item, if it is later than the last one taken. What is behind it is counted in bounded parts."""
         newest = self._newest(horizon, now)
-        if newest is None or (newest.last_time, newest.end_seq - 1) <= self._last:
-            return None
+        is_news = newest is not None and (newest.last_time, newest.end_seq - 1) > self._last
+        more = self._count(horizon, now)
+        if newest is None or not is_news:
+            return Delivery(more=more)
         self._last = newest.last_time, newest.end_seq - 1
         self.delivered += 1
-        return DeliveredSlice(newest, None)
+        return Delivery(slices=(DeliveredSlice(newest, None),), more=more)
+
+    def _count(self, horizon: Horizon, now: int) -> bool:
+        """Count what has become visible; True if there is more of it."""
+        for _ in range(PARTS_PER_TAKE):
+            part = self._all.take(horizon, now, STEP_BYTES_MAX)
+            if part.is_empty and not part.more:
+                return False
+            self._meant += sum(one.slice.items for one in part.slices) + (part.gap.items if part.gap else 0)
+        return True
 
     def _newest(self, horizon: Horizon, now: int) -> Slice | None:
         held, _ = self._channel.look(now)
