@@ -58,7 +58,7 @@ def test_the_loss_of_the_majority_and_its_return_are_told_once_each() -> None:
     assert [line.partition(":")[0] for line in told] == [
         "a supernode cannot serve it knows no leader with a majority",
         "a supernode cannot serve connection refused",
-        "no supernode can serve",
+        "no supernode can serve this front-end",
     ]
     roster.answered("a:1", answer(ready=True))
     assert [note.is_well for note in journal.changes(roster, LATER_S)] == [True, True]
@@ -71,4 +71,6 @@ def test_at_the_start_that_none_can_serve_is_told_once_all_were_heard_of() -> No
         {"supernode": "a:1", "why": "connection refused"}
     ]
     roster.failed("b:1", "connection refused")
-    assert [note.text.partition(":")[0] for note in journal.changes(roster, LATER_S)][-1] == "no supernode can serve"
+    assert [note.text.partition(":")[0] for note in journal.changes(roster, LATER_S)][
+        -1
+    ] == "no supernode can serve this front-end"

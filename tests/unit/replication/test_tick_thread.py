@@ -75,3 +75,15 @@ def test_by_default_a_failure_ends_the_process_and_says_why() -> None:
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
     assert ended.returncode == EXIT_CODE
     assert "the replicated log failed and the process ends: OSError('the disk is full')" in ended.stderr
+
+
+def test_a_full_disk_ends_the_process_with_a_sentence_and_no_traceback() -> None:
+    script = (
+        "import sqlite3\n"
+        "from stampede_rt_supernode.replication.tick_thread import end_process\n"
+        "end_process(sqlite3.OperationalError('database or disk is full'))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (EXIT_CODE, 1)
+    assert "its data folder cannot be written (database or disk is full)" in ended.stderr
+    assert "nothing that was acknowledged is lost" in ended.stderr

@@ -138,7 +138,7 @@ async def test_a_certificate_of_another_cluster_is_let_in_nowhere(
     assert "the certificate is one of cluster other, and this is local" in (caught.value.details() or "")
 
 
-@pytest.mark.parametrize(("secret", "what"), [(None, "has no secret"), (WRONG, "is another one")])
+@pytest.mark.parametrize(("secret", "what"), [(None, "brought no secret"), (WRONG, "a secret that differs")])
 async def test_secret_and_certificates_together_ask_for_both(
     secret: Secret | None, what: str, made: ClusterCertificates, own: ServiceTls
 ) -> None:

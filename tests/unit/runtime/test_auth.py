@@ -89,7 +89,7 @@ async def test_a_call_with_the_secret_goes_through() -> None:
     assert answer.status == health_pb2.HealthCheckResponse.SERVING
 
 
-@pytest.mark.parametrize(("secret", "what"), [(None, "has no secret"), (WRONG, "is another one")])
+@pytest.mark.parametrize(("secret", "what"), [(None, "brought no secret"), (WRONG, "a secret that differs")])
 async def test_a_call_without_the_right_secret_is_refused_and_told_where_it_lies(
     secret: Secret | None, what: str
 ) -> None:

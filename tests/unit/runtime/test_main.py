@@ -55,7 +55,7 @@ def test_a_service_leaves_the_certificates_of_clients_alone_and_says_so(
     monkeypatch.setenv("STAMPEDE_TLS_CERTIFICATE", "/nowhere/client.pem")
     assert run_service(Settings, "sample", (), serve) == 0
     told = capsys.readouterr().err
-    assert "no certificates are used: $STAMPEDE_TLS_CERTIFICATE is for clients" in told
+    assert "no certificates are used: $STAMPEDE_TLS_CERTIFICATE are for clients" in told
     assert "$STAMPEDE_SAMPLE_TLS_CA" in told
     monkeypatch.setenv("STAMPEDE_SAMPLE_TLS_CERTIFICATE", "/nowhere/own.pem")
     assert run_service(Settings, "sample", (), lambda settings: serve(_with_certificates(settings))) == 2

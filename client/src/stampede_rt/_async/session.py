@@ -222,8 +222,9 @@ class Session:
             return
         if not state.create:
             raise Unavailable(
-                f"the host of channel {state.info.name!r} ({response.host.name or 'unknown'}) is lost, and this handle "
-                "may not create the channel anew; wait for the host, or open the channel with create=True",
+                f"the host of channel {state.info.name!r} ({response.host.name or 'unknown'}) is lost, and what "
+                "it held with it; this handle only looks: start the host again, or have another one take the channel, "
+                "as whoever opens it with create=True does",
                 reason="NO_HOST",
             )
         state.info = await self.open_channel(state.info.name, state.stated, None, True, timeout_s)

@@ -112,6 +112,8 @@ def _state(one: Observation) -> tuple[str, str]:
         return "no member", "the supernodes do not list it: it was removed, or never joined; leave it out"
     if one.refused_because:
         return "store refused", f"{one.refused_because}; {STORE_ADVICE}"
+    if one.failure and one.kind == CALLER:
+        return "not valid", one.failure
     if one.failure:
         return "refused" if one.refuses_caller else "unreachable", one.failure
     if not one.ready:

@@ -54,7 +54,8 @@ def administer(argv: Sequence[str]) -> int:
         print(f"stampede supernode: {error.message}", file=sys.stderr)
         return FAILED
     except OSError as error:
-        print(f"stampede supernode: {error.filename} cannot be written: {error.strerror}", file=sys.stderr)
+        place = error.filename or parsed.out  # an open file does not know its name
+        print(f"stampede supernode: {place} cannot be written: {error.strerror}", file=sys.stderr)
         return FAILED
 
 

@@ -60,4 +60,4 @@ def _of_one(target: str, why: str | None) -> Note:
 def _of_all(any_serves: bool) -> Note:
     if any_serves:
         return Note("the directory can serve: callers can connect", True, {})
-    return Note("no supernode can serve: nobody can connect or open anything until a majority of them runs", False, {})
+    return Note("no supernode can serve this front-end: nobody can connect by it until one can", False, {})

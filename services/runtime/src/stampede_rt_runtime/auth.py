@@ -15,6 +15,7 @@ import grpc
 from stampede_rt.credentials import read_secret, secret_file
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.status import abort
+from stampede_rt_runtime.written import naming
 
 _OPEN_METHODS = frozenset({"/grpc.health.v1.Health/Check"})
 _SCHEME = "Bearer "
@@ -63,7 +64,7 @@ def _create(place: Path) -> None:
     draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
-        with os.fdopen(descriptor, "w") as file:
+        with naming(place), os.fdopen(descriptor, "w") as file:
             file.write(secrets.token_urlsafe(32) + "\n")
         os.link(draft, place)  # unlike rename, refuses to replace: the first maker wins
     except FileExistsError:
@@ -109,5 +110,8 @@ async def _refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -
         remedy = f"the caller read its secret from {places}: replace that file by the service's own"
     else:
         what = "the call brought no secret"
-        remedy = f"copy the service's secret file to one of the places where callers look: {places}"
+        remedy = (
+            f"copy the service's secret file to one of the places where callers look: {places}. A client sends it to "
+            "another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it"
+        )
     await abort(context, PermissionDenied(f"{what}; {remedy}", reason="UNAUTHENTICATED"))

@@ -22,6 +22,7 @@ from stampede_rt_runtime.certificates import (
 )
 from stampede_rt_runtime.identity import SERVICES, Identity, Role
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
+from stampede_rt_runtime.written import naming
 
 DEFAULT_FOLDER = Path("certs")
 AUTHORITY_DAYS, CERTIFICATE_DAYS = 3650, 365
@@ -185,7 +186,7 @@ def _replace(place: Path, content: bytes, mode: int) -> None:
     draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
-        with os.fdopen(descriptor, "wb") as file:
+        with naming(draft), os.fdopen(descriptor, "wb") as file:
             file.write(content)
         os.replace(draft, place)
     except BaseException:

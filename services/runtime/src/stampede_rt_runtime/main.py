@@ -120,8 +120,8 @@ def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> No
     named = [f"${name}" for name in CLIENT_VARIABLES if os.environ.get(name)]
     if named and settings.tls_ca is None:
         logger.warning(
-            "no certificates are used: %s is for clients; name this service's own with --tls-ca, --tls-certificate and "
-            "--tls-key, or in $STAMPEDE_%s_TLS_CA, ..._CERTIFICATE and ..._KEY",
+            "no certificates are used: %s are for clients; name this service's own with --tls-ca, --tls-certificate "
+            "and --tls-key, or in $STAMPEDE_%s_TLS_CA, ..._CERTIFICATE and ..._KEY",
             ", ".join(named),
             service.replace("-", "_").upper(),
         )

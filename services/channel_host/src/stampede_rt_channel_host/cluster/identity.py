@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.written import naming
 
 ID_BYTES = 16
 _FILE = "host-id"
@@ -41,7 +42,7 @@ def load_host_id(folder: Path | None) -> bytes:
 def _write_once(place: Path, host_id: bytes) -> None:
     """The file appears whole or not at all, so that a crash leaves no half an id behind."""
     draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
-    with draft.open("w") as file:
+    with naming(place), draft.open("w") as file:
         file.write(host_id.hex() + "\n")
         file.flush()
         os.fsync(file.fileno())

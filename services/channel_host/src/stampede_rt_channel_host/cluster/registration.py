@@ -128,7 +128,10 @@ class Registration:
         try:
             await self._supernodes.call("DeregisterHost", request, LEAVE_SECONDS_MAX)
         except StampedeError as error:
-            logger.warning("left without deregistering", extra={"host": self._identity.name, "why": str(error)})
+            level = (
+                logging.WARNING if self._lease.ttl_nanos else logging.DEBUG
+            )  # one that never entered has nothing to leave
+            logger.log(level, "left without deregistering", extra={"host": self._identity.name, "why": str(error)})
 
     async def aclose(self) -> None:
         """Close the connections to the directory."""

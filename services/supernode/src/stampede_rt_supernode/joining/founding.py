@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.errors import StampedeError
+from stampede_rt_runtime.written import naming
 from stampede_rt_supernode.replication import Member, ReplicationSettings, holds_store
 
 FILE_NAME = "supernode.json"
@@ -67,7 +68,7 @@ def write_founding(data_dir: Path, founding: Founding) -> None:
     text = json.dumps({"format_version": FORMAT_VERSION, **asdict(founding)}, indent=2) + "\n"
     draft = data_dir / f".{FILE_NAME}.{secrets.token_hex(4)}"
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "w") as file:
+    with naming(data_dir / FILE_NAME), os.fdopen(descriptor, "w") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 import sys
 import threading
 import traceback
@@ -16,8 +17,15 @@ EXIT_CODE = 70
 
 def end_process(error: BaseException) -> NoReturn:
     """Say why and end the process at once: a replica that failed half-way must not answer anybody any more."""
-    traceback.print_exception(error, file=sys.stderr)
-    print(f"stampede supernode: the replicated log failed and the process ends: {error!r}", file=sys.stderr)  # noqa: T201
+    if isinstance(error, sqlite3.OperationalError):  # of the disk, not of the program
+        why = (
+            f"its data folder cannot be written ({error}), so it ends at once; make room there, or mend the disk, and "
+            "start it again with that folder: nothing that was acknowledged is lost"
+        )
+    else:
+        traceback.print_exception(error, file=sys.stderr)
+        why = f"the replicated log failed and the process ends: {error!r}"
+    print(f"stampede supernode: {why}", file=sys.stderr)  # noqa: T201
     sys.stderr.flush()
     os._exit(EXIT_CODE)
 
