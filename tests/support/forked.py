@@ -24,13 +24,16 @@ def in_a_forked_child(function: Callable[[], Any]) -> Any:
     if pid == 0:
         _be_the_child(function, writable)
     os.close(writable)
+    status = None
     try:
         told = _read(readable)
+        status = os.waitpid(pid, 0)[1]  # it closed the pipe, and ends
     finally:
         os.close(readable)
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-    assert told, "the child died without a word"
+        if status is None:
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+    assert told, f"the child died without a word, with status {status}"
     return pickle.loads(told)
 
 

@@ -21,6 +21,7 @@ from stampede_rt.codecs import Coding
 from stampede_rt.connecting import Target, parse_target
 from stampede_rt.model import Policy
 from stampede_rt.queueing import QueuePolicy
+from stampede_rt.timeline import DurationLike
 from stampede_rt.tls import TlsFiles
 
 _sessions: WeakValueDictionary[Address, Session] = WeakValueDictionary()  # of handles that came from elsewhere
@@ -72,11 +73,19 @@ class Address:
         descriptor._state.coding = coding
         return descriptor
 
-    def queue(self, name: str, stated: QueuePolicy, create: bool, coding: Coding | None, prefetch: int) -> Queue:
+    def queue(
+        self,
+        name: str,
+        stated: QueuePolicy,
+        create: bool,
+        coding: Coding | None,
+        prefetch: int,
+        reconnect: DurationLike | None,
+    ) -> Queue:
         """A queue's handle, as it was opened."""
         session = self._session()
         info = open_queue(session, name, stated, None, create)
-        return Queue(session, queue_state(session, name, info, stated, create, coding), prefetch)
+        return Queue(session, queue_state(session, name, info, stated, create, coding), prefetch, reconnect)
 
     def _session(self) -> Session:
         """The one that all handles from elsewhere share in this process."""

@@ -195,16 +195,24 @@ class Group(Reference):
         self._view.saw(response.floor.cut_unix_nano)
         return int(response.floor.cut_unix_nano)
 
-    def subscribe(self, max_wait: DurationLike = "1s", *, payloads: bool = True) -> CutSubscription:
+    def subscribe(
+        self, max_wait: DurationLike = "1s", *, payloads: bool = True, reconnect: DurationLike | None = None
+    ) -> CutSubscription:
         """Events that say what became visible, in step over all channels: an iterator and context manager.
 
         An event comes when the cut has advanced and every member has caught up with it, or `max_wait` later. A slow
         reader gets merged events.
         """
-        return CutSubscription(self, parse_max_wait(max_wait), payloads=payloads)
+        return CutSubscription(self, parse_max_wait(max_wait), reconnect, payloads=payloads)
 
     def match(
-        self, per: Named | str, tolerance: DurationLike, *, partial: bool = False, payloads: bool = True
+        self,
+        per: Named | str,
+        tolerance: DurationLike,
+        *,
+        partial: bool = False,
+        payloads: bool = True,
+        reconnect: DurationLike | None = None,
     ) -> MatchSubscription:
         """For each new item of `per`, the nearest item of every other member within `tolerance`: an iterator.
 
@@ -212,7 +220,9 @@ class Group(Reference):
         counted (`unmatched`); with `partial` they come, too, and `missing` names who has none for them.
         """
         member = self._member(per)
-        return MatchSubscription(self, member, parse_tolerance(tolerance), partial=partial, payloads=payloads)
+        return MatchSubscription(
+            self, member, parse_tolerance(tolerance), reconnect, partial=partial, payloads=payloads
+        )
 
     async def status(self) -> GroupStatus[Channel]:
         """The cut, who holds it back, and how far each member is, as the first of the members' hosts that answers

@@ -26,7 +26,8 @@ class Listener(Beginning, OfOneProcess):
 
     `delivered` counts finished calls, `failures` those that raised, `last_failure` is what the last of them raised;
     it goes on after them. `skipped` and `dropped` are those of the subscription. `losses` counts how often the
-    channel's host was lost with what it held: then it goes on with everything that the new incarnation gets. `error`
+    channel's host was lost with what it held: then it goes on with everything that the new incarnation gets.
+    `reconnects` counts how often it came back after its connection broke, `connected` says whether it is open. `error`
     is what ended it, None while it runs and after `cancel`. On asyncio, awaiting it waits until it has begun.
     """
 
@@ -39,7 +40,7 @@ class Listener(Beginning, OfOneProcess):
         self._subscribe = subscribe  # True: everything that the channel's new incarnation holds
         self._function = function
         self._subscription = subscribe(False)
-        self._dropped_before = self._skipped_before = 0  # of subscriptions that ended
+        self._dropped_before = self._skipped_before = self._reconnects_before = 0  # of subscriptions that ended
         self._holds = Signal()
         self._cancelled = False
         self.active = True
@@ -58,6 +59,16 @@ class Listener(Beginning, OfOneProcess):
     def skipped(self) -> int:
         """Items that mode "newest" passed over."""
         return self._skipped_before + self._subscription.skipped
+
+    @property
+    def reconnects(self) -> int:
+        """How often it came back after its connection broke."""
+        return self._reconnects_before + self._subscription.reconnects
+
+    @property
+    def connected(self) -> bool:
+        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        return self.active and self._subscription.connected
 
     def __repr__(self) -> str:
         state = self._session.state or ("" if self.active else "ended")
@@ -106,6 +117,7 @@ class Listener(Beginning, OfOneProcess):
             self.losses += 1
             _log.warning("on_item of %s goes on with a new incarnation: %s", self._name, error)
             self._dropped_before, self._skipped_before = self.dropped, self.skipped
+            self._reconnects_before = self.reconnects
             self._subscription = self._subscribe(True)
             if self._cancelled:  # while it was being made
                 self._subscription.close()

@@ -10,6 +10,7 @@ from stampede_rt._async.attempts import Place, attempt
 from stampede_rt._async.message import Message
 from stampede_rt._async.puts import Numbers, Puts, Single, enqueued
 from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
+from stampede_rt._async.reconnecting import Reconnecting
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.binding import Binding
@@ -31,8 +32,13 @@ PENDING_PAGE_MAX = 1000
 class Taking:
     """What messages are taken from: a queue, or one's own mailbox. An iterator that waits for the next one for ever."""
 
-    def __init__(self, session: Session, state: QueueState, place: Place, prefetch: int) -> None:
+    def __init__(
+        self, session: Session, state: QueueState, place: Place, prefetch: int, reconnect: DurationLike | None = None
+    ) -> None:
         self._session = session
+        self._reconnecting = Reconnecting(
+            session, f"the iteration over {state.kind} {state.name!r}", reconnect, held=True
+        )
         self._state = state
         self._place = place
         self._taker = Taker(session, place, state, prefetch, session.supernodes.peer_name)
@@ -82,10 +88,25 @@ class Taking:
     async def __anext__(self) -> Message:
         if self._taker.closed:
             raise StopAsyncIteration
-        message = await self.get()
-        if message is None:  # closed meanwhile
+        found: list[Message | None] = []
+
+        async def take(timeout_s: float) -> None:
+            found.append(await self.get())
+
+        await self._reconnecting.open(take)
+        if not found or found[0] is None:  # closed meanwhile
             raise StopAsyncIteration
-        return message
+        return found[0]
+
+    @property
+    def reconnects(self) -> int:
+        """How often iterating over it went on after its connection was broken for 10 s or more."""
+        return self._reconnecting.reconnects
+
+    @property
+    def connected(self) -> bool:
+        """Iterating over it meets no failure, as far as is known."""
+        return self._reconnecting.connected and not self._taker.closed
 
     async def stats(self) -> QueueStats:
         """Counters and waiters, taken at one moment."""
@@ -104,6 +125,7 @@ class Taking:
 
         Messages that were handed out stay leased, and may still be settled. Closing the connection closes this, too.
         """
+        self._reconnecting.stop()
         await self._taker.end()
 
 
@@ -114,16 +136,19 @@ class Queue(Taking, Reference):
     time, at least once: a message that is not acknowledged before its lease ends comes again.
     """
 
-    def __init__(self, session: Session, state: QueueState, prefetch: int) -> None:
+    def __init__(
+        self, session: Session, state: QueueState, prefetch: int, reconnect: DurationLike | None = None
+    ) -> None:
         place = QueuePlace(session, state)
-        super().__init__(session, state, place, prefetch)
+        self._reconnect = reconnect
+        super().__init__(session, state, place, prefetch, reconnect)
         self._puts = Puts(session, place, Port.enqueues)
         self._numbers = Numbers()
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self._state
         return self._session.reopened(
-            "queue", self.name, state.stated, state.create, state.coding, self._taker.prefetch
+            "queue", self.name, state.stated, state.create, state.coding, self._taker.prefetch, self._reconnect
         )
 
     async def __aenter__(self) -> Queue:

@@ -122,7 +122,7 @@ class QueuePlace:
         its handle was. Raises QueueNotFound.
         """
         state, supernodes = self._state, self._session.supernodes
-        create = state.create and await supernodes.find_again(deadline_s) != state.cluster_id
+        create = state.create and await supernodes.present_cluster(deadline_s) != state.cluster_id
         state.info = await open_queue(self._session, state.name, state.stated, None, create, left_s(deadline_s))
         state.cluster_id = supernodes.cluster_id
 

@@ -235,7 +235,7 @@ class Session:
         If nobody has, it was deleted; unless the whole directory began anew, as it does in memory: then it is opened as
         its handle was. Raises ChannelNotFound.
         """
-        begun_anew = await self.supernodes.find_again(deadline_s) != state.cluster_id
+        begun_anew = await self.supernodes.present_cluster(deadline_s) != state.cluster_id
         create = state.create and begun_anew
         state.info = await self.open_channel(state.info.name, state.stated, None, create, left_s(deadline_s))
         state.cluster_id = self.supernodes.cluster_id

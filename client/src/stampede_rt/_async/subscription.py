@@ -8,6 +8,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
+from stampede_rt._async.reconnecting import Reconnecting, may_heal
 from stampede_rt._async.session import ChannelState, Session
 from stampede_rt.binding import Binding
 from stampede_rt.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
@@ -33,11 +34,15 @@ class Subscription(OfOneProcess):
 
     `skipped` counts what "newest" passed over, `dropped` what retention collected before a slow reader took it.
     `close` may be called from any thread; then the iteration ends. Raises IncarnationLost when the channel's host was
-    lost and items with it, and ends: subscribe again to go on with the new incarnation.
+    lost and items with it, and ends: subscribe again to go on with the new incarnation. `reconnects` counts how often
+    it came back after its connection broke, `connected` says whether it is open.
     """
 
-    def __init__(self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen) -> None:
+    def __init__(
+        self, session: Session, state: ChannelState, begun: channel_pb.SubscribeOpen, reconnecting: Reconnecting
+    ) -> None:
         self._session = session
+        self._reconnecting = reconnecting
         self._state = state
         self._begun = begun
         self._stream: Conversation[channel_pb.SubscribeResponse] | None = None
@@ -63,6 +68,7 @@ class Subscription(OfOneProcess):
         mode: SubscribeMode,
         after: Item | None,
         payloads: bool,
+        reconnecting: Reconnecting,
         group_id: bytes | None = None,
     ) -> Subscription:
         """Check the arguments and make the subscription."""
@@ -77,9 +83,19 @@ class Subscription(OfOneProcess):
             begun.start.CopyFrom(bound_to_message(start))
         if after is not None:
             begun.after.CopyFrom(position_of(after))
-        self = cls(session, state, begun)
+        self = cls(session, state, begun, reconnecting)
         begin_now(self._open)
         return self
+
+    @property
+    def reconnects(self) -> int:
+        """How often it came back after its connection broke."""
+        return self._reconnecting.reconnects
+
+    @property
+    def connected(self) -> bool:
+        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
         state = self._session.state or ("closed" if self._closed else "")
@@ -114,6 +130,7 @@ class Subscription(OfOneProcess):
     def close(self) -> None:
         """End the subscription; callable from any thread."""
         self._closed = True
+        self._reconnecting.stop()
         stream = self._stream
         if stream is not None:
             stream.cancel()
@@ -123,13 +140,16 @@ class Subscription(OfOneProcess):
         if self._stream is not None or self._closed:
             return
         try:
-            await self._session.perform(self._state, self._open_at)
+            await self._reconnecting.open(self._open_within)
         except IncarnationLost as error:
             self._closed = True
             raise self._lost(error) from error
         except StampedeError as error:
-            self._closed = not error.retryable
+            self._closed = not may_heal(error)
             raise
+
+    async def _open_within(self, timeout_s: float) -> None:
+        await self._session.perform(self._state, self._open_at, timeout_s)
 
     async def _open_at(self, binding: Binding) -> None:
         self._begun.channel_id, self._begun.epoch = binding.channel_id, binding.epoch
@@ -169,9 +189,10 @@ class Subscription(OfOneProcess):
             self._resume()
         except StampedeError as error:
             self._resume()
-            if not error.retryable:
+            if not may_heal(error):
                 self._closed = True
                 raise
+            self._reconnecting.broke()
             self._session.cache.forget(self._state.info.channel_id)
 
     def _resume(self) -> None:

@@ -212,6 +212,7 @@ class Connection(Discovery, Reference):
         content_type: str | None = None,
         codec: CodecLike | None = None,
         prefetch: int = 1,
+        reconnect: DurationLike | None = None,
         host: str | None = None,
         create: bool = True,
     ) -> Queue:
@@ -224,6 +225,8 @@ class Connection(Discovery, Reference):
         `prefetch` belongs to the handle: by default nothing is taken before somebody waits for it, so that no taker
         sits on what another could do; more than 1 takes so many ahead. Their leases are extended while you keep taking;
         what nobody took for most of a lease goes back to the queue.
+        `reconnect` belongs to the handle, too: for how long iterating over it tries to go on when its host cannot be
+        reached, None: for ever.
         """
         stated = parse_queue_policy(
             max_items=max_items,
@@ -238,7 +241,7 @@ class Connection(Discovery, Reference):
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)
         ahead = parse_prefetch(prefetch)
         info = open_queue(self._session, name, stated, host, create)
-        return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead)
+        return Queue(self._session, queue_state(self._session, name, info, stated, create, coding), ahead, reconnect)
 
     @property
     def mailbox(self) -> Mailbox:

@@ -7,10 +7,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.grouping import ByChannel, Cut
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.retry import Backoff
+from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_sync import Conversation
 from stampede_rt.v1 import group_service_pb2 as group_pb
@@ -18,8 +20,6 @@ from stampede_rt.wire.groups import cut_items
 
 if TYPE_CHECKING:
     from stampede_rt._sync.group import Group
-
-REOPEN_TIMEOUT_S = 10.0
 
 
 class _Talk:
@@ -50,11 +50,13 @@ class CutSubscription(OfOneProcess):
     """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. `close` works from anywhere.
 
     One host decides when an event is due, and the others bring theirs up to the same cut. When a host is lost, or the
-    members change, it goes on behind the last event by itself. Raises GroupNotFound once the group is deleted,
-    IncarnationLost if all its hosts were lost.
+    members change, it goes on behind the last event by itself: `reconnects` counts how often, `connected` says whether
+    it is open. Raises GroupNotFound once the group is deleted, IncarnationLost if all its hosts were lost.
     """
 
-    def __init__(self, group: Group, max_wait_nanos: int, *, payloads: bool) -> None:
+    def __init__(self, group: Group, max_wait_nanos: int, reconnect: DurationLike | None, *, payloads: bool) -> None:
+        what = f"the subscription to group {group.name!r}"
+        self._reconnecting = Reconnecting(group._session, what, reconnect)
         self._group = group
         self._max_wait_nanos = max_wait_nanos
         self._payloads = payloads
@@ -63,6 +65,16 @@ class CutSubscription(OfOneProcess):
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
         begin_now(self._open)
+
+    @property
+    def reconnects(self) -> int:
+        """How often it came back after a connection of it broke."""
+        return self._reconnecting.reconnects
+
+    @property
+    def connected(self) -> bool:
+        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
         state = self._group._session.state or ("closed" if self._closed else "")
@@ -86,6 +98,13 @@ class CutSubscription(OfOneProcess):
         while not self._closed:
             try:
                 self._open()
+            except StampedeError:
+                if self._group._session.closed:
+                    break
+                raise
+            if not self._talks:
+                break  # closed while it was being opened
+            try:
                 parts: list[group_pb.CutPart] = []
                 boundary = self._next_boundary(parts)
                 return self._cut(boundary, parts)
@@ -95,9 +114,10 @@ class CutSubscription(OfOneProcess):
                 self._hang_up()
                 if self._closed or self._group._session.closed:
                     break
-                if not error.retryable:
+                if not may_heal(error):
                     self._closed = True
                     raise self._group._explained(error) from None
+                self._reconnecting.broke()
                 self._group._forget_places()
             except BaseException:  # an interrupt: the event that was under way comes again from its beginning
                 self._hang_up()
@@ -107,6 +127,7 @@ class CutSubscription(OfOneProcess):
     def close(self) -> None:
         """End the subscription; callable from any thread."""
         self._closed = True
+        self._reconnecting.stop()
         self._hang_up()
 
     def _hang_up(self) -> None:
@@ -116,7 +137,16 @@ class CutSubscription(OfOneProcess):
 
     def _open(self) -> None:
         """Begin, or go on behind the last event, with one stream to each host that owns members."""
-        backoff = Backoff(monotonic_s() + REOPEN_TIMEOUT_S)
+        if self._talks or self._closed:
+            return
+        try:
+            self._reconnecting.open(self._open_within)
+        except StampedeError as error:
+            self._closed = not may_heal(error)
+            raise self._group._explained(error) from None
+
+    def _open_within(self, timeout_s: float) -> None:
+        backoff = Backoff(monotonic_s() + timeout_s)
         while not self._talks and not self._closed:
             try:
                 self._open_each()

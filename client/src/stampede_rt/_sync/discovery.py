@@ -14,6 +14,7 @@ from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
 from stampede_rt.peering import PeerInfo
 from stampede_rt.policy import parse_name
 from stampede_rt.queueing import QueueInfo
+from stampede_rt.timeline import DurationLike
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
@@ -124,10 +125,13 @@ class Discovery:
         response = self._session.supernodes.call("ListSupernodes", directory_pb.ListSupernodesRequest(), CALL_TIMEOUT_S)
         return [supernode_info(record) for record in response.supernodes]
 
-    def watch(self, name_glob: str = "*") -> Watch:
-        """Changes of channels whose names match, and of hosts, from now on: an iterator and context manager."""
-        return Watch(self._session, name_glob)
+    def watch(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> Watch:
+        """Changes of channels whose names match, and of hosts, from now on: an iterator and context manager.
 
-    def watch_peers(self, name_glob: str = "*") -> PeerWatch:
-        """Changes of participants whose names match, from now on: an iterator and context manager."""
-        return PeerWatch(self._session, name_glob)
+        `reconnect`: for how long it tries to come back after its connection broke, None: for ever.
+        """
+        return Watch(self._session, name_glob, reconnect)
+
+    def watch_peers(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> PeerWatch:
+        """Changes of participants whose names match, from now on; else as `watch`."""
+        return PeerWatch(self._session, name_glob, reconnect)

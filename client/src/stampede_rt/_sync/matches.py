@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.reads import read
+from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt.binding import Binding
 from stampede_rt.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
 from stampede_rt.errors import StampedeError, Unavailable
@@ -18,7 +19,7 @@ from stampede_rt.grouping import Matched
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Item
 from stampede_rt.reading import Read, Wait
-from stampede_rt.timeline import Match, parse_interval
+from stampede_rt.timeline import DurationLike, Match, parse_interval
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, together
 from stampede_rt.transports.grpc_sync import Conversation
 from stampede_rt.v1 import group_service_pb2 as group_pb
@@ -34,10 +35,21 @@ class MatchSubscription(OfOneProcess):
     The host sends as much ahead as the reader takes in a tenth of a second, 1 MiB at most. `unmatched` counts items
     that some member had nothing for, `dropped` those that retention took before they could be matched or before a slow
     reader asked for them, or that came after their place had been settled. Goes on by itself when a host is lost:
-    `losses` counts how often the host of the matched channel was lost with what it held.
+    `losses` counts how often the host of the matched channel was lost with what it held, `reconnects` how often it came
+    back after its connection broke; `connected` says whether it is open.
     """
 
-    def __init__(self, group: Group, per: Channel, tolerance_nanos: int, *, partial: bool, payloads: bool) -> None:
+    def __init__(
+        self,
+        group: Group,
+        per: Channel,
+        tolerance_nanos: int,
+        reconnect: DurationLike | None,
+        *,
+        partial: bool,
+        payloads: bool,
+    ) -> None:
+        self._reconnecting = Reconnecting(group._session, f"the matching of group {group.name!r}", reconnect)
         self._group = group
         self._per = per
         self._tolerance_nanos = tolerance_nanos
@@ -55,6 +67,16 @@ class MatchSubscription(OfOneProcess):
         self.dropped = 0
         self.losses = 0
         begin_now(self._open)
+
+    @property
+    def reconnects(self) -> int:
+        """How often it came back after its connection broke."""
+        return self._reconnecting.reconnects
+
+    @property
+    def connected(self) -> bool:
+        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
         state = self._group._session.state or ("closed" if self._closed else "")
@@ -89,6 +111,7 @@ class MatchSubscription(OfOneProcess):
     def close(self) -> None:
         """End the subscription; callable from any thread."""
         self._closed = True
+        self._reconnecting.stop()
         stream = self._stream
         if stream is not None:
             stream.cancel()
@@ -97,7 +120,13 @@ class MatchSubscription(OfOneProcess):
         """Begin, or go on behind the last item, at the owner of the channel whose items each get a match."""
         if self._stream is not None or self._closed:
             return
+        try:
+            self._reconnecting.open(self._open_within)
+        except StampedeError as error:
+            self._closed = not may_heal(error)
+            raise self._group._explained(error) from None
 
+    def _open_within(self, timeout_s: float) -> None:
         def open_at(binding: Binding) -> None:
             port = self._group._session.ports.to(binding.target)
             self._stream = stream = port.converse(port.groups.SubscribeMatches)
@@ -114,7 +143,7 @@ class MatchSubscription(OfOneProcess):
                 self._resume()
                 raise
 
-        self._group._session.perform(self._per._state, open_at)
+        self._group._session.perform(self._per._state, open_at, timeout_s)
 
     def _opening(self, epoch: int) -> group_pb.SubscribeMatchesOpen:
         return group_pb.SubscribeMatchesOpen(
@@ -146,9 +175,10 @@ class MatchSubscription(OfOneProcess):
             self._resume()
         except StampedeError as error:
             self._resume()
-            if not error.retryable or self._group._session.closed:
+            if not may_heal(error) or self._group._session.closed:
                 self._closed = True
                 raise self._group._explained(error) from None
+            self._reconnecting.broke()
             self._group._forget_places()
         except BaseException:  # an interrupt: what was being fetched comes again
             self._resume()

@@ -8,6 +8,7 @@ from typing import Any
 
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.reads import read
+from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import ChannelState, Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.grouping import GroupView
@@ -20,6 +21,7 @@ from stampede_rt.timeline import (
     OLDEST,
     BoundLike,
     Bounds,
+    DurationLike,
     InstantLike,
     Match,
     MatchLike,
@@ -160,13 +162,26 @@ class Reader(Reference):
         after: Item | None = None,
         *,
         payloads: bool = True,
+        reconnect: DurationLike | None = None,
     ) -> Subscription:
         """Items as they are accepted: an iterator and context manager.
 
         `mode` "all": held items from `start` on (None: only new ones), then every later one, each once. "newest":
         always the latest, never going back. `after` resumes behind an item, across processes, too. Entering the
-        context, or the first step, begins it.
+        context, or the first step, begins it. `reconnect`: for how long it tries to come back after its connection
+        broke, None: for ever; then it goes on where it was, or raises Unavailable.
         """
+        reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
+        return self._subscribe(start, mode, after, payloads, reconnecting)
+
+    def _subscribe(
+        self,
+        start: BoundLike | None,
+        mode: SubscribeMode,
+        after: Item | None,
+        payloads: bool,
+        reconnecting: Reconnecting,
+    ) -> Subscription:
         position = None if start is None else parse_bound(start, "start")
         group_id = self._view.group_id if self._view else None
         return Subscription.begin(
@@ -176,6 +191,7 @@ class Reader(Reference):
             mode=mode,
             after=after,
             payloads=payloads,
+            reconnecting=reconnecting,
             group_id=group_id,
         )
 
@@ -187,18 +203,23 @@ class Reader(Reference):
         after: Item | None = None,
         *,
         payloads: bool = True,
+        reconnect: DurationLike | None = None,
     ) -> Listener:
         """Call `fn` for each item, one after the other, until the returned handle's `cancel`.
 
         The arguments behind `fn` are those of `subscribe`. `fn` runs in a thread (or task) of the library's own; what
         it raises is logged and counted in the handle, and the next item is given to it. Items wait at the host while it
         runs; those that retention collects meanwhile are counted as `dropped`. When the host is lost with what it
-        held, that is logged and counted, and it goes on with the channel's new incarnation.
+        held, that is logged and counted, and it goes on with the channel's new incarnation; after an outage it goes on
+        where it was, for ever, unless `reconnect` bounds it.
         """
 
-        def subscribe(anew: bool) -> Subscription:
-            if anew:
-                return self.subscribe(OLDEST, mode, payloads=payloads)
-            return self.subscribe(start, mode, after, payloads=payloads)
+        name = f"channel {self.name!r}"
 
-        return Listener(self._session, f"channel {self.name!r}", subscribe, fn)
+        def subscribe(anew: bool) -> Subscription:
+            reconnecting = Reconnecting(self._session, f"on_item of {name}", reconnect, held=anew)
+            if anew:
+                return self._subscribe(OLDEST, mode, None, payloads, reconnecting)
+            return self._subscribe(start, mode, after, payloads, reconnecting)
+
+        return Listener(self._session, name, subscribe, fn)

@@ -192,9 +192,16 @@ class Supernodes:
         except (Unavailable, DeadlineExceeded):
             self._measure_again_s = float("-inf")
 
-    def find_again(self, deadline_s: float) -> str:
-        """Ask the front-ends anew; the id of the cluster, which is another one if its directory began anew."""
-        self._rebind(deadline_s)
+    def present_cluster(self, deadline_s: float) -> str:
+        """The id of the cluster whose supernode answers; another one than before if its directory began anew.
+
+        Raises Unavailable.
+        """
+        timeout_s = max(min(deadline_s - time.monotonic(), CONNECT_TIMEOUT_S), 0.1)
+        pong = self.call("Ping", directory_pb.DirectoryServicePingRequest(), timeout_s)
+        if not pong.cluster_id:
+            raise Unavailable("the directory is only just beginning")
+        self.cluster_id = pong.cluster_id
         return self.cluster_id
 
     def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:

@@ -8,13 +8,15 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
+from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
-from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Change
 from stampede_rt.peering import PeerChange
 from stampede_rt.retry import Backoff
+from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_sync import Stream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
@@ -27,14 +29,26 @@ Told = TypeVar("Told")
 class Following(OfOneProcess, Generic[Told]):
     """Changes told by a supernode, one after the other; another one goes on from where the last one was."""
 
-    def __init__(self, session: Session, request: Any) -> None:
+    def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
         self._session = session
+        self._reconnecting = Reconnecting(session, f"the watch of {request.name_glob!r}", reconnect)
+        self._cluster_id = session.supernodes.cluster_id
         self._request = request
         self._stream: Stream[Any] | None = None
         self._responses: Any = None
         self._ready: deque[Told] = deque()
         self._closed = False
         begin_now(self._open)
+
+    @property
+    def reconnects(self) -> int:
+        """How often it came back after its connection broke."""
+        return self._reconnecting.reconnects
+
+    @property
+    def connected(self) -> bool:
+        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
         state = self._session.state or ("closed" if self._closed else "")
@@ -65,22 +79,37 @@ class Following(OfOneProcess, Generic[Told]):
     def close(self) -> None:
         """End the watch."""
         self._closed = True
+        self._reconnecting.stop()
         stream = self._stream
         if stream is not None:
             stream.cancel()
 
     def _open(self) -> None:
-        backoff = Backoff(monotonic_s() + CONNECT_TIMEOUT_S)
+        if self._stream is not None or self._closed:
+            return
+        try:
+            self._reconnecting.open(self._open_within)
+        except StampedeError as error:
+            self._closed = not may_heal(error)
+            raise
+
+    def _open_within(self, timeout_s: float) -> None:
+        backoff = Backoff(monotonic_s() + timeout_s)
         while self._stream is None and not self._closed:
             try:
+                if self._responses is not None:
+                    self._look_around(backoff.deadline_s)
                 self._open_once()
             except Unavailable:
-                if self._session.closed:
-                    raise
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
-                if delay_s is None:
+                if delay_s is None or self._session.closed:
                     raise
                 sleep(delay_s)
+
+    def _look_around(self, deadline_s: float) -> None:
+        """Find the supernodes that are there now. Raises WatchRestart if their directory has another history."""
+        if self._session.supernodes.present_cluster(deadline_s) != self._cluster_id:
+            raise WatchRestart("the directory has begun anew, in another cluster: list again, then watch anew")
 
     def _open_once(self) -> None:
         stream = self._begin()
@@ -100,9 +129,10 @@ class Following(OfOneProcess, Generic[Told]):
             self._stream = None
         except StampedeError as error:
             self._stream = None
-            if not error.retryable:
+            if not may_heal(error):
                 self._closed = True
                 raise
+            self._reconnecting.broke()
 
     def _take(self, response: Any) -> None:
         self._ready.extend(self._changes(response))
@@ -115,13 +145,14 @@ class Following(OfOneProcess, Generic[Told]):
 class Watch(Following[Change]):
     """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
 
-    Goes to another supernode by itself, from where it was. Raises WatchRestart if the changes since then are not kept
-    any more: list again, then watch anew.
+    Goes to another supernode by itself, from where it was: `reconnects` counts how often, `connected` says whether it
+    is open. Raises WatchRestart if the changes since then are not kept any more: list again, then watch anew.
     """
 
-    def __init__(self, session: Session, name_glob: str) -> None:
+    def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:
         self._hosts: dict[bytes, directory_pb2.HostRecord] = {}
-        super().__init__(session, directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True))
+        request = directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True)
+        super().__init__(session, request, reconnect)
 
     def _begin(self) -> Stream[Any]:
         hosts = self._session.supernodes.call(
@@ -140,8 +171,8 @@ class Watch(Following[Change]):
 class PeerWatch(Following[PeerChange]):
     """An iterator over changes of participants (see `Connection.watch_peers`); else as Watch."""
 
-    def __init__(self, session: Session, name_glob: str) -> None:
-        super().__init__(session, peer_service_pb2.WatchPeersRequest(name_glob=name_glob))
+    def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:
+        super().__init__(session, peer_service_pb2.WatchPeersRequest(name_glob=name_glob), reconnect)
 
     def _begin(self) -> Stream[Any]:
         return self._session.supernodes.stream("WatchPeers", self._request)

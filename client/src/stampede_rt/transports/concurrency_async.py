@@ -17,6 +17,7 @@ from stampede_rt.errors import InvalidArgument
 
 Result = TypeVar("Result")
 _CALLERS = frozenset((0,))
+_inherited: list[object] = []
 _running: set[asyncio.Future[None]] = set()  # held, so that none is collected before it is done
 
 monotonic_s = time.monotonic
@@ -146,7 +147,8 @@ def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> Non
 
 
 def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[], Awaitable[None]]) -> None:
-    if pid != os.getpid():  # in a forked child the loop is the parent's, and what is open there, too
+    if pid != os.getpid():  # in a forked child the loop is the parent's; letting go of what is open there may hang
+        _inherited.append(operation)
         return
     with suppress(RuntimeError):  # the loop has ended, and with it all that was open
         loop.call_soon_threadsafe(Background, operation, "closing")

@@ -156,7 +156,7 @@ class Stream(Generic[Response]):
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
         except BaseException:  # an interrupt: nobody reads on, and whoever resumes begins a call of its own
-            self._call.cancel()
+            self._end_call()
             raise
         if not self._cancelled:
             raise Unavailable(f"{self._target} ended the stream")
@@ -164,7 +164,10 @@ class Stream(Generic[Response]):
     def cancel(self) -> None:
         """Give the stream up."""
         self._cancelled = True
-        if self._forks == forking.forks():
+        self._end_call()
+
+    def _end_call(self) -> None:
+        if self._forks == forking.forks():  # else it is the parent's, and locked perhaps
             self._call.cancel()
 
 

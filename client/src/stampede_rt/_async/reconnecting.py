@@ -1,0 +1,115 @@
+"""How streams come back after their connection broke: for as long as their user lets them, at growing distances."""
+
+from __future__ import annotations
+
+import logging
+import random
+from collections.abc import Awaitable, Callable
+
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
+from stampede_rt.retry import Backoff
+from stampede_rt.timeline import DurationLike, format_duration, parse_duration
+from stampede_rt.transports.concurrency_async import monotonic_s, sleep
+
+TRY_TIMEOUT_S = 5.0
+SILENT_S = 10.0  # an outage that lasts longer is logged
+_log = logging.getLogger("stampede_rt")
+
+
+class Reconnecting:
+    """Opens a stream, and opens it again whenever it broke, for `reconnect` at the most, None: for ever.
+
+    What never was open is tried for CALL_TIMEOUT_S alone, so that a wrong name is told soon; `held`: it counts as open.
+    `what` names the stream in logs.
+    """
+
+    def __init__(self, session: Session, what: str, reconnect: DurationLike | None, *, held: bool = False) -> None:
+        self._session = session
+        self._what = what
+        self._bound_s = parse_reconnect(reconnect)
+        self._held = held
+        self._since_s: float | None = None  # when it was found broken
+        self._told = False
+        self.ended = False  # by its user
+        self.reconnects = 0
+
+    @property
+    def connected(self) -> bool:
+        """It is open, as far as is known."""
+        return self._held and self._since_s is None and not self.ended and not self._session.closed
+
+    def stop(self) -> None:
+        """Try no more. Callable from any thread."""
+        self.ended = True
+
+    def broke(self) -> None:
+        """The stream is not open any more, and nobody wanted that."""
+        if self._since_s is None:
+            self._since_s = monotonic_s()
+
+    async def open(self, open_once: Callable[[float], Awaitable[None]]) -> None:
+        """Do `open_once`, which gets the seconds that it may take, until it is done, or `stop` was called.
+
+        Raises what makes it useless to go on, or what the last try met when the time is over.
+        """
+        if not self._held:
+            await open_once(CALL_TIMEOUT_S)
+            self._held = True
+            return
+        backoff = Backoff(float("inf"))
+        while not self.ended and not await self._try(open_once, backoff):
+            pass
+
+    async def _try(self, open_once: Callable[[float], Awaitable[None]], backoff: Backoff) -> bool:
+        """Whether it is open, or not wanted any more; if not, some time has passed."""
+        try:
+            await open_once(min(self._left_s(), TRY_TIMEOUT_S))
+        except StampedeError as error:
+            self.broke()
+            if self.ended:
+                return True
+            over = self._left_s() <= 0
+            if over:
+                self._since_s = None  # whoever goes on regardless gets the whole time again
+            if over or not may_heal(error) or self._session.closed:
+                raise
+            self._tell(error)
+        else:
+            self._is_open()
+            return True
+        await sleep(min(backoff.next_delay_s(monotonic_s(), random.random()) or 0.0, self._left_s()))
+        return False
+
+    def _left_s(self) -> float:
+        began_s = monotonic_s() if self._since_s is None else self._since_s
+        return max(began_s + self._bound_s - monotonic_s(), 0.0)
+
+    def _tell(self, error: StampedeError) -> None:
+        if not self._told and self._since_s is not None and monotonic_s() - self._since_s > SILENT_S:
+            self._told = True
+            bound = "" if self._bound_s == float("inf") else f" for {format_duration(round(self._bound_s * 1e9))}"
+            _log.warning("%s has been broken for %g s, and is tried again%s: %s", self._what, SILENT_S, bound, error)
+
+    def _is_open(self) -> None:
+        if self._since_s is None:
+            return
+        self.reconnects += 1
+        if self._told:
+            _log.warning("%s is back after %.0f s", self._what, monotonic_s() - self._since_s)
+        self._since_s, self._told = None, False
+
+
+def may_heal(error: StampedeError) -> bool:
+    """Whether trying again may help."""
+    return error.retryable or isinstance(error, DeadlineExceeded)
+
+
+def parse_reconnect(reconnect: DurationLike | None) -> float:
+    """Seconds, 0 or more; None: for ever. Raises InvalidArgument."""
+    if reconnect is None:
+        return float("inf")
+    nanos = parse_duration(reconnect, "reconnect")
+    if nanos < 0:
+        raise InvalidArgument(f'reconnect is {reconnect!r}; give "0s" or more, or None to try for ever')
+    return nanos / 1e9

@@ -1,0 +1,147 @@
+"""How streams come back: for as long as their user lets them, at growing distances, and not one step longer."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt._async import reconnecting
+from stampede_rt._async.reconnecting import Reconnecting, parse_reconnect
+
+
+class Session:
+    closed = False
+
+
+class Clock:
+    """Time that passes in sleeps alone."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slept: list[float] = []
+
+    def monotonic_s(self) -> float:
+        return self.now_s
+
+    async def sleep(self, delay_s: float) -> None:
+        self.slept.append(delay_s)
+        self.now_s += delay_s
+
+
+class Opening:
+    """Fails as often as it is told, and keeps how long each try might take."""
+
+    def __init__(self, *errors: Exception) -> None:
+        self.errors = list(errors)
+        self.allowed_s: list[float] = []
+
+    async def __call__(self, timeout_s: float) -> None:
+        self.allowed_s.append(timeout_s)
+        if self.errors:
+            raise self.errors.pop(0)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(reconnecting, "monotonic_s", clock.monotonic_s)
+    monkeypatch.setattr(reconnecting, "sleep", clock.sleep)
+    return clock
+
+
+def made(reconnect: Any = None, **settings: Any) -> Reconnecting:
+    return Reconnecting(Session(), "the subscription to channel 'cam'", reconnect, **settings)  # type: ignore[arg-type]
+
+
+async def test_what_never_was_open_is_told_at_once(clock: Clock) -> None:
+    one = made()
+    with pytest.raises(st.Unavailable):
+        await one.open(Opening(st.Unavailable("no")))
+    assert (clock.slept, one.connected) == ([], False)
+
+
+async def test_an_outage_of_any_length_ends_with_the_stream_open_and_counted_once(clock: Clock) -> None:
+    one = made()
+    await one.open(Opening())
+    assert one.connected
+    one.broke()
+    assert not one.connected
+    opening = Opening(*[st.Unavailable("down") for _ in range(5000)])
+    await one.open(opening)
+    assert len(opening.allowed_s) == 5001
+    assert clock.now_s > 3600
+    assert max(clock.slept) <= 1.0, "it looks again at least each second"
+    assert (one.reconnects, one.connected) == (1, True)
+
+
+async def test_it_gives_up_when_its_time_is_over_and_gets_all_of_it_again_when_asked_again(clock: Clock) -> None:
+    one = made("2s")
+    await one.open(Opening())
+    for _ in range(2):
+        began_s = clock.now_s
+        one.broke()
+        with pytest.raises(st.Unavailable, match="down"):
+            await one.open(Opening(*[st.Unavailable("down") for _ in range(5000)]))
+        assert clock.now_s - began_s == pytest.approx(2.0)
+    await one.open(Opening())
+
+
+async def test_without_any_time_it_tries_once(clock: Clock) -> None:
+    one = made("0s", held=True)
+    opening = Opening(st.Unavailable("down"), st.Unavailable("down"))
+    with pytest.raises(st.Unavailable):
+        await one.open(opening)
+    assert (len(opening.allowed_s), clock.slept) == (1, [])
+
+
+@pytest.mark.parametrize("error", [st.IncarnationLost("gone"), st.ChannelNotFound("gone"), st.PermissionDenied("no")])
+async def test_what_cannot_heal_is_told_at_once(clock: Clock, error: st.StampedeError) -> None:
+    with pytest.raises(type(error)):
+        await made(held=True).open(Opening(error))
+    assert clock.slept == []
+
+
+async def test_a_call_that_took_too_long_is_an_outage_like_others(clock: Clock) -> None:
+    one = made(held=True)
+    await one.open(Opening(st.DeadlineExceeded("slow"), st.Overloaded("full")))
+    assert one.reconnects == 1
+
+
+async def test_who_stops_it_meanwhile_hears_nothing_more(clock: Clock) -> None:
+    one = made(held=True)
+
+    async def opening(timeout_s: float) -> None:
+        one.stop()
+        raise st.Unavailable("down")
+
+    await one.open(opening)
+    assert (one.reconnects, one.connected, clock.slept) == (0, False, [])
+
+
+async def test_going_on_without_a_break_is_not_counted(clock: Clock) -> None:
+    one = made(held=True)
+    await one.open(Opening())
+    assert one.reconnects == 0
+
+
+async def test_a_long_outage_has_a_line_in_the_log_at_its_beginning_and_at_its_end(
+    clock: Clock, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = made(held=True)
+    with caplog.at_level(logging.WARNING, "stampede_rt"):
+        await one.open(Opening(*[st.Unavailable("down") for _ in range(100)]))
+    assert [record.getMessage().split(":")[0].rsplit(" after")[0] for record in caplog.records] == [
+        "the subscription to channel 'cam' has been broken for 10 s, and is tried again",
+        "the subscription to channel 'cam' is back",
+    ]
+
+
+def test_the_bound_is_a_duration_or_none() -> None:
+    assert parse_reconnect(None) == float("inf")
+    assert parse_reconnect("1.5s") == 1.5
+    for wrong in ("-1s", 10, "soon"):
+        with pytest.raises(st.InvalidArgument, match="reconnect"):
+            parse_reconnect(wrong)  # type: ignore[arg-type]
