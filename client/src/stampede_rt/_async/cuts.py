@@ -206,7 +206,10 @@ class CutSubscription(OfOneProcess):
         self._cursor.channels.extend(one for one in opened.channels if one.channel_id not in known)
 
     async def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
-        decider, *others = self._talks
+        talks = self._talks
+        if not talks:  # closed while it was being opened
+            raise StopAsyncIteration
+        decider, *others = talks
         await decider.conversation.say(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
         boundary = await decider.event(parts)
         for talk in others:

@@ -57,7 +57,7 @@ class Ports:
             self._ports.clear()
 
     async def aclose(self) -> None:
-        """End everything that is under way."""
+        """End everything that is under way. Interrupted, it has ended all the same, and only was not waited for."""
         with self._mutex:
             self.closed = True
             ports = [*self._former, *self._ports.values()]
@@ -66,3 +66,5 @@ class Ports:
         for port in ports:
             await port.aclose()
         forking.closed(self)
+        for port in ports:
+            await port.ended()

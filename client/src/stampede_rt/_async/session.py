@@ -96,11 +96,13 @@ class Session:
         if self.inherited:
             self.closed = True
             return
-        for one in reversed(tuple(self._attached)):
-            await one.end()
-        self.closed = True
-        self.cache.forget_all()
-        await self.ports.aclose()
+        try:
+            for one in reversed(tuple(self._attached)):
+                await one.end()
+        finally:  # also when somebody loses patience meanwhile
+            self.closed = True
+            self.cache.forget_all()
+            await self.ports.aclose()
 
     @property
     def inherited(self) -> bool:

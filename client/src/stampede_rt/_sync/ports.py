@@ -58,7 +58,7 @@ class Ports:
             self._ports.clear()
 
     def close(self) -> None:
-        """End everything that is under way."""
+        """End everything that is under way. Interrupted, it has ended all the same, and only was not waited for."""
         with self._mutex:
             self.closed = True
             ports = [*self._former, *self._ports.values()]
@@ -67,3 +67,5 @@ class Ports:
         for port in ports:
             port.close()
         forking.closed(self)
+        for port in ports:
+            port.ended()

@@ -119,8 +119,11 @@ class Port(Stubs):
             raise closed(self.target) from error
 
     async def aclose(self) -> None:
-        """End everything that is under way here."""
+        """End everything that is under way here, at once."""
         await self._channel.close(None)
+
+    async def ended(self) -> None:
+        """Block until the tasks of all streams have ended, which they do soon once this is closed."""
         tasks = self._tasks - {asyncio.current_task()}
         if tasks:
             await asyncio.wait(tasks, timeout=END_TIMEOUT_S)

@@ -55,6 +55,7 @@ class Port(Stubs):
         self._of_thread = threading.local()
         self._exchanges: WeakSet[_Exchange] = WeakSet()
         self._mutex = threading.Lock()  # guards the exchanges
+        self._closed = False
 
     def stub(self, make: Callable[[grpc.Channel], Stub]) -> Stub:
         """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
@@ -79,6 +80,14 @@ class Port(Stubs):
             return method(requests, metadata=self.metadata)
         except ValueError as error:
             raise closed(self.target) from error
+
+    def converse_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
+        """The call of a stream of `requests`. None behind them ends gRPC's sending thread, and so does the call's end:
+        else that thread waits for requests for good."""
+        call = self.begin(method, iter(requests.get, None))
+        if not call.add_callback(partial(requests.put, None)):
+            requests.put(None)  # it has ended already
+        return call
 
     def converse(self, method: Callable[..., Any]) -> Conversation[Any]:
         """A stream in both directions."""
@@ -110,6 +119,7 @@ class Port(Stubs):
         self._watchdog.close()
         self._channel.close()
         with self._mutex:
+            self._closed = True
             exchanges = tuple(self._exchanges)
         for exchange in exchanges:  # gRPC's sending threads wait for requests, closed or not
             exchange.cancel()
@@ -118,6 +128,12 @@ class Port(Stubs):
         """End `exchange` with this port, if it is still there then."""
         with self._mutex:
             self._exchanges.add(exchange)
+            over = self._closed
+        if over:  # since its call began
+            exchange.cancel()
+
+    def ended(self) -> None:
+        """Its threads are daemons, and end by themselves: there is nothing to wait for."""
 
 
 def closed(target: str) -> Unavailable:
@@ -176,8 +192,7 @@ class Conversation(Stream[Response]):
 
     def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
         self._requests: SimpleQueue[Any] = SimpleQueue()
-        super().__init__(port.begin(method, iter(self._requests.get, None)), port.target, watchdog)
-        when_dropped(self, partial(self._requests.put, None))
+        super().__init__(port.converse_by(method, self._requests), port.target, watchdog)
 
     def say(self, request: Any) -> None:
         """Send `request`, without waiting. That the stream is broken is found out by the iteration.
@@ -189,11 +204,6 @@ class Conversation(Stream[Response]):
             raise Unavailable(f"{self._target} takes no requests; it may be stopped")
         self._requests.put(request)
 
-    def cancel(self) -> None:
-        """Give the stream up."""
-        super().cancel()
-        self._requests.put(None)
-
 
 class _Exchange:
     """An open bidirectional stream. Its requests lie in a queue only until gRPC's sending thread takes them."""
@@ -201,7 +211,7 @@ class _Exchange:
     def __init__(self, port: Port, method: Callable[..., Any]) -> None:
         self._target = port.target
         self._requests: SimpleQueue[Any] = SimpleQueue()
-        self._call: Any = port.begin(method, iter(self._requests.get, None))
+        self._call: Any = port.converse_by(method, self._requests)
         self.broken = False
         self._forks = forking.forks()
         port.opened(self)

@@ -1,0 +1,86 @@
+"""Calls that are cancelled and timed out at random, and must end in any case."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import random
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import stampede_rt as st
+
+BOUND_S = (
+    30.0  # beyond its own time: the client tries for 10 s, and its last try may take as long, and a connection 3 s
+)
+INTERRUPTED = object()
+FAILED = object()
+ENDED = object()
+PASSING = (st.Unavailable, st.DeadlineExceeded, st.Overloaded)
+
+
+class Calling:
+    """Makes calls of one client: of the aio one as they are, of the blocking one in threads."""
+
+    def __init__(self, seed: str, pool: ThreadPoolExecutor | None) -> None:
+        self.dice = random.Random(seed)
+        self._pool = pool
+        self.calls = self.interrupted = self.failed = 0
+
+    @property
+    def is_async(self) -> bool:
+        """Calls can be cancelled."""
+        return self._pool is None
+
+    async def plain(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        """The result of one call."""
+        if self._pool is not None:
+            loop = asyncio.get_running_loop()
+            return await loop.run_in_executor(self._pool, partial(function, *arguments, **named))
+        result = function(*arguments, **named)
+        return await result if inspect.isawaitable(result) else result
+
+    async def step(self, iterator: Any) -> Any:
+        """What an iterator of the client gives next; ENDED behind its end."""
+        if self._pool is not None:
+            return await self.plain(next, iterator, ENDED)
+        return await anext(iterator, ENDED)
+
+    async def any_way(self, what: str, call: Awaitable[Any], own_s: float = 0.0, *, endless: bool = False) -> Any:
+        """The call's result, INTERRUPTED or FAILED: some calls are cancelled at a random moment, some time out.
+
+        `endless`: it may wait for ever by itself. Fails the test if it does not end, or not with a passing failure.
+        """
+        self.calls += 1
+        task = asyncio.ensure_future(call)
+        if self.is_async and (endless or self.dice.random() < 0.4):
+            await self._interrupt(task)
+        return await self.ended(what, task, own_s)
+
+    async def _interrupt(self, task: asyncio.Future[Any]) -> None:
+        """Cancel at one of the first steps, or some time later."""
+        if self.dice.random() < 0.5:
+            for _ in range(self.dice.randrange(40)):
+                await asyncio.sleep(0)
+        else:
+            await asyncio.wait([task], timeout=self.dice.random() ** 3)
+        task.cancel()
+
+    async def ended(self, what: str, task: asyncio.Future[Any], own_s: float) -> Any:
+        """What became of it."""
+        await asyncio.wait([task], timeout=own_s + BOUND_S)
+        if not task.done():
+            stack = task.get_stack() if isinstance(task, asyncio.Task) else ""
+            raise AssertionError(f"{what} hangs: {stack}")
+        if task.cancelled():
+            self.interrupted += 1
+            return INTERRUPTED
+        error = task.exception()
+        if error is None:
+            return task.result()
+        if not isinstance(error, PASSING):
+            raise AssertionError(f"{what} failed for good") from error
+        self.failed += 1
+        return FAILED

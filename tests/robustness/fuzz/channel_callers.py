@@ -1,0 +1,86 @@
+"""Callers of one channel: puts, producers, reads, subscriptions."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import stampede_rt as st
+from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, Calling
+from tests.robustness.fuzz.ledger import Ledger
+
+SIZES = (0, 10, 1000, 70_000)
+
+
+def payload_of(calling: Calling, who: str, number: int) -> bytes:
+    """One that no other put has."""
+    return f"{who} {number} ".encode() + bytes(calling.dice.choice(SIZES))
+
+
+async def puts(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+    """One put after the other."""
+    number = 0
+    while not over.is_set():
+        payload = payload_of(calling, who, number := number + 1)
+        call = calling.plain(channel.put, payload, timeout=1)
+        outcome = await calling.any_way("put", call, 1)
+        (ledger.open if outcome in (INTERRUPTED, FAILED) else ledger.accepted).add(payload)
+
+
+async def produces(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+    """Puts without waiting for acks, and flushes now and then; in the end everything handed over is there."""
+    producer = channel.producer()
+    handed: set[bytes] = set()
+    number = 0
+    while not over.is_set():
+        payload = payload_of(calling, who, number := number + 1)
+        outcome = await calling.any_way("put of a producer", calling.plain(producer.put, payload))
+        (ledger.refused if outcome in (INTERRUPTED, FAILED) else handed).add(payload)
+        if calling.dice.random() < 0.1:
+            await calling.any_way("flush", calling.plain(producer.flush, 2), 2)
+        await asyncio.sleep(0)
+    await calling.plain(producer.flush, 60)
+    assert (producer.accepted, producer.rejections) == (len(handed), 0)
+    await calling.plain(producer.aclose if calling.is_async else producer.close)
+    ledger.accepted |= handed
+
+
+async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
+    """Reads of all kinds."""
+    while not over.is_set():
+        kind = calling.dice.randrange(4)
+        if kind == 0:
+            call = calling.plain(channel.newest, timeout=0.05)
+        elif kind == 1:
+            call = calling.plain(channel.get, st.OLDEST, st.NEWEST, limit=5, payloads=False)
+        elif kind == 2:
+            call = calling.plain(channel.get, st.now(), st.now() + 10**9, timeout=0.2, complete=True)
+        else:
+            call = calling.plain(channel.stats)
+        await calling.any_way(f"read {kind}", call, 1)
+
+
+async def subscribes(calling: Calling, channel: Any, over: asyncio.Event) -> list[st.Item]:
+    """All items, one after the other, with steps that are cancelled in between."""
+    subscription = await subscribed(calling, channel)
+    items: list[st.Item] = []
+    while True:
+        if over.is_set() and subscription.dropped == 0:
+            newest = await calling.plain(channel.newest)
+            if items and newest is not None and items[-1].seq >= newest.seq:
+                break
+        step = calling.step(subscription)
+        item = await calling.any_way("step of a subscription", step, endless=calling.is_async)
+        assert item not in (FAILED, ENDED)
+        if item is not INTERRUPTED:
+            items.append(item)
+    subscription.close()
+    return items
+
+
+async def subscribed(calling: Calling, channel: Any) -> Any:
+    """A subscription from the beginning: the blocking client opens it here, and may meet a failure."""
+    while True:
+        made = await calling.any_way("subscribe", calling.plain(channel.subscribe, st.OLDEST), 0)
+        if made not in (FAILED, INTERRUPTED):
+            return made

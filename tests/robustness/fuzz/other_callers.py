@@ -1,0 +1,121 @@
+"""Callers of queues and groups, and those who come and go."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from typing import Any
+
+import stampede_rt as st
+from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, Calling
+from tests.robustness.fuzz.channel_callers import payload_of
+from tests.robustness.fuzz.ledger import Ledger
+
+LEASE = "1s"
+NOBODY = (None, FAILED, INTERRUPTED)
+
+
+async def enqueues(calling: Calling, queue: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
+    """One put after the other."""
+    number = 0
+    while not over.is_set():
+        payload = payload_of(calling, who, number := number + 1)
+        outcome = await calling.any_way("put into a queue", calling.plain(queue.put, payload, 1), 1)
+        (ledger.open if outcome in (INTERRUPTED, FAILED) else ledger.accepted).add(payload)
+
+
+class Takers:
+    """Those who take from one queue, and what they acknowledged."""
+
+    def __init__(self) -> None:
+        self.acknowledged: Counter[bytes] = Counter()
+        self.unsure: set[bytes] = set()  # the acknowledgement was interrupted, or failed
+
+    async def take(self, calling: Calling, queue: Any, over: asyncio.Event) -> None:
+        """Get, and acknowledge, give back or leave."""
+        while not over.is_set():
+            timeout = calling.dice.choice([0, 0.05, 1, None if calling.is_async else 1])
+            call = calling.plain(queue.get, timeout)
+            message = await calling.any_way("get from a queue", call, timeout or 0, endless=timeout is None)
+            if message not in NOBODY:
+                await self._settle(calling, message)
+
+    async def take_the_rest(self, calling: Calling, queue: Any) -> None:
+        """Until nothing is held."""
+        async with asyncio.timeout(60):
+            while (await calling.plain(queue.stats)).held:
+                message = await calling.plain(queue.get, 0.5)
+                if message is not None:
+                    await calling.plain(message.ack)
+                    self.acknowledged[message.payload] += 1
+
+    async def _settle(self, calling: Calling, message: Any) -> None:
+        kind = calling.dice.random()
+        if kind < 0.1:
+            return
+        if kind < 0.2:
+            await calling.any_way("nack", settled(calling, message.nack))
+            return
+        outcome = await calling.any_way("ack", settled(calling, message.ack))
+        if outcome in (FAILED, INTERRUPTED):
+            self.unsure.add(message.payload)
+        elif outcome:
+            self.acknowledged[message.payload] += 1
+
+
+async def settled(calling: Calling, settle: Any) -> bool:
+    """Whether it was, before its lease ended."""
+    try:
+        await calling.plain(settle)
+    except st.LeaseExpired:
+        return False
+    return True
+
+
+async def reads_groups(calling: Calling, group: Any, over: asyncio.Event) -> None:
+    """Reads at one cut."""
+    while not over.is_set():
+        call = group.newest if calling.dice.random() < 0.5 else group.get
+        arguments = () if call == group.newest else (st.OLDEST, st.NEWEST)
+        await calling.any_way("read of a group", calling.plain(call, *arguments, payloads=False), 1)
+
+
+async def matches(calling: Calling, group: Any, per: Any, over: asyncio.Event) -> None:
+    """Matches, each item's at most once."""
+    made = await opened(calling, group.match, per, "1s", partial=True)
+    seen = await stepped(calling, made, over)
+    seqs = [(match[per].incarnation, match[per].seq) for match in seen]
+    assert len(set(seqs)) == len(seqs), "a match came twice"
+
+
+async def cuts(calling: Calling, group: Any, over: asyncio.Event) -> None:
+    """Cut events, whose times ascend."""
+    made = await opened(calling, group.subscribe, "100ms")
+    times = [cut.time for cut in await stepped(calling, made, over)]
+    assert times == sorted(set(times)), "cuts do not ascend"
+
+
+async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> Any:
+    """Made by an undisturbed call of the blocking client, which opens it; by the aio one at once."""
+    while True:
+        made = await calling.any_way("subscribe to a group", calling.plain(make, *arguments, **named))
+        if made not in (FAILED, INTERRUPTED):
+            return made
+
+
+async def stepped(calling: Calling, made: Any, over: asyncio.Event) -> list[Any]:
+    """What an iterator gave until it was over."""
+    seen: list[Any] = []
+    ending = asyncio.ensure_future(_close_when(over, made))
+    while True:
+        result = await calling.any_way("step", calling.step(made), endless=True)
+        if result is ENDED:
+            await ending
+            return seen
+        if result not in (FAILED, INTERRUPTED):
+            seen.append(result)
+
+
+async def _close_when(over: asyncio.Event, made: Any) -> None:
+    await over.wait()
+    made.close()

@@ -1,0 +1,39 @@
+"""Nothing hangs, nothing acknowledged is lost or doubled, and nothing is left over, whatever is cut or cancelled.
+
+`make fuzz` plays other and longer stories: STAMPEDE_FUZZ_STORIES of STAMPEDE_FUZZ_SECONDS each, from
+STAMPEDE_FUZZ_SEED on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from tests.robustness.fuzz.story import Story
+from tests.robustness.fuzz.world import World, running_world
+
+SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "3"))
+STORIES = int(os.environ.get("STAMPEDE_FUZZ_STORIES", "1"))
+FIRST_SEED = int(os.environ.get("STAMPEDE_FUZZ_SEED", "1"))
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    with running_world() as made:
+        yield made
+
+
+@pytest.mark.parametrize("seed", range(FIRST_SEED, FIRST_SEED + STORIES))
+@pytest.mark.parametrize("client", ["aio", "sync"])
+def test_calls_over_a_network_that_breaks_end_and_lose_nothing(
+    client: str, seed: int, world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def play() -> str:
+        return await Story(world, client, seed, SECONDS).play()
+
+    print(asyncio.run(play()))
+    unseen = [record.getMessage() for record in caplog.records if "never retrieved" in record.getMessage()]
+    assert not unseen
