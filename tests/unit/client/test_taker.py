@@ -249,6 +249,20 @@ async def test_a_getter_that_is_cancelled_in_its_first_step_takes_nothing() -> N
     assert not taker._waiting
 
 
+async def test_a_poll_that_gets_what_another_had_asked_for_is_answered_at_once() -> None:
+    """It waited for 12 s beside its message, for a stream on which to ask."""
+    host = Host()
+    taker = taker_at(host)
+    cancelled = asyncio.ensure_future(taker.get(FOR_EVER))
+    stream = await host.next_stream()
+    cancelled.cancel()
+    await until_said(stream, lambda request: request.drain)
+    poll = asyncio.ensure_future(taker.get(Wait(0)))
+    await asyncio.sleep(0)
+    stream.deliver(1, drained=True)
+    assert await seq_of(poll) == 1
+
+
 async def test_what_waits_ahead_is_extended_as_long_as_others_are_taken_and_goes_back_when_none_is() -> None:
     """Prefetched messages were lost to their leases while their taker worked on those before them."""
     host = Host()
