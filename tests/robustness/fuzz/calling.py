@@ -56,10 +56,10 @@ class Calling:
         self.calls += 1
         task = asyncio.ensure_future(call)
         if self.is_async and (endless or self.dice.random() < 0.4):
-            await self._interrupt(task)
+            await self.interrupt(task)
         return await self.ended(what, task, own_s)
 
-    async def _interrupt(self, task: asyncio.Future[Any]) -> None:
+    async def interrupt(self, task: asyncio.Future[Any]) -> None:
         """Cancel at one of the first steps, or some time later."""
         if self.dice.random() < 0.5:
             for _ in range(self.dice.randrange(40)):

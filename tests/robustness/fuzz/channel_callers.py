@@ -10,6 +10,8 @@ from tests.robustness.fuzz.calling import ENDED, FAILED, INTERRUPTED, Calling
 from tests.robustness.fuzz.ledger import Ledger
 
 SIZES = (0, 10, 1000, 70_000)
+STORY_S_MAX = 600.0
+LAST = b"the last"
 
 
 def payload_of(calling: Calling, who: str, number: int) -> bytes:
@@ -60,17 +62,15 @@ async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
         await calling.any_way(f"read {kind}", call, 1)
 
 
-async def subscribes(calling: Calling, channel: Any, over: asyncio.Event) -> list[st.Item]:
-    """All items, one after the other, with steps that are cancelled in between."""
+async def subscribes(calling: Calling, channel: Any) -> list[st.Item]:
+    """All items up to LAST, one after the other, with steps that are cancelled in between."""
     subscription = await subscribed(calling, channel)
     items: list[st.Item] = []
-    while True:
-        if over.is_set() and subscription.dropped == 0:
-            newest = await calling.plain(channel.newest)
-            if items and newest is not None and items[-1].seq >= newest.seq:
-                break
-        step = calling.step(subscription)
-        item = await calling.any_way("step of a subscription", step, endless=calling.is_async)
+    while not items or items[-1].payload != LAST:
+        step = asyncio.ensure_future(calling.step(subscription))
+        if calling.is_async and calling.dice.random() < 0.2:
+            await calling.interrupt(step)
+        item = await calling.ended("step of a subscription", step, STORY_S_MAX)
         assert item not in (FAILED, ENDED)
         if item is not INTERRUPTED:
             items.append(item)

@@ -15,7 +15,7 @@ import pytest
 from tests.robustness.fuzz.story import Story
 from tests.robustness.fuzz.world import World, running_world
 
-SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "3"))
+SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "2"))
 STORIES = int(os.environ.get("STAMPEDE_FUZZ_STORIES", "1"))
 FIRST_SEED = int(os.environ.get("STAMPEDE_FUZZ_SEED", "1"))
 

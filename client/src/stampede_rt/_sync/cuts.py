@@ -207,7 +207,10 @@ class CutSubscription(OfOneProcess):
         self._cursor.channels.extend(one for one in opened.channels if one.channel_id not in known)
 
     def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
-        decider, *others = self._talks
+        talks = self._talks
+        if not talks:  # closed while it was being opened
+            raise StopIteration
+        decider, *others = talks
         decider.conversation.say(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
         boundary = decider.event(parts)
         for talk in others:

@@ -97,11 +97,13 @@ class Session:
         if self.inherited:
             self.closed = True
             return
-        for one in reversed(tuple(self._attached)):
-            one.end()
-        self.closed = True
-        self.cache.forget_all()
-        self.ports.close()
+        try:
+            for one in reversed(tuple(self._attached)):
+                one.end()
+        finally:  # also when somebody loses patience meanwhile
+            self.closed = True
+            self.cache.forget_all()
+            self.ports.close()
 
     @property
     def inherited(self) -> bool:

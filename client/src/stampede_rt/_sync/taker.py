@@ -273,6 +273,7 @@ class Taker:
         if waiter is None:
             return False
         waiter.message = message
+        waiter.asked.set()
         waiter.come.set()
         return True
 
