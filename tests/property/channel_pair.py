@@ -14,11 +14,13 @@ from stampede_rt_channel_host.core.channel import (
     AllCursor,
     Answer,
     Channel,
+    Coming,
     NewestCursor,
     Offer,
     Pending,
     Position,
     Query,
+    Reach,
     Slice,
     WakeAt,
 )
@@ -51,6 +53,14 @@ def items_of(slices: Sequence[Slice]) -> list[Item]:
 
 def facts(items: Sequence[Item]) -> list[tuple[int, int, int | None, int]]:
     return [(item.time, item.seq, item.duration, item.length) for item in items]
+
+
+def _may_release(wake: WakeAt, reach: Reach, clock: int) -> bool:
+    """The get was to be looked at again: what it needs has come, or its instant."""
+    assert wake.needs is not None, "a blocked get knows what it waits for"
+    pairs = zip(wake.needs, reach, strict=True)
+    reached = any(need is not None and come is not None and need <= come for need, come in pairs)
+    return reached or (wake.instant is not None and wake.instant <= clock)
 
 
 def ends_as_read(items: Sequence[Item], next_time: int | None) -> list[int | None]:
@@ -88,7 +98,7 @@ class ChannelPair:
     core: Channel = field(init=False)
     oracle: OracleChannel = field(init=False)
     gets: list[tuple[Pending, OracleGet]] = field(default_factory=list)
-    needs: dict[Pending, int] = field(default_factory=dict)
+    woken: dict[Pending, WakeAt] = field(default_factory=dict)
     waiting: list[Offer] = field(default_factory=list)
     all_subscriptions: list[tuple[AllCursor, OracleSubscription]] = field(default_factory=list)
     newest_subscriptions: list[tuple[NewestCursor, OracleNewest]] = field(default_factory=list)
@@ -96,6 +106,7 @@ class ChannelPair:
     def __post_init__(self) -> None:
         self.core = Channel(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)
         self.oracle = OracleChannel(self.policy, self.lost_before)
+        self.coming = Coming(self.core)
 
     def put(self, offer: Offer) -> None:
         """An offer; what has to wait is kept for later."""
@@ -183,7 +194,7 @@ class ChannelPair:
 
     def poll_all(self) -> None:
         """As the owner does after every change, and when an instant comes."""
-        still = []
+        still, reach = [], self.coming.reach(self.clock)
         for pending, blocked in self.gets:
             reader = OracleReader(self.oracle, self.clock)
             expected = blocked.poll(reader)
@@ -192,11 +203,10 @@ class ChannelPair:
                 assert expected is None
                 assert answer.instant == blocked.wake_at(reader)
                 still.append((pending, blocked))
-                if answer.needs is not None:
-                    self.needs[pending] = answer.needs
+                self.woken[pending] = answer
             else:
                 assert expected is not None
-                assert self.needs.get(pending, self.clock) <= self.core.reach(self.clock)
+                assert pending not in self.woken or _may_release(self.woken[pending], reach, self.clock)
                 self._agree(answer, expected)
         self.gets = still
 

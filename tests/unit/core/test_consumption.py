@@ -285,3 +285,55 @@ def test_what_is_still_to_come_is_not_called_collected_once_the_last_item_was_co
     assert channel.frontier == 10
     found = get(channel, CLOCK + 5, CLOCK + 10)
     assert (found.complete, found.truncated, found.reason) == (False, False, "NOT_YET")
+
+
+def test_a_thousand_consumers_cost_a_put_and_a_consume_a_look_at_few_of_them() -> None:
+    """A put took 1 ms, a consume 1.6 ms."""
+    channel = a_channel(consumers=1000)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    for consumer in range(1, 1001):
+        channel.consume(consumer, [], CLOCK)
+    looks = []
+    for item in range(1, 31):
+        before = retention.consumers.looked_at
+        put(channel, CLOCK + item)
+        looks.append(retention.consumers.looked_at - before)
+        for place in range(1000):
+            before = retention.consumers.looked_at
+            channel.consume(1 + (place * 7 + item) % 1000, [item], CLOCK)
+            looks.append(retention.consumers.looked_at - before)
+    assert max(looks) <= 4
+    assert held(channel) == []
+    assert channel.counters(CLOCK).collected["consumption"] == 30
+
+
+def test_one_slow_consumer_among_a_thousand_costs_what_it_consumes() -> None:
+    channel = a_channel(consumers=1000)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    put(channel, *range(CLOCK, CLOCK + 100))
+    for consumer in range(2, 1001):
+        channel.consume(consumer, range(1, 101), CLOCK)
+    channel.consume(1, [], CLOCK)
+    before = retention.consumers.looked_at
+    for seq in range(1, 101):
+        channel.consume(1, [seq], CLOCK)
+        assert channel.counters(CLOCK).held == 100 - seq
+    assert retention.consumers.looked_at - before <= 800
+
+
+def test_what_age_takes_is_owed_by_nobody_and_a_thousand_consumers_are_not_told_one_by_one() -> None:
+    channel = a_channel(consumers=1000, max_age_nanos=100)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    for consumer in range(1, 1001):
+        channel.consume(consumer, [], CLOCK)
+    before = retention.consumers.looked_at
+    for item in range(200):
+        put(channel, CLOCK + 10 * item, now=CLOCK + 10 * item)
+    assert retention.consumers.looked_at - before <= 1000
+    now = CLOCK + 1990
+    held_now = held(channel, now)
+    assert {place.waiting for place in channel.consumers(now)} == {len(held_now)}
+    assert channel.consume(5, range(1, 201), now).items == len(held_now), "what is gone counts for nobody"

@@ -9,19 +9,24 @@ each further one renews, and loses it when the lease ends. It holds back what it
 - a consumer finds its own place again; a new one gets the place that ended the longest ago, so that places which nobody
   took yet go on holding for those who are still to come, and otherwise one of these.
 
-Kept for each place: the seqs that it has consumed or that are gone anyway. What is not in this set is held and owed, so
-its ranges are never more than the held items, and one for a consumer that goes in order.
+Kept for each place: the seqs that it has consumed; what is gone anyway is taken in when it consumes what adjoins that.
+What is in neither is held and owed. However many consumers there are, a put or a consume looks at few of them: they
+stand in the order of how far they have consumed everything, and one that holds the oldest item back answers for all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import ChannelFull, InvalidArgument
 from stampede_rt.timeline import format_duration
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.seq_set import SeqSet
+from stampede_rt_channel_host.core.deadlines import Deadlines
 
 LEASE_NANOS = 10_000_000_000
 """How long a place is kept after a `consume` that states nothing else."""
@@ -52,27 +57,39 @@ class ConsumerPlace(NamedTuple):
 
 
 class _Place:
-    """A place that was taken; `done` is None once its lease has ended, at `until`."""
+    """A place that was taken; `done` is None once its lease has ended, at `until`.
 
-    __slots__ = ("done", "until")
+    `below`: every seq below it is done, as far as was looked. `order` tells those apart that are otherwise alike; `due`
+    belongs to `Deadlines`.
+    """
 
-    def __init__(self, until: int, done: SeqSet | None) -> None:
-        self.until = until
+    __slots__ = ("below", "consumer_id", "done", "due", "order", "until")
+
+    def __init__(self, consumer_id: int, order: int, done: SeqSet | None) -> None:
+        self.consumer_id = consumer_id
+        self.order = order
         self.done = done
+        self.below = 1
+        self.until = 0
+        self.due: int | None = None
 
 
 class Consumers:
     """The places of one channel. `clock` is the host's clock, which never goes back; `expire` is called before others.
 
-    `gone`: every seq below `next_seq` that is not held.
+    `gone`: every seq below `next_seq` that is not held. `looked_at` counts looks at a place.
     """
 
     def __init__(self, places: int, gone: SeqSet) -> None:
+        self.looked_at = 0
         self._places = places
         self._gone = gone
         self._taken: dict[int, _Place] = {}
-        self._live: list[SeqSet] = []  # what those with a lease have done
-        self.next_lease_end: int | None = None
+        self._live: Any = SortedKeyList(key=attrgetter("below", "order"))
+        self._ended: Any = SortedKeyList(key=attrgetter("until", "order"))
+        self._leases: Deadlines[_Place] = Deadlines()
+        self._holder: _Place | None = None  # who was last found to hold the oldest item back
+        self._orders = 0
 
     @property
     def untaken(self) -> int:
@@ -84,14 +101,15 @@ class Consumers:
         """How many places have a consumer whose lease holds."""
         return len(self._live)
 
+    @property
+    def next_lease_end(self) -> int | None:
+        """When the next lease ends; None: nobody has one."""
+        return self._leases.next()
+
     def expire(self, clock: int) -> None:
         """End the leases that are over."""
-        if self.next_lease_end is None or clock < self.next_lease_end:
-            return
-        for place in self._taken.values():
-            if place.until <= clock:
-                place.done = None
-        self._note_leases()
+        while (place := self._leases.pop(clock)) is not None:
+            self._end(place)
 
     def consume(
         self, consumer_id: int, seqs: Sequence[int], *, next_seq: int, newest_seq: int | None, clock: int, lease: int
@@ -103,88 +121,143 @@ class Consumers:
         _check(consumer_id, seqs, next_seq, lease)
         if not lease and not seqs and not self._holds_place(consumer_id):
             return Consumed(0, 0)
-        done = self._take(consumer_id, next_seq if newest_seq is None else newest_seq)
-        items = sum(done.add(first, end) for first, end in _ranges(seqs))
-        place = self._taken[consumer_id]
+        place, done = self._take(consumer_id, next_seq if newest_seq is None else newest_seq)
+        items = 0
+        for first, end in _ranges(seqs):
+            for known in self._gone.touching(first, end):
+                done.add(*known)
+            items += done.add(first, end)
         place.until = clock + lease
-        place.done = done if lease else None
-        self._note_leases()
+        if lease:
+            self._leases.arm(place, place.until)
+            self._rank(place, done)
+        else:
+            self._leases.disarm(place)
+            self._end(place)
         return Consumed(items, lease)
 
     def _holds_place(self, consumer_id: int) -> bool:
         own = self._taken.get(consumer_id)
         return own is not None and own.done is not None
 
-    def _take(self, consumer_id: int, restart_seq: int) -> SeqSet:
-        """What the consumer has done, in its own place or in one that it takes now."""
+    def _take(self, consumer_id: int, restart_seq: int) -> tuple[_Place, SeqSet]:
+        """The consumer's own place, or one that it takes now, and what it has done there."""
         own = self._taken.get(consumer_id)
         if own is not None and own.done is not None:
-            return own.done
-        ended = len(self._live) < len(self._taken)
-        if own is None and not ended and not self.untaken:
+            return own, own.done
+        if own is None and not self._ended and not self.untaken:
             raise ChannelFull(
                 f"the channel counts {self._places} consumers and all places are taken; the next one is free in "
                 f"{format_duration(LEASE_NANOS)} at the latest after one of them stops, or raise consumers (configure)",
                 metadata={"consumers": str(self._places)},
             )
         done = self._gone.copy()
-        if own is not None or ended:
-            former = consumer_id if own is not None else min(self._taken.items(), key=_worth)[0]
-            del self._taken[former]
+        former = own or (self._ended[0] if self._ended else None)  # the one that ended the longest ago
+        if former is not None:
+            self._drop(former)
             done.add(1, restart_seq)
-        self._taken[consumer_id] = _Place(0, done)
-        return done
+        return self._enter(consumer_id, done), done
+
+    def _enter(self, consumer_id: int, done: SeqSet | None) -> _Place:
+        self._orders += 1
+        place = self._taken[consumer_id] = _Place(consumer_id, self._orders, done)
+        if done is None:
+            self._ended.add(place)
+        else:
+            place.below = done.below
+            self._live.add(place)
+        return place
+
+    def _drop(self, place: _Place) -> None:
+        (self._ended if place.done is None else self._live).remove(place)
+        self._leases.disarm(place)
+        place.done = None
+        del self._taken[place.consumer_id]
+
+    def _end(self, place: _Place) -> None:
+        self._live.remove(place)
+        place.done = None
+        self._ended.add(place)
+
+    def _rank(self, place: _Place, done: SeqSet) -> None:
+        """It has done more: it stands where that says."""
+        while (end := self._gone.end_of(done.below)) > done.below:
+            done.add(done.below, end)
+        if done.below != place.below:
+            self._live.remove(place)
+            place.below = done.below
+            self._live.add(place)
 
     def let_go(self, first: int, end: int) -> None:
         """Items were collected, whatever for: nobody owes them any more."""
         self._gone.add(first, end)
-        for done in self._live:
-            done.add(first, end)
 
     def resize(self, places: int) -> None:
         """Another number of places. Of too many taken ones go first those that ended, then the soonest to end."""
         self._places = places
-        for known, _ in sorted(self._taken.items(), key=_worth)[: max(0, len(self._taken) - places)]:
-            del self._taken[known]
-        self._note_leases()
+        for place in sorted(self._taken.values(), key=_worth)[: max(0, len(self._taken) - places)]:
+            self._drop(place)
 
     def done_with(self, part: Slice) -> int:
         """How many of the first items of `part` every live consumer has consumed."""
-        first = part.first_seq
-        end = min((done.end_of(first) for done in self._live), default=part.end_seq)
-        return min(end, part.end_seq) - first
+        first, end = part.first_seq, part.end_seq
+        if self._holder is not None and self._end_of(self._holder, first) == first:
+            return 0
+        for place in list(self._live.irange_key(max_key=(first, self._orders))):
+            assert place.done is not None, "it is live"
+            self._rank(place, place.done)
+            if place.below <= first:
+                self.looked_at += 1
+                end = min(end, place.done.end_of(first))
+            if end == first:
+                self._holder = place
+                return 0
+        beyond = next(self._live.irange_key(min_key=(first + 1, 0)), None)
+        return (end if beyond is None else min(end, beyond.below)) - first
+
+    def _end_of(self, place: _Place, seq: int) -> int | None:
+        """The first seq at or above `seq` that it has not consumed; None: its lease has ended."""
+        self.looked_at += 1
+        return None if place.done is None else place.done.end_of(seq)
 
     def places(self, clock: int, next_seq: int) -> list[ConsumerPlace]:
         """Every place that was taken, as a value; first those whose leases have ended, the longest ago first."""
         shown = []
-        for consumer_id, place in sorted(self._taken.items(), key=_worth):
-            done = place.done or self._gone
-            lease, waiting = (place.until - clock, next_seq - 1 - done.size) if place.done else (0, 0)
-            shown.append(ConsumerPlace(consumer_id, lease, done.below, done.ranges, waiting))
+        for place in sorted(self._taken.values(), key=_worth):
+            if place.done is None:
+                shown.append(ConsumerPlace(place.consumer_id, 0, self._gone.below, self._gone.ranges))
+                continue
+            for known in self._gone.touching(1, next_seq):
+                place.done.add(*known)
+            self._rank(place, place.done)
+            waiting = next_seq - 1 - place.done.size
+            lease = place.until - clock
+            shown.append(ConsumerPlace(place.consumer_id, lease, place.done.below, place.done.ranges, waiting))
         return shown
 
     def restore(self, places: Iterable[ConsumerPlace], clock: int) -> None:
         """Take over places that `places` told, instead of those that are there. Those of id 0 stay untaken."""
-        self._taken = {}
+        for former in list(self._taken.values()):
+            self._drop(former)
         for one in places:
-            if one.consumer_id:
-                done = SeqSet(one.consumed_below, one.consumed) if one.lease_nanos > 0 else None
-                if done is not None:
-                    done.add(1, self._gone.below)
-                    for first, end in self._gone.ranges:
-                        done.add(first, end)
-                self._taken[one.consumer_id] = _Place(clock + (one.lease_nanos or -1), done)
+            if not one.consumer_id:
+                continue
+            done = SeqSet(one.consumed_below, one.consumed) if one.lease_nanos > 0 else None
+            place = self._enter(one.consumer_id, done)
+            if done is None:
+                self._ended.remove(place)
+                place.until = clock - 1
+                self._ended.add(place)
+            else:
+                place.until = clock + one.lease_nanos
+                self._leases.arm(place, place.until)
+                self._rank(place, done)
         self.resize(self._places)
 
-    def _note_leases(self) -> None:
-        live = [place for place in self._taken.values() if place.done is not None]
-        self._live = [place.done for place in live if place.done is not None]
-        self.next_lease_end = min((place.until for place in live), default=None)
 
-
-def _worth(taken: tuple[int, _Place]) -> tuple[bool, int]:
+def _worth(place: _Place) -> tuple[bool, int]:
     """The least worth of places is the one that ended the longest ago."""
-    return taken[1].done is not None, taken[1].until
+    return place.done is not None, place.until
 
 
 def _check(consumer_id: int, seqs: Sequence[int], next_seq: int, lease: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from sortedcontainers import SortedDict
@@ -29,6 +29,18 @@ class SeqSet:
     def copy(self) -> SeqSet:
         """Another set of the same seqs."""
         return SeqSet(self.below, self._ranges.items())
+
+    def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
+        """The ranges that share a seq with those from `first` up to `end`, or adjoin them; the first one may be the one
+        below `below`."""
+        if first <= self.below and self.below > 1:
+            yield 1, self.below
+        at = max(0, self._ranges.bisect_right(first) - 1)
+        for low in self._ranges.islice(at):
+            if low > end:
+                return
+            if self._ranges[low] >= first:
+                yield low, self._ranges[low]
 
     def end_of(self, seq: int) -> int:
         """The first seq at or above `seq` that is not in."""
