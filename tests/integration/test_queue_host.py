@@ -123,7 +123,7 @@ async def test_an_enqueue_on_a_full_queue_waits_until_a_taker_made_room(rig: Que
 
 
 @pytest.mark.parametrize("wait_nanos", [0, 20 * MS])
-async def test_a_wait_for_room_that_is_over_ends_in_channel_full(rig: QueueRig, wait_nanos: int) -> None:
+async def test_a_wait_for_room_that_is_over_ends_in_queue_full(rig: QueueRig, wait_nanos: int) -> None:
     queue = rig.open(max_items=1)
     await queue.put(b"a")
     refused = await queue.put(b"b", wait_nanos=wait_nanos)

@@ -12,9 +12,9 @@ _PUTS_TAG = bytes((4 << 3 | 2,))  # PutRequest.puts
 _RUN_TAG = bytes((3 << 3 | 2,))  # PutRun.run
 
 
-def put_head(channel_id: bytes, epoch: int, producer_id: int) -> bytes:
-    """What a stream's first request says of the channel; requests behind it leave it away."""
-    return channel_pb.PutRequest(channel_id=channel_id, epoch=epoch, producer_id=producer_id).SerializeToString()
+def put_head(subject_id: bytes, epoch: int, producer_id: int) -> bytes:
+    """What a stream's first request says of the channel or queue, alike; requests behind it leave it away."""
+    return channel_pb.PutRequest(channel_id=subject_id, epoch=epoch, producer_id=producer_id).SerializeToString()
 
 
 def put_request(
