@@ -104,3 +104,26 @@ def test_what_was_deleted_stays_deleted_until_its_name_is_used_again(cluster: Lo
         message = queue.get(timeout=5)
         assert message is not None
         assert message.payload == b"another"
+
+
+def test_a_group_is_opened_again_with_its_members_and_its_events_say_that_all_was_lost(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    left, right = rt.channel("anew/left"), rt.channel("anew/right")
+    group = rt.group("anew/pair", [left, right], reference=right, bound="end", max_lead="2s")
+    for channel in (left, right):
+        channel.put(b"gone")
+    cuts = group.subscribe()
+    restart(cluster)
+    assert [one.payload if one else None for one in group.newest().values()] == [None, None]
+    with pytest.raises(st.IncarnationLost):
+        next(cuts)
+    found = rt.group("anew/pair")
+    assert found == group
+    assert [one.name for one in found] == ["anew/left", "anew/right"]
+    assert found.info.reference_id == right.info.channel_id
+    assert (found.info.bound, found.info.max_lead_nanos) == ("end", 2_000_000_000)
+    group.delete()
+    for gone in (group.newest, group[left].newest, group.refresh):
+        with pytest.raises(st.GroupNotFound, match="anew/pair"):
+            gone()

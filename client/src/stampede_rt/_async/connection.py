@@ -176,7 +176,8 @@ class Connection(Discovery, Reference):
                 request_id=request_id(), name=parse_name(name, "group"), spec=spec, create=True
             )
         response = await self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
-        return Group(self._session, group_info(response.group), member_handles(self._session, response, channels or ()))
+        handles = member_handles(self._session, response, channels or ())
+        return Group(self._session, group_info(response.group), handles, create=channels is not None)
 
     async def cross_section(
         self,

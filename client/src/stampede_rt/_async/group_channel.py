@@ -28,8 +28,9 @@ class GroupChannel(Reader):
         floor = self._group._view.cut_floor
         try:
             items = await super()._read(query)
-        except GroupNotFound as error:
-            raise self._group._explained(error) from None
+        except GroupNotFound:
+            await self._group.refresh()  # by its name; raises if there is none
+            return await super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
         await self._group.refresh()  # the host is behind what was seen, or the group has begun anew

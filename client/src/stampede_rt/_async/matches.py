@@ -13,7 +13,7 @@ from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting, may_heal
 from stampede_rt.binding import Binding
 from stampede_rt.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
-from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.grouping import Matched
 from stampede_rt.handles import OfOneProcess
 from stampede_rt.model import Item
@@ -142,7 +142,11 @@ class MatchSubscription(OfOneProcess):
                 self._resume()
                 raise
 
-        await self._group._session.perform(self._per._state, open_at, timeout_s)
+        try:
+            await self._group._session.perform(self._per._state, open_at, timeout_s)
+        except GroupNotFound:
+            await self._group.refresh()  # by its name; raises if there is none
+            await self._group._session.perform(self._per._state, open_at, timeout_s)
 
     def _opening(self, epoch: int) -> group_pb.SubscribeMatchesOpen:
         return group_pb.SubscribeMatchesOpen(

@@ -52,10 +52,10 @@ from stampede_rt.timeline import (
     parse_interval,
     parse_match,
 )
-from stampede_rt.transports.concurrency_sync import together
+from stampede_rt.transports.concurrency_sync import monotonic_s, together
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
-from stampede_rt.wire.groups import group_info, member_status
+from stampede_rt.wire.groups import group_info, group_spec, member_status
 
 Result = TypeVar("Result")
 
@@ -66,8 +66,10 @@ CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already
 class Group(Reference):
     """A set of channels that are read in step. Handles of one group are equal; any process may hold some."""
 
-    def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel]) -> None:
+    def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel], create: bool = False) -> None:
         self._session = session
+        self._create = create  # it was opened with its members, and so can be opened again
+        self._cluster_id = session.supernodes.cluster_id
         self._view = GroupView(info.group_id)
         self.info = info
         self.channels = tuple(channels)
@@ -153,15 +155,13 @@ class Group(Reference):
 
     def _with_members_of_now(self, operation: Callable[[], Result]) -> Result:
         """The result of `operation`; once more, if it fails because others have let members in or out."""
-        version = self.info.spec_version
+        known = self.info.group_id, self.info.spec_version
         try:
             return operation()
-        except (InvalidArgument, ChannelNotFound):
+        except (InvalidArgument, ChannelNotFound, GroupNotFound):
             self.refresh()
-            if self.info.spec_version == version:
+            if (self.info.group_id, self.info.spec_version) == known:
                 raise
-        except GroupNotFound as error:
-            raise self._explained(error) from None
         return operation()
 
     def _explained(self, error: StampedeError) -> StampedeError:
@@ -279,15 +279,45 @@ class Group(Reference):
     def refresh(self, known: Sequence[Channel] = ()) -> None:
         """Learn the members anew, which other processes may have changed. Raises GroupNotFound."""
         request = group_directory_pb.ResolveGroupRequest(group_id=self.info.group_id)
+        response: group_directory_pb.ResolveGroupResponse | group_directory_pb.OpenGroupResponse
         try:
             response = self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
-        except GroupNotFound as error:
-            raise self._explained(error) from None
+        except GroupNotFound:
+            response = self._open_again()
         info = group_info(response.group)
         if info.incarnation != self.incarnation:
             self._view.cut_floor = None
+        self._view.group_id = info.group_id
         self.channels = member_handles(self._session, response, [*self.channels, *known])
         self.info = info
+
+    def _open_again(self) -> group_directory_pb.OpenGroupResponse:
+        """The group's id is not known any more: the one that has its name now, made anew if the directory began anew.
+
+        Raises GroupNotFound.
+        """
+        supernodes = self._session.supernodes
+        request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=self.name)
+        begun_anew = supernodes.present_cluster(monotonic_s() + CALL_TIMEOUT_S) != self._cluster_id
+        if self._create and begun_anew:
+            reference = [one for one in self.channels if one.info.channel_id == self.info.reference_id]
+            self._forget_places()
+            self._targets()  # finds the members by their names
+            spec = group_spec(
+                [one.info.channel_id for one in self.channels],
+                reference[0].info.channel_id if reference else None,
+                self.info.bound,
+                self.info.idle_after_nanos,
+                self.info.max_lead_nanos,
+            )
+            request.spec.CopyFrom(spec)
+            request.create = True
+        try:
+            response: group_directory_pb.OpenGroupResponse = supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
+        except GroupNotFound as error:
+            raise self._explained(error) from None
+        self._cluster_id = supernodes.cluster_id
+        return response
 
     def delete(self) -> None:
         """Forget the group, for everyone; its channels stay."""
