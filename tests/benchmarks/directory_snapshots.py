@@ -155,7 +155,6 @@ def _opening(number: int) -> OpenChannel:
         host_name="",
         new_channel_id=dice.randbytes(16),
         new_incarnation=dice.getrandbits(60),
-        as_of_index=0,
     )
 
 

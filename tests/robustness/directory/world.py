@@ -47,9 +47,9 @@ class Submission:
     def __init__(self, member: DirectoryMember) -> None:
         self._member, self._world = member, member.world
 
-    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float) -> R:
+    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0) -> R:
         stamp = self._member.clock.time_unix_nano()
-        encoded = encode_command(Command(op_id=op_id, time_unix_nano=stamp, deed=deed))
+        encoded = encode_command(Command(op_id=op_id, time_unix_nano=stamp, deed=deed, as_of_index=as_of_index))
         deadline, ambiguous = self._world.now + seconds, False
         while (left := deadline - self._world.now) > 0:
             outcome = await wait(lambda resume, left=left: self._propose(encoded, min(left, 2.0), resume))
@@ -227,6 +227,9 @@ class _Context:
 
     def time_remaining(self) -> float:
         return max(0.0, self._deadline - self._world.now)
+
+    def invocation_metadata(self) -> tuple[tuple[str, str], ...]:
+        return ()
 
     def auth_context(self) -> dict[str, Any]:
         return {}

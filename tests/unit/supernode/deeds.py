@@ -13,6 +13,7 @@ from stampede_rt_supernode.core.commands import (
     DeleteChannel,
     DeregisterHost,
     ExpireHost,
+    MarkTime,
     OpenChannel,
     RegisterHost,
     Result,
@@ -43,10 +44,15 @@ class Log:
         if founded:
             self.apply(begin_tenure(1))
 
-    def apply(self, deed: Deed, op_id: bytes | None = None) -> Result:
+    def apply(self, deed: Deed, op_id: bytes | None = None, as_of_index: int = 0) -> Result:
         self._index += 1
         op_id = op_id or id_of(10_000 + next(self._op_ids))
-        return self.directory.apply(self._index, Command(op_id=op_id, time_unix_nano=self.time_unix_nano, deed=deed))
+        command = Command(op_id=op_id, time_unix_nano=self.time_unix_nano, deed=deed, as_of_index=as_of_index)
+        return self.directory.apply(self._index, command)
+
+    def mark_time(self, tenure: int = 1) -> Result:
+        """The leader says that the time of a mark has passed."""
+        return self.apply(MarkTime(tenure=tenure, after_index=self.directory.answered.last_mark))
 
 
 def begin_tenure(tenure: int = 1) -> BeginTenure:
@@ -145,9 +151,7 @@ def set_in_sync(
     )
 
 
-def open_queue(
-    name: str, *, host: str = "", create: bool = True, incarnation: int = 66, as_of: int = 0, **spec: Any
-) -> OpenQueue:
+def open_queue(name: str, *, host: str = "", create: bool = True, incarnation: int = 66, **spec: Any) -> OpenQueue:
     return OpenQueue(
         name=name,
         spec=QueueSpec(**spec),
@@ -155,7 +159,6 @@ def open_queue(
         host_name=host,
         new_queue_id=id_of(next(_made)),
         new_incarnation=incarnation,
-        as_of_index=as_of,
     )
 
 

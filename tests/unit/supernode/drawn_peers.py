@@ -46,7 +46,6 @@ def queue_deeds(draw: st.DrawFn, directory: Directory, new_queue_id: bytes) -> O
             host_name=draw(host_names),
             new_queue_id=new_queue_id,
             new_incarnation=draw(incarnations),
-            as_of_index=max(0, directory.applied_index - draw(st.integers(0, 3))),
         )
     queue = some_queue(directory, draw(st.integers(0, 5)))
     queue_id, epoch = (queue.queue_id, queue.epoch) if queue else (id_of(9996), 1)

@@ -17,9 +17,11 @@ from stampede_rt_supernode.core.commands import (
     HostDeregistered,
     HostExpired,
     HostRegistered,
+    MarkTime,
     Refused,
     Result,
     TenureBegun,
+    TimeMarked,
 )
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
@@ -112,10 +114,11 @@ DEEDS: list[Deed] = [
     add_replica(id_of(2)),
     remove_replica(id_of(2), 3),
     set_in_sync(id_of(2), 3, epoch=4, boot=5),
-    open_queue("jobs", host="rig", create=False, as_of=9, **EVERYTHING_OF_QUEUES),
+    open_queue("jobs", host="rig", create=False, **EVERYTHING_OF_QUEUES),
     open_queue("jobs"),
     update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
     delete_queue(id_of(2)),
+    MarkTime(tenure=2**64 - 1, after_index=7),
     register_peer(1, "planner", boot=2**64 - 1, proof=7, **EVERYTHING_OF_PEERS),
     register_peer(1, "planner", mailbox=QueueSpec()),
     register_peer(1),
@@ -194,6 +197,7 @@ RESULTS: list[Result] = [
     HostDeregistered(),
     HostExpired(expired=True),
     TenureBegun(tenure=4, cluster_id="c"),
+    TimeMarked(marked=True),
     GroupOpened(group=GROUP, created=True),
     GroupUpdated(group=GROUP),
     GroupDeleted(),
@@ -212,7 +216,7 @@ RESULTS: list[Result] = [
 
 @pytest.mark.parametrize("deed", DEEDS, ids=lambda deed: type(deed).__name__)
 def test_a_command_comes_out_as_it_went_in(deed: Deed) -> None:
-    command = Command(op_id=id_of(3), time_unix_nano=-1, deed=deed)
+    command = Command(op_id=id_of(3), time_unix_nano=-1, deed=deed, as_of_index=9)
     assert decode_command(encode_command(command)) == command
 
 

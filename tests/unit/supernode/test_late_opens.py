@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from dataclasses import replace
 
 import pytest
 import pytest_asyncio
 
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
-from stampede_rt_supernode.core.answered import WINDOW_INDEXES
-from stampede_rt_supernode.core.commands import ChannelOpened, Command, Deed, Refused, Result
+from stampede_rt_supernode.core.answered import MARKS_KEPT
+from stampede_rt_supernode.core.commands import ChannelOpened, Deed, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
 from stampede_rt_supernode.core.late_opens import Open
 from stampede_rt_supernode.core.queues.commands import QueueOpened
@@ -115,27 +114,26 @@ def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_
     opening = openings[kind]
     asked = log.directory.applied_index
     log.apply(delete_what(log, log.apply(opening)))
-    late = log.apply(replace(opening, as_of_index=asked))
+    late = log.apply(opening, as_of_index=asked)
     assert isinstance(late, Refused)
     assert (late.reason, late.metadata) == ("AMBIGUOUS", {kind: "x"})
-    assert not isinstance(log.apply(replace(opening, as_of_index=log.directory.applied_index)), Refused)
+    assert not isinstance(log.apply(opening, as_of_index=log.directory.applied_index), Refused)
 
 
 def test_what_was_deleted_under_another_name_makes_no_open_late(log: Log) -> None:
     asked = log.directory.applied_index
     log.apply(delete_what(log, log.apply(open_channel("y"))))
-    assert isinstance(log.apply(replace(open_channel("x"), as_of_index=asked)), ChannelOpened)
+    assert isinstance(log.apply(open_channel("x"), as_of_index=asked), ChannelOpened)
 
 
-def test_an_open_that_comes_later_than_answers_are_remembered_is_late() -> None:
-    directory = Log().directory
-    directory.apply(2, Command(op_id=id_of(1), time_unix_nano=0, deed=register(1)))
-    deed = replace(open_channel("x"), as_of_index=2)
-    late = directory.apply(WINDOW_INDEXES + 3, Command(op_id=id_of(2), time_unix_nano=0, deed=deed))
+def test_an_open_that_comes_later_than_answers_are_remembered_is_late(log: Log) -> None:
+    asked = log.directory.applied_index
+    for _ in range(MARKS_KEPT):
+        log.mark_time()
+    late = log.apply(open_channel("x"), as_of_index=asked)
     assert isinstance(late, Refused)
-    in_time = replace(deed, as_of_index=3)
-    done = directory.apply(WINDOW_INDEXES + 3, Command(op_id=id_of(3), time_unix_nano=0, deed=in_time))
-    assert isinstance(done, ChannelOpened)
+    assert late.reason == "AMBIGUOUS"
+    assert isinstance(log.apply(open_channel("x"), as_of_index=log.directory.applied_index), ChannelOpened)
 
 
 def test_an_open_of_what_is_there_is_never_late(log: Log) -> None:
@@ -144,6 +142,6 @@ def test_an_open_of_what_is_there_is_never_late(log: Log) -> None:
     log.apply(delete(opened.channel.channel_id))
     there = log.apply(open_channel("x"))
     assert isinstance(there, ChannelOpened)
-    again = log.apply(replace(open_channel("x"), as_of_index=1))
+    again = log.apply(open_channel("x"), as_of_index=1)
     assert isinstance(again, ChannelOpened)
     assert (again.channel, again.created) == (there.channel, False)

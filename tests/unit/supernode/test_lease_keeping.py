@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 import pytest_asyncio
 
+from stampede_rt_supernode.core.answered import MARKS_KEPT
 from stampede_rt_supernode.servicers import lease_keeper
 from tests.unit.supernode.memory_log import OTHER, Fate
 from tests.unit.supernode.node import Node, reason_of, running_node
@@ -119,3 +120,28 @@ async def test_a_failure_to_take_over_is_tried_again(node: Node, monkeypatch: py
     node.log.quorum = True
     await node.leases.tick()
     assert (await node.renew(1)).tenure == 2
+
+
+async def test_a_leader_marks_the_time_for_as_long_as_anything_is_remembered(node: Node) -> None:
+    def marks() -> tuple[int, int]:
+        return node.replica.read(lambda directory: (len(directory.answered.marks), len(directory.answered)))
+
+    await node.pass_seconds(9)
+    assert marks() == (0, 3)  # the tenure, the host, and by now the end of its lease
+    await node.pass_seconds(11)
+    assert marks()[0] == 1
+    await node.pass_seconds(10 * MARKS_KEPT + 10)
+    assert marks() == (MARKS_KEPT, 0)
+    index = node.replica.read(lambda directory: directory.applied_index)
+    await node.pass_seconds(60)
+    assert node.replica.read(lambda directory: directory.applied_index) == index
+
+
+async def test_a_new_leader_marks_no_time_that_it_has_not_seen_pass(node: Node) -> None:
+    await node.pass_seconds(9)
+    node.log.tenure = 2
+    await node.leases.tick()
+    await node.pass_seconds(9)
+    assert node.replica.read(lambda directory: directory.answered.marks) == ()
+    await node.pass_seconds(2)
+    assert len(node.replica.read(lambda directory: directory.answered.marks)) == 1

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable
 from typing import Any
 
 import pytest
 import pytest_asyncio
 
+from stampede_rt.request_age import age_metadata
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
@@ -44,6 +45,35 @@ async def test_a_channel_is_opened_resolved_changed_and_deleted(node: Node) -> N
     await node.stub.DeleteChannel(pb.DeleteChannelRequest(request_id=id_of(2), channel_id=opened.channel.channel_id))
     gone = await reason_of(node.stub.ResolveChannel(pb.ResolveChannelRequest(name="cam/left")))
     assert gone.reason == "CHANNEL_NOT_FOUND"
+
+
+async def test_a_repeat_puts_no_old_set_up_over_a_newer_one_however_much_was_done_meanwhile(node: Node) -> None:
+    opened = await node.open("cam")
+
+    def update(number: int, max_items: int, age_ms: int = 0) -> Awaitable[pb.UpdateChannelResponse]:
+        request = pb.UpdateChannelRequest(
+            request_id=id_of(number), channel_id=opened.channel.channel_id, epoch=1, spec=spec(max_items=max_items)
+        )
+        pending: Awaitable[pb.UpdateChannelResponse] = node.stub.UpdateChannel(
+            request, timeout=10, metadata=age_metadata(age_ms / 1000)
+        )
+        return pending
+
+    async def held() -> int:
+        found = await node.stub.ResolveChannel(pb.ResolveChannelRequest(name="cam"))
+        return int(found.channel.spec.retention.max_items)
+
+    await update(1, 111)
+    await update(2, 222)
+    node.log.index += 20_000  # as if so much had been done
+    await update(1, 111, age_ms=20_000)
+    assert await held() == 222
+    refused = await reason_of(update(1, 111, age_ms=30_000))
+    assert (refused.reason, "first sent 30 s ago" in refused.message) == ("INVALID_ARGUMENT", True)
+    for _ in range(10):
+        await node.pass_seconds(10)
+    assert (await reason_of(update(1, 111, age_ms=100_000))).reason == "INVALID_ARGUMENT"
+    assert await held() == 222
 
 
 async def test_the_second_opener_gets_the_same_channel_without_an_entry_in_the_log(node: Node) -> None:

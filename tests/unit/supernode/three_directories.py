@@ -6,7 +6,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import Command, Deed, Refused, Result
+from stampede_rt_supernode.core.answered import Answered
+from stampede_rt_supernode.core.commands import Command, Deed, MarkTime, Refused, Result
 from stampede_rt_supernode.core.directory import Directory
 from tests.unit.supernode.deeds import id_of
 
@@ -26,8 +27,9 @@ class ThreeDirectories(RuleBasedStateMachine):
         return id_of(1000 + self.drawn)
 
     def apply(self, deed: Deed, op_id: bytes, skip: int = 1) -> Result:
+        as_of_index = max(0, self.index - self.drawn % 4)
         self.index += skip
-        command = Command(op_id=op_id, time_unix_nano=0, deed=deed)
+        command = Command(op_id=op_id, time_unix_nano=0, deed=deed, as_of_index=as_of_index)
         before = encode_snapshot(self.directory)
         result = self.directory.apply(self.index, command)
         again = decode_command(encode_command(command))
@@ -41,7 +43,14 @@ class ThreeDirectories(RuleBasedStateMachine):
     def without_index(snapshot: bytes) -> Directory | bytes:
         directory = decode_snapshot(snapshot)
         directory.tables.index = 0
+        directory.answered = Answered()  # a few are forgotten whatever a command does
         return encode_snapshot(directory)
+
+    @rule()
+    def mark_time(self) -> None:
+        """A leader's mark, which callers' commands may then be too late for."""
+        marks = self.directory.answered.last_mark
+        self.apply(MarkTime(tenure=self.directory.tenure, after_index=marks), self.fresh_id())
 
     @rule()
     def restore(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
@@ -154,29 +155,32 @@ class Channel(Reader):
             max_age_unconsumed=max_age_unconsumed,
         )
 
+        identity, since_s = request_id(), time.monotonic()
+
         async def configure_at(binding: Binding) -> Policy:
             port = self._session.ports.to(binding.target)
             request = gatekeeper_service_pb2.ConfigureChannelRequest(
-                request_id=request_id(),
+                request_id=identity,
                 channel_id=binding.channel_id,
                 epoch=binding.epoch,
                 spec=policy_to_spec(policy),
             )
-            response = await port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S)
+            age_s = time.monotonic() - since_s
+            response = await port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S, age_s=age_s)
             return channel_info(response.channel, None).policy
 
         return await self._session.perform(self._state, configure_at)
 
     async def delete(self) -> None:
         """Delete the channel and all its items, for everyone. Works if its host is lost, too."""
-        identity = request_id()
+        identity, since_s = request_id(), time.monotonic()
 
         async def drop_at(binding: Binding) -> None:
             port = self._session.ports.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
                 request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
             )
-            await port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S)
+            await port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=time.monotonic() - since_s)
 
         try:
             await self._session.perform(self._state, drop_at, timeout_s=1.0)
@@ -184,6 +188,6 @@ class Channel(Reader):
             request = directory_service_pb2.DeleteChannelRequest(
                 request_id=identity, channel_id=self._state.info.channel_id
             )
-            await self._session.supernodes.call("DeleteChannel", request, CALL_TIMEOUT_S)
+            await self._session.supernodes.call("DeleteChannel", request, CALL_TIMEOUT_S, since_s=since_s)
         self._puts.close()
         self._session.cache.forget(self._state.info.channel_id)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
@@ -202,7 +203,7 @@ class Queue(Taking, Reference):
             max_deliveries=max_deliveries,
             dead_letter_queue_id=await dead_letter_id(self._session, dead_letter),
         )
-        identity = request_id()
+        identity, since_s = request_id(), time.monotonic()
 
         async def update_at(binding: Binding) -> QueuePolicy:
             request = queue_directory_pb.UpdateQueueRequest(
@@ -211,7 +212,7 @@ class Queue(Taking, Reference):
                 epoch=binding.epoch,
                 spec=queue_policy_to_spec(policy),
             )
-            response = await self._session.supernodes.call("UpdateQueue", request, CALL_TIMEOUT_S)
+            response = await self._session.supernodes.call("UpdateQueue", request, CALL_TIMEOUT_S, since_s=since_s)
             request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.channel_id)
             now = await self._session.supernodes.call("ResolveQueue", request_now, CALL_TIMEOUT_S)
             self._state.info = learn_queue(self._session, response.queue, now.host)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
@@ -155,29 +156,32 @@ class Channel(Reader):
             max_age_unconsumed=max_age_unconsumed,
         )
 
+        identity, since_s = request_id(), time.monotonic()
+
         def configure_at(binding: Binding) -> Policy:
             port = self._session.ports.to(binding.target)
             request = gatekeeper_service_pb2.ConfigureChannelRequest(
-                request_id=request_id(),
+                request_id=identity,
                 channel_id=binding.channel_id,
                 epoch=binding.epoch,
                 spec=policy_to_spec(policy),
             )
-            response = port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S)
+            age_s = time.monotonic() - since_s
+            response = port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S, age_s=age_s)
             return channel_info(response.channel, None).policy
 
         return self._session.perform(self._state, configure_at)
 
     def delete(self) -> None:
         """Delete the channel and all its items, for everyone. Works if its host is lost, too."""
-        identity = request_id()
+        identity, since_s = request_id(), time.monotonic()
 
         def drop_at(binding: Binding) -> None:
             port = self._session.ports.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
                 request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
             )
-            port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S)
+            port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=time.monotonic() - since_s)
 
         try:
             self._session.perform(self._state, drop_at, timeout_s=1.0)
@@ -185,6 +189,6 @@ class Channel(Reader):
             request = directory_service_pb2.DeleteChannelRequest(
                 request_id=identity, channel_id=self._state.info.channel_id
             )
-            self._session.supernodes.call("DeleteChannel", request, CALL_TIMEOUT_S)
+            self._session.supernodes.call("DeleteChannel", request, CALL_TIMEOUT_S, since_s=since_s)
         self._puts.close()
         self._session.cache.forget(self._state.info.channel_id)

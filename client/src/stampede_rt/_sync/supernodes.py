@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 import random
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 from stampede_rt._sync.ports import Ports
 from stampede_rt.binding import order_by_round_trip
@@ -27,6 +27,14 @@ TRY_TIMEOUT_S = 2.5  # for one supernode while there are others: one that is sto
 CONNECT_TIMEOUT_S = 5.0
 EXPLAIN_TIMEOUT_S = 1.0  # after it no other front-end is looked at
 LEADERS_ASKED_MAX = 3  # for one call: one that was, one that was said to be, and one more
+
+
+class _Call(NamedTuple):
+    """A call that may be made several times; `since_s`: when it, or another with its request id, was made first."""
+
+    method: str
+    request: Any
+    since_s: float
 
 
 class Supernodes:
@@ -134,17 +142,19 @@ class Supernodes:
             sent_unix_nano=sent, took_nanos=took, told_unix_nano=pong.time_unix_nano, supernode=pong.supernode_id
         )
 
-    def call(self, method: str, request: Any, timeout_s: float) -> Any:
+    def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
         """One call of the directory. Goes to the next supernode if one cannot serve, and to the front-ends after all.
 
-        Updates are safe to repeat: they carry a request id. Raises what the directory answers, or Unavailable once
-        `timeout_s` is over.
+        Updates are safe to repeat: they carry a request id, and say how long ago they were first sent: now, or at
+        `since_s` on the monotonic clock. Raises what the directory answers, or Unavailable once `timeout_s` is over.
         """
-        backoff = Backoff(time.monotonic() + timeout_s)
+        began_s = time.monotonic()
+        backoff = Backoff(began_s + timeout_s)
+        call = _Call(method, request, began_s if since_s is None else since_s)
         failures: dict[str, StampedeError] = {}
         while True:
             try:
-                return self._call_each(method, request, backoff.deadline_s, failures)
+                return self._call_each(call, backoff.deadline_s, failures)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
@@ -156,18 +166,20 @@ class Supernodes:
                 sleep(delay_s)
             self._rebind(backoff.deadline_s)
 
-    def _call_each(self, method: str, request: Any, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
+    def _call_each(self, call: _Call, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
         """Ask one supernode after the other. Raises what `failures`, those of former rounds among them, come to."""
         if time.monotonic() > self._measure_again_s:
             self._measure()
         for target in list(self._targets):
-            left_s = deadline_s - time.monotonic()
+            now_s = time.monotonic()
+            left_s = deadline_s - now_s
             if left_s <= 0:
                 break
             left_s = min(left_s, TRY_TIMEOUT_S) if len(self._targets) > 1 else left_s
             port = self._ports.to(target)
             try:
-                return port.call(getattr(port.directory, method), request, left_s)
+                method = getattr(port.directory, call.method)
+                return port.call(method, call.request, left_s, age_s=now_s - call.since_s)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise

@@ -13,6 +13,7 @@ import grpc.aio
 
 from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.request_age import age_metadata
 from stampede_rt.status import from_rpc_error
 from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports import forking
@@ -64,10 +65,13 @@ class Port(Stubs):
         """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
         return make(self._channel)
 
-    async def call(self, method: Callable[..., Any], request: Any, timeout_s: float) -> Any:
-        """One request, one response, within `timeout_s`. Raises StampedeError."""
+    async def call(self, method: Callable[..., Any], request: Any, timeout_s: float, age_s: float = 0.0) -> Any:
+        """One request, one response, within `timeout_s`. Raises StampedeError.
+
+        `age_s`: how long ago an update was first sent.
+        """
         try:
-            return await method(request, timeout=timeout_s, metadata=self.metadata)
+            return await method(request, timeout=timeout_s, metadata=self.metadata + age_metadata(age_s))
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
         except grpc.aio.UsageError as error:

@@ -29,6 +29,10 @@ class DirectoryServiceStub(object):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
     Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
+    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
+    be remembered at present; nothing was done.
     """
 
     def __init__(self, channel):
@@ -108,6 +112,10 @@ class DirectoryServiceServicer(object):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
     Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
+    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
+    be remembered at present; nothing was done.
     """
 
     def Ping(self, request, context):
@@ -285,6 +293,10 @@ class DirectoryService(object):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
     Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
+    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
+    be remembered at present; nothing was done.
     """
 
     @staticmethod

@@ -30,6 +30,10 @@ class DirectoryServiceStub:
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
     Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
+    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
+    be remembered at present; nothing was done.
     """
 
     @_typing.overload
@@ -75,6 +79,10 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
     Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
+    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
+    be remembered at present; nothing was done.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -116,6 +124,10 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
     Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
+    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
+    be remembered at present; nothing was done.
     """
 
     @_abc_1.abstractmethod

@@ -8,7 +8,7 @@ whatever loop it is made.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import grpc
@@ -27,7 +27,7 @@ class ApartChannel(grpc.aio.Channel):
 
     def __init__(self, connect: Connect, metadata: tuple[tuple[str, str], ...], reader: TlsReader | None) -> None:
         self._connect = connect
-        self._metadata = metadata or None
+        self._metadata = metadata
         self._reader = reader
         self._material = self._read()
         self._channel = connect(self._material)
@@ -57,9 +57,12 @@ class ApartChannel(grpc.aio.Channel):
     def unary_unary(self, *args: Any, **kwargs: Any) -> Any:
         """A callable for one request and one response."""
 
-        async def call(request: Any, timeout: float | None = None) -> Any:
+        async def call(
+            request: Any, timeout: float | None = None, metadata: Sequence[tuple[str, str]] | None = None
+        ) -> Any:
             method: Any = self._current().unary_unary(*args, **kwargs)
-            return await _awaited(method.future(request, timeout=timeout, metadata=self._metadata))
+            told = (*self._metadata, *(metadata or ())) or None
+            return await _awaited(method.future(request, timeout=timeout, metadata=told))
 
         return call
 

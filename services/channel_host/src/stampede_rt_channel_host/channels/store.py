@@ -88,13 +88,16 @@ class ChannelStore:
                     await self._ask(channel_id)
         return self.find(channel_id, epoch)
 
-    async def drop(self, channel_id: bytes, epoch: int, request_id: bytes) -> None:
-        """Delete the channel in the directory and here; its readers hear CHANNEL_NOT_FOUND. Safe to repeat."""
+    async def drop(self, channel_id: bytes, epoch: int, request_id: bytes, since_s: float) -> None:
+        """Delete the channel in the directory and here; its readers hear CHANNEL_NOT_FOUND. Safe to repeat.
+
+        `since_s`: when the request was made, on the monotonic clock.
+        """
         if request_id in self._drops:
             return
         hosted = await self.bind(channel_id, epoch)
         try:
-            await self._directory.delete(channel_id, request_id=request_id)
+            await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
         except ChannelNotFound:
             logger.info("channel was deleted already", extra={"channel": hosted.record.name})
         self._drops[request_id] = None
@@ -103,13 +106,13 @@ class ChannelStore:
         self._forget(channel_id, refusals.deleted(hosted.record.name))
 
     async def configure(
-        self, channel_id: bytes, epoch: int, spec: channel_pb2.ChannelSpec, request_id: bytes
+        self, channel_id: bytes, epoch: int, spec: channel_pb2.ChannelSpec, request_id: bytes, since_s: float
     ) -> HostedChannel:
-        """Change the set-up in the directory, then here. Raises what the directory refuses. Safe to repeat."""
+        """Change the set-up in the directory, then here. Raises what the directory refuses. Repeat it as `drop`."""
         hosted = await self.bind(channel_id, epoch)
         _check_spec(hosted.record.spec, spec)  # before the directory takes what this host could not hold
         registrations = self._registrations
-        record = await self._directory.update(channel_id, epoch, spec, request_id=request_id)
+        record = await self._directory.update(channel_id, epoch, spec, request_id=request_id, since_s=since_s)
         if registrations != self._registrations:
             return await self.bind(channel_id, record.epoch, record.spec_version)
         return self._adopt(record)

@@ -24,16 +24,27 @@ class Directory:
         return response.channel
 
     async def update(
-        self, channel_id: bytes, epoch: int, spec: channel_pb2.ChannelSpec, *, request_id: bytes
+        self,
+        channel_id: bytes,
+        epoch: int,
+        spec: channel_pb2.ChannelSpec,
+        *,
+        request_id: bytes,
+        since_s: float | None = None,
     ) -> channel_pb2.ChannelRecord:
-        """The channel after the change; fields that `spec` leaves out stay. Safe to repeat with the same request id."""
+        """The channel after the change; fields that `spec` leaves out stay. Safe to repeat with the same request id.
+
+        `since_s`: when that was sent first, on the monotonic clock; None: now.
+        """
         request = pb.UpdateChannelRequest(
             request_id=request_id or secrets.token_bytes(16), channel_id=channel_id, epoch=epoch, spec=spec
         )
-        response: pb.UpdateChannelResponse = await self._supernodes.call("UpdateChannel", request, CALL_SECONDS_MAX)
+        response: pb.UpdateChannelResponse = await self._supernodes.call(
+            "UpdateChannel", request, CALL_SECONDS_MAX, since_s=since_s
+        )
         return response.channel
 
-    async def delete(self, channel_id: bytes, *, request_id: bytes) -> None:
-        """Forget the channel. Safe to repeat with the same request id. Raises ChannelNotFound."""
+    async def delete(self, channel_id: bytes, *, request_id: bytes, since_s: float | None = None) -> None:
+        """Forget the channel. Safe to repeat with the same request id, see `update`. Raises ChannelNotFound."""
         request = pb.DeleteChannelRequest(request_id=request_id or secrets.token_bytes(16), channel_id=channel_id)
-        await self._supernodes.call("DeleteChannel", request, CALL_SECONDS_MAX)
+        await self._supernodes.call("DeleteChannel", request, CALL_SECONDS_MAX, since_s=since_s)

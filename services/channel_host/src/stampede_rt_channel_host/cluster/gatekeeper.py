@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import time
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.request_age import request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc
@@ -57,7 +59,8 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         try:
             _check_id(request.channel_id)
             _check_request_id(request.request_id)
-            await self._store.drop(request.channel_id, request.epoch, request.request_id)
+            since_s = _first_sent_s(context)
+            await self._store.drop(request.channel_id, request.epoch, request.request_id, since_s)
         except StampedeError as error:
             await abort(context, error)
         return pb.DropChannelResponse()
@@ -69,7 +72,9 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         try:
             _check_id(request.channel_id)
             _check_request_id(request.request_id)
-            hosted = await self._store.configure(request.channel_id, request.epoch, request.spec, request.request_id)
+            hosted = await self._store.configure(
+                request.channel_id, request.epoch, request.spec, request.request_id, _first_sent_s(context)
+            )
         except StampedeError as error:
             await abort(context, error)
         return pb.ConfigureChannelResponse(channel=hosted.record)
@@ -98,6 +103,11 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 def _check_id(channel_id: bytes) -> None:
     if len(channel_id) != ID_BYTES:
         raise InvalidArgument(f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} that the directory told")
+
+
+def _first_sent_s(context: Any) -> float:
+    """When the caller made the request, on the monotonic clock. Raises InvalidArgument."""
+    return time.monotonic() - request_age_nanos(context.invocation_metadata()) / 1e9
 
 
 def _check_request_id(request_id: bytes) -> None:

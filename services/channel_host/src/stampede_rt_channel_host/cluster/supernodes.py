@@ -14,6 +14,7 @@ import grpc
 
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.majority import why_unserved
+from stampede_rt.request_age import age_metadata
 from stampede_rt.retry import Backoff
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
@@ -31,11 +32,15 @@ Service = Callable[[grpc.aio.Channel], Any]
 
 
 class _Call(NamedTuple):
-    """A call that may be made several times; `service` makes its stub."""
+    """A call that may be made several times; `service` makes its stub.
+
+    `since_s`: when it, or another with its request id, was made first.
+    """
 
     method: str
     request: Any
     service: Service
+    since_s: float
 
 
 class Supernodes:
@@ -63,14 +68,17 @@ class Supernodes:
         timeout_s: float,
         *,
         service: Service = directory_service_pb2_grpc.DirectoryServiceStub,
+        since_s: float | None = None,
     ) -> Any:
         """One call of `service`. Tries all supernodes, asks the front-ends for others, and tries again.
 
-        Updates carry a request id, so repeating them is safe. Raises what the directory answers, or the last failure
-        once `timeout_s` is over.
+        Updates carry a request id, and say how long ago they were first sent, now or at `since_s` on the monotonic
+        clock, so repeating them is safe. Raises what the directory answers, or the last failure once `timeout_s` is
+        over.
         """
-        backoff = Backoff(time.monotonic() + timeout_s)
-        call = _Call(method, request, service)
+        began_s = time.monotonic()
+        backoff = Backoff(began_s + timeout_s)
+        call = _Call(method, request, service, began_s if since_s is None else since_s)
         failures: dict[str, StampedeError] = {}
         while True:  # ends with the backoff's deadline
             try:
@@ -190,7 +198,8 @@ class Supernodes:
 
     async def _call_one(self, target: str, call: _Call, timeout_s: float) -> Any:
         stub = call.service(self._channel(target))
-        return await _call(getattr(stub, call.method), call.request, timeout_s, target)
+        metadata = age_metadata(time.monotonic() - call.since_s)
+        return await _call(getattr(stub, call.method), call.request, timeout_s, target, metadata)
 
     def _prefer(self, target: str) -> None:
         if self._targets[:1] != [target]:
@@ -218,8 +227,10 @@ def _leader_named_by(error: StampedeError) -> tuple[str, ...]:
     return (endpoint,) if endpoint else ()
 
 
-async def _call(method: Callable[..., Any], request: Any, timeout_s: float, target: str) -> Any:
+async def _call(
+    method: Callable[..., Any], request: Any, timeout_s: float, target: str, metadata: Sequence[tuple[str, str]] = ()
+) -> Any:
     try:
-        return await method(request, timeout=timeout_s)
+        return await method(request, timeout=timeout_s, metadata=metadata)
     except grpc.RpcError as error:
         raise from_rpc_error(error, target) from error

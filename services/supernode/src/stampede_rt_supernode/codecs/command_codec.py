@@ -58,11 +58,13 @@ from stampede_rt_supernode.core.commands import (
     HostDeregistered,
     HostExpired,
     HostRegistered,
+    MarkTime,
     OpenChannel,
     Refused,
     RegisterHost,
     Result,
     TenureBegun,
+    TimeMarked,
     UpdateChannel,
 )
 from stampede_rt_supernode.core.groups.commands import (
@@ -101,7 +103,9 @@ from stampede_rt_supernode.core.replicas.commands import (
 
 def encode_command(command: Command) -> bytes:
     """The bytes to propose."""
-    message = pb.DirectoryCommand(op_id=command.op_id, time_unix_nano=command.time_unix_nano)
+    message = pb.DirectoryCommand(
+        op_id=command.op_id, time_unix_nano=command.time_unix_nano, as_of_index=command.as_of_index
+    )
     _write_deed(message, command.deed)
     return message.SerializeToString()
 
@@ -124,6 +128,8 @@ def _write_deed(message: pb.DirectoryCommand, deed: Deed) -> None:
             message.expire_host.CopyFrom(_expire_message(deed))
         case BeginTenure():
             message.begin_tenure.CopyFrom(_tenure_message(deed))
+        case MarkTime(tenure=tenure, after_index=after_index):
+            message.mark_time.CopyFrom(pb.MarkTimeCommand(tenure=tenure, after_index=after_index))
         case OpenGroup() | UpdateGroup() | DeleteGroup():
             write_group_deed(message, deed)
         case AddReplica() | RemoveReplica() | SetReplicaInSync():
@@ -142,7 +148,6 @@ def _open_message(deed: OpenChannel) -> pb.OpenChannelCommand:
         host_name=deed.host_name,
         new_channel_id=deed.new_channel_id,
         new_incarnation=deed.new_incarnation,
-        as_of_index=deed.as_of_index,
     )
 
 
@@ -184,7 +189,12 @@ def decode_command(encoded: bytes) -> Command:
         raise InvalidArgument(
             "the log entry is no directory command; a supernode of another version wrote it"
         ) from None
-    return Command(op_id=message.op_id, time_unix_nano=message.time_unix_nano, deed=_read_deed(message))
+    return Command(
+        op_id=message.op_id,
+        time_unix_nano=message.time_unix_nano,
+        deed=_read_deed(message),
+        as_of_index=message.as_of_index,
+    )
 
 
 def _read_deed(message: pb.DirectoryCommand) -> Deed:
@@ -205,6 +215,8 @@ def _read_deed(message: pb.DirectoryCommand) -> Deed:
             return _read_expire(message.expire_host)
         case "begin_tenure":
             return _read_tenure(message.begin_tenure)
+        case "mark_time":
+            return MarkTime(tenure=message.mark_time.tenure, after_index=message.mark_time.after_index)
         case kind if kind in GROUP_DEEDS:
             return read_group_deed(message)
         case kind if kind in REPLICA_DEEDS:
@@ -227,7 +239,6 @@ def _read_open(message: pb.OpenChannelCommand) -> OpenChannel:
         host_name=message.host_name,
         new_channel_id=message.new_channel_id,
         new_incarnation=message.new_incarnation,
-        as_of_index=message.as_of_index,
     )
 
 
@@ -283,6 +294,8 @@ def result_message(result: Result) -> pb.DirectoryResult:
             return pb.DirectoryResult(host_expired=pb.HostExpiredResult(expired=expired))
         case TenureBegun(tenure=tenure, cluster_id=cluster_id):
             return pb.DirectoryResult(tenure_begun=pb.TenureBegunResult(tenure=tenure, cluster_id=cluster_id))
+        case TimeMarked(marked=marked):
+            return pb.DirectoryResult(time_marked=pb.TimeMarkedResult(marked=marked))
         case GroupOpened() | GroupUpdated() | GroupDeleted():
             return group_result_message(result)
         case ReplicaAdded() | ReplicaRemoved() | ReplicaInSyncSet():
@@ -322,6 +335,8 @@ def read_result(message: pb.DirectoryResult) -> Result:
             return HostExpired(expired=message.host_expired.expired)
         case "tenure_begun":
             return TenureBegun(tenure=message.tenure_begun.tenure, cluster_id=message.tenure_begun.cluster_id)
+        case "time_marked":
+            return TimeMarked(marked=message.time_marked.marked)
         case outcome if outcome in GROUP_OUTCOMES:
             return read_group_result(message)
         case outcome if outcome in REPLICA_OUTCOMES:

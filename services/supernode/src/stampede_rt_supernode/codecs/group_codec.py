@@ -125,7 +125,6 @@ def _open_message(deed: OpenGroup) -> pb.OpenGroupCommand:
         create=deed.create,
         new_group_id=deed.new_group_id,
         new_incarnation=deed.new_incarnation,
-        as_of_index=deed.as_of_index,
     )
 
 
@@ -151,7 +150,6 @@ def _read_open(message: pb.OpenGroupCommand) -> OpenGroup:
         create=message.create,
         new_group_id=message.new_group_id,
         new_incarnation=message.new_incarnation,
-        as_of_index=message.as_of_index,
     )
 
 

@@ -96,7 +96,6 @@ def write_queue_deed(message: pb.DirectoryCommand, deed: QueueDeed) -> None:
                 host_name=deed.host_name,
                 new_queue_id=deed.new_queue_id,
                 new_incarnation=deed.new_incarnation,
-                as_of_index=deed.as_of_index,
             )
             message.open_queue.CopyFrom(opening)
         case UpdateQueue(queue_id=queue_id, epoch=epoch, spec=spec):
@@ -117,7 +116,6 @@ def read_queue_deed(message: pb.DirectoryCommand) -> QueueDeed:
             host_name=opening.host_name,
             new_queue_id=opening.new_queue_id,
             new_incarnation=opening.new_incarnation,
-            as_of_index=opening.as_of_index,
         )
     if message.HasField("update_queue"):
         change = message.update_queue

@@ -132,6 +132,7 @@ def _head(directory: Directory) -> bytes:
         cluster_id=directory.cluster_id,
         lease_ttl_nanos=directory.lease_ttl_nanos,
         hosts=[host_entry(hosts[host_id]) for host_id in sorted(hosts)],
+        time_marks=directory.answered.marks,
     ).SerializeToString()
 
 
@@ -173,6 +174,7 @@ def decode_snapshot(encoded: bytes) -> Directory:
         queues=[queue_from(record) for record in message.queues],
         peers=[peer_from(entry) for entry in message.peers],
         answers=[_answer(operation) for operation in message.remembered_operations],
+        time_marks=message.time_marks,
     )
 
 

@@ -50,10 +50,7 @@ from stampede_rt_supernode.core.replicas.commands import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenChannel:
-    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew.
-
-    `as_of_index`: how far the proposer's state reached when the request came; 0: not known. See `Directory.apply`.
-    """
+    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
 
     name: str
     policy: Policy = field(default_factory=Policy)
@@ -61,7 +58,6 @@ class OpenChannel:
     host_name: str = ""
     new_channel_id: bytes
     new_incarnation: int
-    as_of_index: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -124,8 +120,17 @@ class BeginTenure:
     founded_anew: bool = False
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MarkTime:
+    """Some time has passed since the last mark, says the leader of `tenure`, which was at `after_index`; see
+    `answered`."""
+
+    tenure: int
+    after_index: int
+
+
 ChannelDeed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
-HostDeed: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure
+HostDeed: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure | MarkTime
 GroupDeed: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
 ReplicaDeed: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
 QueueDeed: TypeAlias = OpenQueue | UpdateQueue | DeleteQueue
@@ -135,11 +140,15 @@ Deed: TypeAlias = ChannelDeed | HostDeed | GroupDeed | ReplicaDeed | QueueDeed |
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command:
-    """One entry of the log. Repeating `op_id` repeats the result; `time_unix_nano` is for whoever reads the log."""
+    """One entry of the log. Repeating `op_id` repeats the result; `time_unix_nano` is for whoever reads the log.
+
+    `as_of_index`: how far the proposer's state reached when the request came; 0: not told.
+    """
 
     op_id: bytes
     time_unix_nano: int
     deed: Deed
+    as_of_index: int = 0
 
 
 def subject_of(deed: Deed) -> str:
@@ -152,7 +161,7 @@ def subject_of(deed: Deed) -> str:
             return f"{kind} {thing.hex()}"
         case RegisterHost(host_id=thing) | DeregisterHost(host_id=thing) | ExpireHost(host_id=thing):
             return f"{kind} {thing.hex()}"
-        case BeginTenure(tenure=tenure):
+        case BeginTenure(tenure=tenure) | MarkTime(tenure=tenure):
             return f"{kind} {tenure}"
         case UpdateGroup(group_id=thing) | DeleteGroup(group_id=thing):
             return f"{kind} {thing.hex()}"
@@ -235,6 +244,13 @@ class TenureBegun:
     cluster_id: str
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TimeMarked:
+    """Whether the mark counts; False: another leader's, or a repeated one."""
+
+    marked: bool
+
+
 GroupSuccess: TypeAlias = GroupOpened | GroupUpdated | GroupDeleted
 ReplicaSuccess: TypeAlias = ReplicaAdded | ReplicaRemoved | ReplicaInSyncSet
 QueueSuccess: TypeAlias = QueueOpened | QueueUpdated | QueueDeleted
@@ -247,6 +263,7 @@ Success: TypeAlias = (
     | HostDeregistered
     | HostExpired
     | TenureBegun
+    | TimeMarked
     | GroupSuccess
     | ReplicaSuccess
     | QueueSuccess

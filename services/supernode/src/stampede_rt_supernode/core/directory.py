@@ -28,12 +28,14 @@ from stampede_rt_supernode.core.commands import (
     HostDeregistered,
     HostExpired,
     HostRegistered,
+    MarkTime,
     OpenChannel,
     Refused,
     RegisterHost,
     Result,
     Success,
     TenureBegun,
+    TimeMarked,
     UpdateChannel,
     subject_of,
 )
@@ -141,14 +143,13 @@ class Directory:
         queues: Iterable[Queue] = (),
         peers: Iterable[Peer] = (),
         answers: Iterable[Answer] = (),
+        time_marks: Iterable[int] = (),
     ) -> None:
         self.tenure = tenure
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
-        self.answered = Answered()
-        for answer in answers:
-            self.answered.remember(answer)
+        self.answered = Answered(answers, time_marks)
 
     @property
     def applied_index(self) -> int:
@@ -158,7 +159,7 @@ class Directory:
     def apply(self, index: int, command: Command) -> Result:
         """Apply the command at log position `index`, which grows and may skip. A refusal has changed nothing."""
         self.tables.begin(index)
-        self.answered.forget_before(index)
+        self.answered.forget_some()
         try:
             return self._answer(index, command)
         except StampedeError as error:
@@ -176,6 +177,11 @@ class Directory:
         found = self.answered.find(command.op_id, subject)
         if found is not None:
             return found
+        if isinstance(command.deed, MarkTime):
+            return self._mark_time(index, command.deed)
+        self.answered.check_in_time(command.as_of_index)
+        if not isinstance(command.deed, (BeginTenure, ExpireHost, ExpirePeers)):  # no caller's, and never too many
+            self.answered.check_room()
         result = self._do(command)
         self.answered.remember(Answer(command.op_id, index, subject, result))
         return result
@@ -183,7 +189,7 @@ class Directory:
     def _do(self, command: Command) -> Success:
         deed = command.deed
         if isinstance(deed, (OpenChannel, OpenGroup, OpenQueue)):
-            check_in_time(self.tables, self.answered, deed)
+            check_in_time(self.tables, self.answered, deed, command.as_of_index)
         transition = _TRANSITIONS.get(type(deed))
         if transition is not None:
             return transition(self.tables, deed)
@@ -207,6 +213,13 @@ class Directory:
             case ExpirePeers():
                 return PeersExpired(expired=expire_peers(self.tables, deed, self.tenure))
         raise NotImplementedError(f"nothing is known to do for a {type(deed).__name__}")
+
+    def _mark_time(self, index: int, deed: MarkTime) -> TimeMarked:
+        """It is not remembered: a repeated one does not follow the last mark any more."""
+        marked = deed.tenure == self.tenure and deed.after_index == self.answered.last_mark
+        if marked:
+            self.answered.mark(index)
+        return TimeMarked(marked=marked)
 
     def _check_founded(self) -> None:
         if not self.tenure:

@@ -9,7 +9,7 @@ has been freed since, nothing is made. A caller that is still there asks again; 
 from __future__ import annotations
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_supernode.core.answered import WINDOW_INDEXES, Answered
+from stampede_rt_supernode.core.answered import Answered
 from stampede_rt_supernode.core.commands import ChannelDeleted, OpenChannel, Success
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, OpenGroup
 from stampede_rt_supernode.core.queues.commands import OpenQueue, QueueDeleted
@@ -18,17 +18,18 @@ from stampede_rt_supernode.core.tables import Tables
 Open = OpenChannel | OpenGroup | OpenQueue
 
 
-def check_in_time(tables: Tables, answered: Answered, deed: Open) -> None:
+def check_in_time(tables: Tables, answered: Answered, deed: Open, as_of_index: int) -> None:
     """Raises Unavailable with reason AMBIGUOUS if `deed` would make what may have been deleted since it was asked for.
 
+    `as_of_index`: how far the state reached when the request came, 0 if that is not told.
     O(entries since then). Deletions are known for as long as answers are remembered; what is older counts as late.
     """
-    if deed.as_of_index == 0 or _is_there(tables, deed):
+    if as_of_index == 0 or _is_there(tables, deed):
         return
-    if deed.as_of_index < tables.index - WINDOW_INDEXES:
+    if as_of_index < answered.known_since:
         raise _late(deed)
     for answer in answered.newest_first():
-        if answer.index <= deed.as_of_index:
+        if answer.index <= as_of_index:
             return
         if _frees(answer.result, deed):
             raise _late(deed)

@@ -6,10 +6,12 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.request_age import request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.core import commands
+from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
 from stampede_rt_supernode.core.directory import Directory, check_deed
 from stampede_rt_supernode.core.validation import check_id
@@ -45,6 +47,17 @@ def seconds_left(context: Any) -> float:
     return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))
 
 
+def check_age(context: Any) -> None:
+    """Raises InvalidArgument for a request that was first sent longer ago than its answer is remembered."""
+    age_nanos = request_age_nanos(context.invocation_metadata())
+    if age_nanos >= REPEAT_NANOS_MAX:
+        raise InvalidArgument(
+            f"the request was first sent {age_nanos / 1e9:.0f} s ago; answers are remembered for "
+            f"{REPEAT_NANOS_MAX / 1e9:.0f} s, so that it might be done twice; look what became of it, and send what is "
+            "still wanted under a new request id"
+        )
+
+
 class DirectoryCalls:
     """Reads, linearizable unless `stale_ok`, and updates, done once for each request id, of one supernode."""
 
@@ -58,18 +71,27 @@ class DirectoryCalls:
             await self._submission.confirm(seconds=seconds_left(context))
         return self._replica.read(question)
 
-    async def submit(self, context: Any, deed: commands.Deed, kind: type[S], op_id: bytes) -> S:
-        """What came of `deed`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant."""
+    async def submit(
+        self, context: Any, deed: commands.Deed, kind: type[S], op_id: bytes, as_of_index: int | None = None
+    ) -> S:
+        """What came of `deed`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant.
+
+        `as_of_index`: what `reached` gave when the request came, if it was not just now.
+        """
         check_id(op_id, "request_id")
         check_deed(deed)
-        return await self._submission.submit(deed, kind, op_id=op_id, seconds=seconds_left(context))
+        check_age(context)
+        as_of_index = self.reached() if as_of_index is None else as_of_index
+        return await self._submission.submit(
+            deed, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
+        )
 
     async def confirm(self, context: Any) -> None:
         """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
         await self._submission.confirm(seconds=seconds_left(context))
 
     def reached(self) -> int:
-        """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.late_opens`."""
+        """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.answered`."""
         return max(1, self._replica.read(lambda directory: directory.applied_index))
 
     def check_host(self, context: Any, host_id: bytes, name: str | None = None) -> None:

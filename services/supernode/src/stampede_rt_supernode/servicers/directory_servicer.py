@@ -73,6 +73,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @refusing
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:
         """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
+        as_of = self._calls.reached()
         deed = commands.OpenChannel(
             name=request.name,
             policy=policy_from(request.spec),
@@ -80,12 +81,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             host_name=request.host_name,
             new_channel_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=_random_incarnation(),
-            as_of_index=self._calls.reached(),
         )
         check_id(request.request_id, "request_id")
         opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
         if opened is None:
-            opened = await self._calls.submit(context, deed, commands.ChannelOpened, request.request_id)
+            opened = await self._calls.submit(context, deed, commands.ChannelOpened, request.request_id, as_of)
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
         )

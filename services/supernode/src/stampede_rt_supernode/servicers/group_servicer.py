@@ -39,19 +39,19 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     @refusing
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Any) -> pb.OpenGroupResponse:
         """See the contract. A group that is there is answered from a confirmed read, without an entry in the log."""
+        as_of = self._calls.reached()
         deed = OpenGroup(
             name=request.name,
             spec=group_spec_from(request.spec) if request.HasField("spec") else None,
             create=request.create,
             new_group_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
-            as_of_index=self._calls.reached(),
         )
         check_id(request.request_id, "request_id")
         check_deed(deed)
         opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
         if opened is None:
-            opened = await self._calls.submit(context, deed, GroupOpened, request.request_id)
+            opened = await self._calls.submit(context, deed, GroupOpened, request.request_id, as_of)
         group = opened.group
         view = await self._calls.read(context, lambda directory: group_view(directory.tables, group), stale_ok=True)
         return pb.OpenGroupResponse(

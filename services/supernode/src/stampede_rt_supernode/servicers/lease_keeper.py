@@ -13,7 +13,15 @@ from typing import NamedTuple, TypeVar
 from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeError, Unavailable
 from stampede_rt.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_supernode.core.commands import BeginTenure, ExpireHost, HostExpired, TenureBegun
+from stampede_rt_supernode.core.answered import MARK_NANOS
+from stampede_rt_supernode.core.commands import (
+    BeginTenure,
+    ExpireHost,
+    HostExpired,
+    MarkTime,
+    TenureBegun,
+    TimeMarked,
+)
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.host_transitions import check_boot
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
@@ -67,6 +75,8 @@ class LeaseKeeper:
         self._peers = LeaseTable()
         # What the peers' table last followed: looking through thousands of them ten times a second is not for nothing.
         self._peers_followed = (0, 0)
+        # The last mark of time, and when this leader saw it first, or began to lead.
+        self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster; left empty, the first leader makes one.
         self.founding_cluster_id = ""
 
@@ -85,6 +95,7 @@ class LeaseKeeper:
             elif self._hosts.tenure != status.tenure:
                 await self._take_over(status)
             else:
+                await self._mark_time()
                 await self._end_due_leases()
                 await self._end_due_peers()
         except StampedeError as error:
@@ -111,13 +122,23 @@ class LeaseKeeper:
         hosts, ttl_nanos = self._replica.read(lambda directory: (_live(directory), directory.lease_ttl_nanos))
         peers = self._replica.read(lambda directory: list(directory.tables.peers.live()))
         self._peers_followed = (0, 0)  # looked at anew at the next tick
-        now = self._clock.boottime_nanos()
+        now = self._marked_nanos = self._clock.boottime_nanos()
         self._hosts.lead(status.tenure, hosts, now, ttl_nanos=ttl_nanos)
         self._peers.lead(status.tenure, peers, now, ttl_nanos=ttl_nanos)
         logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": len(peers)})
         if ttl_nanos != self._founding_ttl_nanos:
             extra = {"cluster_ttl_nanos": ttl_nanos, "ignored_ttl_nanos": self._founding_ttl_nanos}
             logger.warning("the cluster was founded with another lease TTL, which holds", extra=extra)
+
+    async def _mark_time(self) -> None:
+        """Let the directory know that time has passed, while there is anything that it may then forget."""
+        now = self._clock.boottime_nanos()
+        kept, last_mark = self._replica.read(lambda one: (len(one.answered), one.answered.last_mark))
+        if last_mark != self._last_mark:
+            self._last_mark, self._marked_nanos = last_mark, now
+        if kept and now - self._marked_nanos >= MARK_NANOS:
+            deed = MarkTime(tenure=self._hosts.tenure, after_index=last_mark)
+            await self._submission.submit(deed, TimeMarked, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
 
     async def _end_due_leases(self) -> None:
         now = self._clock.boottime_nanos()

@@ -39,6 +39,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     @refusing
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Any) -> pb.OpenQueueResponse:
         """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
+        as_of = self._calls.reached()
         deed = OpenQueue(
             name=request.name,
             spec=queue_spec_from(request.spec),
@@ -46,12 +47,11 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             host_name=request.host_name,
             new_queue_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
-            as_of_index=self._calls.reached(),
         )
         check_id(request.request_id, "request_id")
         opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
         if opened is None:
-            opened = await self._calls.submit(context, deed, QueueOpened, request.request_id)
+            opened = await self._calls.submit(context, deed, QueueOpened, request.request_id, as_of)
         return pb.OpenQueueResponse(
             queue=queue_record(opened.queue), host=host_record(opened.host), created=opened.created
         )

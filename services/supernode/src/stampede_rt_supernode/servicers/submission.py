@@ -33,13 +33,16 @@ class Submission:
         """From now on nothing is tried again: what is under way ends with SHUTTING_DOWN, unless it succeeds now."""
         self._closed = True
 
-    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float) -> R:
+    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0) -> R:
         """Replicate `deed` and return what came of it, a `kind`. Repeated with the same `op_id`, it is done once.
+
+        `as_of_index`: see Command.
 
         Raises the error that the directory refuses it with; Unavailable with reason AMBIGUOUS if it may or may not be
         done, NO_QUORUM if it certainly is not.
         """
-        encoded = encode_command(Command(op_id=op_id, time_unix_nano=self._time_unix_nano(), deed=deed))
+        now = self._time_unix_nano()
+        encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, deed=deed, as_of_index=as_of_index))
         result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
         if isinstance(result, Refused):
             raise result.error()

@@ -9,15 +9,13 @@ from stampede_rt_supernode.core.records import Group, GroupSpec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenGroup:
-    """Get or create a group; `spec` None takes it as it is. The new ones are used if it is made. `as_of_index`: see
-    `OpenChannel`."""
+    """Get or create a group; `spec` None takes it as it is. The new ones are used if it is made."""
 
     name: str
     spec: GroupSpec | None
     create: bool
     new_group_id: bytes
     new_incarnation: int
-    as_of_index: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

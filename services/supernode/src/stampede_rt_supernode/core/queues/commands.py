@@ -9,7 +9,7 @@ from stampede_rt_supernode.core.records import Host, Queue, QueueSpec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenQueue:
-    """Get or create a queue; the new ones are used if it is made or placed anew. `as_of_index`: see `OpenChannel`."""
+    """Get or create a queue; the new ones are used if it is made or placed anew."""
 
     name: str
     spec: QueueSpec = field(default_factory=QueueSpec)
@@ -17,7 +17,6 @@ class OpenQueue:
     host_name: str = ""
     new_queue_id: bytes
     new_incarnation: int
-    as_of_index: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

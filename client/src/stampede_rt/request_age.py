@@ -1,0 +1,29 @@
+"""How long ago an update was first sent: told with every repetition, by the caller's own clock of durations. Pure.
+
+The directory remembers its answers for a while, by request id, and refuses what may be older
+(directory_service.proto). No two clocks need to agree for that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+
+METADATA_KEY = "stampede-request-age-ms"
+_DIGITS_MAX = 12
+
+
+def age_metadata(age_s: float) -> tuple[tuple[str, str], ...]:
+    """What a repetition brings along; nothing the first time."""
+    age_ms = int(age_s * 1000)
+    return ((METADATA_KEY, str(age_ms)),) if age_ms > 0 else ()
+
+
+def request_age_nanos(metadata: Iterable[Any] | None) -> int:
+    """The age that a call told, 0 if it told none. Raises InvalidArgument."""
+    told = next((value for key, value in metadata or () if key == METADATA_KEY), "0")
+    if not (isinstance(told, str) and told.isascii() and told.isdigit() and len(told) <= _DIGITS_MAX):
+        raise InvalidArgument(f"the metadata {METADATA_KEY} is {told!r}; it must be whole milliseconds")
+    return int(told) * 1_000_000
