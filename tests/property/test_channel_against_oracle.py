@@ -94,6 +94,10 @@ def subscribe(dice: Dice, pair: ChannelPair) -> None:
         pair.subscribe(start, bool(dice.below(2)), after)
 
 
+def resume(dice: Dice, pair: ChannelPair) -> None:
+    pair.resume(dice.below(3))
+
+
 def deliver(dice: Dice, pair: ChannelPair) -> None:
     pair.deliver(dice.pick((1, 150, 10**6)))
 
@@ -119,7 +123,7 @@ def rest(dice: Dice, pair: ChannelPair) -> None:
 
 STEPS = (
     rest, put, read, put, tick, read, begin, put, subscribe, deliver, advance, configure, retry_put, give_up, collect,
-    read, put, consume, consume, carry,
+    read, put, consume, consume, carry, resume,
 )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 from stampede_rt.errors import IncarnationLost, InvalidArgument
 from stampede_rt.model import Policy
 from stampede_rt.timeline import NEWEST, OLDEST, Bound
-from stampede_rt_channel_host.core.channel import Position
+from stampede_rt_channel_host.core.channel import Position, SavedCursor
 from tests.unit.core.channels import CLOCK, a_channel, put, seqs_of, times_of
 
 ALL = 10**9
@@ -130,3 +130,64 @@ def test_the_newest_with_a_start_begins_with_the_present_one() -> None:
     assert taken is not None
     assert (seqs_of([taken.slice]), cursor.skipped) == ([3], 2)
     assert channel.latest(channel.subscribe_newest(CLOCK, start=Bound(None, 21)), CLOCK) is None
+
+
+def test_a_run_is_split_where_the_bound_is_reached() -> None:
+    channel = a_channel(max_items=99)
+    cursor = channel.subscribe_all(CLOCK)
+    put(channel, *range(6), lengths=[36] * 6)
+    assert [seqs_of([one.slice for one in channel.since(cursor, CLOCK, 150).slices]) for _ in range(4)] == [
+        [1, 2], [3, 4], [5, 6], [],
+    ]  # fmt: skip
+
+
+def test_a_saved_cursor_holds_what_the_start_left_out() -> None:
+    channel = a_channel(max_items=99)
+    put(channel, 30, 5, 10, 7, 20)
+    cursor = channel.subscribe_all(CLOCK, start=Bound(None, 10))
+    assert seqs_of([one.slice for one in channel.since(cursor, CLOCK, 1).slices]) == [1]
+    saved = cursor.saved(3)
+    assert (saved.next_seq, saved.low, saved.live_seq) == (3, (10, 0), 6)
+    put(channel, 6)
+    again = channel.subscribe_all(CLOCK, saved=saved)
+    assert seqs_of([one.slice for one in channel.since(again, CLOCK, ALL).slices]) == [3, 5, 6]
+    assert again.saved(3) == SavedCursor(incarnation=3, next_seq=7)
+
+
+def test_what_is_collected_before_a_cursor_goes_on_is_told() -> None:
+    channel = a_channel(max_items=4)
+    put(channel, 10, 20, 30)
+    cursor = channel.subscribe_all(CLOCK, start=Bound(None, 10))
+    channel.since(cursor, CLOCK, 1)
+    saved = cursor.saved(3)
+    put(channel, 40, 50, 60)
+    again = channel.subscribe_all(CLOCK, saved=saved)
+    delivery = channel.since(again, CLOCK, ALL)
+    assert delivery.gap is not None
+    assert (delivery.gap.first_seq, delivery.gap.last_seq) == (2, 2)
+    assert seqs_of([one.slice for one in delivery.slices]) == [3, 4, 5, 6]
+
+
+def test_the_newest_goes_on_from_its_place_and_counts_each_once() -> None:
+    channel = a_channel(max_items=99)
+    put(channel, 10, 20)
+    cursor = channel.subscribe_newest(CLOCK)
+    saved = cursor.saved(3)  # nothing was taken yet, and what is there is no news
+    again = channel.subscribe_newest(CLOCK, saved=saved)
+    assert channel.latest(again, CLOCK) is None
+    put(channel, 15, 30)
+    taken = channel.latest(again, CLOCK)
+    assert taken is not None
+    assert (times_of([taken.slice]), again.skipped) == ([30], 1)
+    put(channel, 25)
+    last = channel.subscribe_newest(CLOCK, saved=again.saved(3))
+    assert channel.latest(last, CLOCK) is None
+    assert last.skipped == 1
+
+
+def test_a_cursor_of_another_incarnation_or_of_a_group_is_refused() -> None:
+    channel = a_channel(max_items=9)
+    with pytest.raises(IncarnationLost):
+        channel.subscribe_all(CLOCK, saved=SavedCursor(incarnation=9, next_seq=1))
+    with pytest.raises(InvalidArgument, match="group"):
+        channel.subscribe_newest(CLOCK, saved=SavedCursor(incarnation=3, next_seq=1, cut=5))

@@ -237,9 +237,9 @@ class CutReader:
 
     def __init__(self, host: Host, group: group_pb2.GroupRecord, **fields: Any) -> None:
         self.call = host.groups.SubscribeCuts()
-        self.decides = fields.get("decides", False)
+        credit = fields.pop("credit", 1000 if fields.get("decides") else 0)
         begun = pb.SubscribeCutsOpen(group_id=group.group_id, **fields)
-        self._open = pb.SubscribeCutsRequest(open=begun, credit=1000 if self.decides else 0)
+        self._open = pb.SubscribeCutsRequest(open=begun, credit=credit)
 
     async def opened(self) -> pb.CutCursor:
         await self.call.write(self._open)

@@ -87,7 +87,8 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
     low = saved.low if first < live else None
     begun = live
-    if low is None or (held.newest_collected is not None and held.newest_collected >= low[0]):
+    gone = (held.newest_collected, held.newest_consumed)
+    if low is None or any(time is not None and time >= low[0] for time in gone):  # they go in the order of time
         begun = first
     next_seq, ranges = held.next_seq, [[(begun, held.next_seq)]]
     if low is not None:

@@ -1,0 +1,119 @@
+"""What readers of cut events and matches let a host send, by raw streams."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.v1 import group_pb2
+from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.groups import writing
+from tests.unit.channel_host.rig import S
+from tests.unit.groups.rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
+
+
+@pytest.fixture
+async def host() -> AsyncIterator[Host]:
+    async with running_cluster() as cluster:
+        yield await cluster.start("h1", b"host-number-one!")
+
+
+async def a_pair(host: Host) -> tuple[GroupedChannel, GroupedChannel, group_pb2.GroupRecord]:
+    left, right = await host.open("left"), await host.open("right")
+    return left, right, host.directory.add_group("pair", [left, right])
+
+
+async def shown(channel: GroupedChannel, group: group_pb2.GroupRecord, time: int) -> None:
+    """The group shows the channel up to that time."""
+    async with asyncio.timeout(WAIT_SECONDS):
+        while time not in (await channel.get(group))[0]:
+            pass
+
+
+async def deciding(host: Host, group: group_pb2.GroupRecord, credit: int) -> CutReader:
+    reader = CutReader(host, group, decides=True, credit=credit)
+    await reader.opened()
+    return reader
+
+
+async def test_what_becomes_visible_while_no_event_is_wanted_is_one_event(
+    host: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "LIFE_SECONDS", 0.0)  # a sign of life would be due at any time
+    left, right, group = await a_pair(host)
+    t = host.now() - S
+    reader = await deciding(host, group, credit=0)
+    for number in range(20):
+        await left.put(t + number)
+        await right.put(t + number)
+    await shown(left, group, t + 18)
+    monkeypatch.undo()
+    await reader.call.write(pb.SubscribeCutsRequest(credit=1))
+    event = await reader.event()
+    assert event.times(left) == event.times(right) == [t + number for number in range(19)]
+    for number in range(20, 30):
+        await left.put(t + number)
+        await right.put(t + number)
+    await shown(left, group, t + 28)
+    await reader.call.write(pb.SubscribeCutsRequest(credit=1))
+    assert (await reader.event()).times(left) == [t + number for number in range(19, 29)]
+
+
+async def test_a_reader_of_events_that_closes_its_side_gets_those_that_it_asked_for(host: Host) -> None:
+    left, right, group = await a_pair(host)
+    t = host.now() - S
+    reader = await deciding(host, group, credit=1)
+    await reader.call.done_writing()
+    await left.put(t, t + 1)
+    await right.put(t + 1)
+    assert (await reader.event()).times(left) == [t]
+    async with asyncio.timeout(WAIT_SECONDS):
+        assert await reader.call.read() is grpc.aio.EOF
+
+
+@pytest.mark.parametrize("decides", [True, False])
+async def test_credit_goes_to_the_host_that_decides_and_boundaries_to_the_others(host: Host, decides: bool) -> None:
+    _, _, group = await a_pair(host)
+    reader = CutReader(host, group, decides=decides)
+    await reader.opened()
+    wrong = pb.CutBoundary(cut_unix_nano=1, incarnation=group.incarnation) if decides else None
+    await reader.call.write(pb.SubscribeCutsRequest(boundary=wrong, credit=1))
+    with pytest.raises(grpc.aio.AioRpcError, match="boundary"):
+        await reader.event()
+
+
+async def test_matches_wait_for_credit_and_take_what_all_their_items_take(
+    host: Host, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "LIFE_SECONDS", 0.0)
+    left, right, group = await a_pair(host)
+    t = host.now() - S
+    begun = pb.SubscribeMatchesOpen(group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3)
+    call: Any = host.groups.SubscribeMatches()
+    await call.write(pb.SubscribeMatchesRequest(open=begun))
+    async with asyncio.timeout(WAIT_SECONDS):
+        assert (await call.read()).HasField("resume_after")
+        for number in range(10):
+            await left.put(t + 10 * number)
+            await right.put(t + 10 * number)
+        monkeypatch.undo()
+        await call.write(pb.SubscribeMatchesRequest(credit_bytes=1))
+        first = (await call.read()).matches
+        assert [list(one.item.run.time_unix_nano) for one in first] == [[t]]
+        charge = 2 * (64 + len(str(t)))
+        await call.write(pb.SubscribeMatchesRequest(credit_bytes=charge - 1))  # still owed
+        await call.write(pb.SubscribeMatchesRequest(credit_bytes=charge + 1))
+        matched = (await call.read()).matches
+        assert [list(one.item.run.time_unix_nano) for one in matched] == [[t + 10], [t + 20]]
+    call.cancel()
+
+
+@pytest.mark.parametrize("requests", [[], [pb.SubscribeMatchesRequest(credit_bytes=1)]])
+async def test_matches_begin_with_open(host: Host, requests: list[Any]) -> None:
+    with pytest.raises(grpc.aio.AioRpcError, match="no open"):
+        async for _ in host.groups.SubscribeMatches(iter(requests)):
+            pass
