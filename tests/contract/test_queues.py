@@ -7,6 +7,7 @@ import itertools
 import os
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import pytest
@@ -293,6 +294,26 @@ async def test_what_was_prefetched_and_not_handed_out_goes_back_when_the_handle_
     assert (stats.held, stats.given_back) == (5, 4)
     await first.ack()
     assert (await queue.get(timeout=10)).payload == b"1"
+
+
+def _has_leased(items: int, stats: st.QueueStats) -> bool:
+    return stats.leased == items
+
+
+async def test_what_nobody_was_handed_does_not_count_as_delivered(rig: Rig) -> None:
+    """Takers that took ahead and left used up the deliveries of items that nobody had seen, and they were expelled."""
+    queue = await rig.queue(max_deliveries=2)
+    for number in range(3):
+        await queue.put(str(number).encode())
+    for held in (3, 2, 1):
+        greedy = await rig.queue(queue.name, prefetch=10)
+        first = await greedy.get(timeout=10)
+        await until(queue, partial(_has_leased, held))
+        await greedy.aclose()
+        await until(queue, lambda stats: stats.leased == 1)
+        assert first.deliveries == 1
+        await first.ack()
+    assert adds_up(await queue.stats()).consumed == 3
 
 
 async def test_closing_the_connection_gives_back_too(rig: Rig) -> None:
