@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.core.channel.run import Run
 from tests.unit.channel_host.rig import (
     FOREVER,
     MAX_INSTANT,
@@ -357,3 +359,28 @@ async def test_the_status_adds_up(rig: Rig) -> None:
     assert status.record.channel_id == channel.channel_id
     assert not status.HasField("advance_unix_nano")
     assert MIN_INSTANT < status.host_time_unix_nano <= rig.now()
+
+
+async def test_a_reader_that_takes_nothing_keeps_no_more_than_a_bound_of_items_that_retention_let_go(rig: Rig) -> None:
+    """All answers to calls that were released were kept: here 200 MB of a channel that holds 1 MB."""
+    spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=1))
+    channel = await rig.open(spec=spec)
+    call = rig.channels.Get()
+    start = rig.now()
+    for place in range(200):
+        at = between(start + place, start + place)
+        await call.write(channel.get_request(place + 1, interval=at, match=time_pb2.MATCH_START, wait_nanos=-1))
+    await channel.until(lambda status: status.waiting_gets == 200)
+    for place in range(200):
+        await channel.put(run_of(b"x" * 2**20, times=[start + place]))
+    gc.collect()
+    kept = [one for one in gc.get_objects() if isinstance(one, Run) and len(one.body) > 2**20]
+    assert len(kept) <= 16
+    del kept
+    answered = [await call.read() for _ in range(200)]
+    assert sorted(one.call_id for one in answered) == list(range(1, 201)), "each is answered, with why if it is empty"
+    with_items = [one for one in answered if one.runs]
+    assert 1 <= len(with_items) <= 16
+    gone = {one.summary.reason for one in answered if not one.runs}
+    assert gone == {error_pb2.ABSENCE_REASON_COLLECTED}
+    call.cancel()

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.channels.frames import Message
-from stampede_rt_channel_host.channels.outbox import ANSWERS_QUEUED_MAX, Outbox
+from stampede_rt_channel_host.channels.outbox import ANSWERS_QUEUED_MAX, QUEUED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.streams import OpenStream
 
 
@@ -105,3 +105,25 @@ async def test_a_closed_outbox_writes_no_more() -> None:
     box.context.open.set()
     box.outbox.kick()
     assert box.context.written == []
+
+
+async def test_answers_are_bounded_by_the_bytes_that_they_keep() -> None:
+    box = Box()
+    box.context.open.clear()
+    for call_id in range(3):
+        box.outbox.add(call_id, answer(call_id, 1), box.count, QUEUED_BYTES_MAX // 2 + 1)
+    assert not box.outbox.has_room
+    held_back = asyncio.ensure_future(box.outbox.flush())
+    await box.context.begun.wait()
+    assert not held_back.done()
+    box.context.open.set()
+    await held_back
+    await box.outbox.finish()
+    assert (box.outbox.queued_bytes, box.outbox.has_room) == (0, True)
+
+
+async def test_a_dropped_answer_keeps_nothing_and_makes_room() -> None:
+    box = Box()
+    box.outbox.add(1, answer(1, 1), box.count, 10 * QUEUED_BYTES_MAX)
+    box.outbox.drop(1)
+    assert (box.outbox.queued_bytes, box.ended) == (0, [1])

@@ -16,11 +16,19 @@ from stampede_rt_channel_host.channels.frames import get_error, get_responses
 from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans
 from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupAsk
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.outbox import Outbox
+from stampede_rt_channel_host.channels.outbox import COUNTED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGet
-from stampede_rt_channel_host.core.channel import Answer, Pending, Pieces, Unfinished, WakeAt, first_of
+from stampede_rt_channel_host.core.channel import (
+    ITEM_OVERHEAD_BYTES,
+    Answer,
+    Pending,
+    Pieces,
+    Unfinished,
+    WakeAt,
+    first_of,
+)
 
 CALLS_MAX = 1024
 
@@ -54,7 +62,8 @@ class GetStream:
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: being answered
         self._plans = GetPlans()
         self._idle = asyncio.Event()
-        self._outbox = Outbox(context, stream, self._ended)
+        self._outbox = Outbox(context, stream, self._ended, self._room_came)
+        self._held_back: dict[int, _Begun] = {}  # released, and looked at again once there is room for their answers
 
     async def run(self) -> None:
         """Until the caller has closed its side and every call is answered. Raises InvalidArgument for garbage."""
@@ -115,6 +124,7 @@ class GetStream:
     async def _finish(self, begun: _Begun, pieces: Pieces[Answer | WakeAt]) -> None:
         plan, hosted = begun.plan, begun.hosted
         try:
+            await self._outbox.room()
             found = await self._store.turns.finish(pieces)
             self._store.find(plan.channel_id, plan.epoch)
             now = self._store.now()
@@ -136,7 +146,14 @@ class GetStream:
 
     async def _read_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel) -> None:
         try:
-            found = await self._groups.read(ask, hosted, plan.query, plan.wait_nanos)
+            began, wait_nanos = self._store.now(), plan.wait_nanos
+            found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
+            while not self._outbox.has_room:  # its answer is taken when it can be sent, and kept by nobody
+                del found
+                await self._outbox.room()
+                self._store.find(plan.channel_id, plan.epoch)
+                left_nanos = wait_nanos if wait_nanos < 0 else max(0, began + wait_nanos - self._store.now())
+                found = await self._groups.read(ask, hosted, plan.query, left_nanos)
         except StampedeError as error:
             self._calls[call_id] = None
             self._refuse(call_id, error)
@@ -150,17 +167,31 @@ class GetStream:
             self._calls[begun.call_id] = None  # it waits no more: once it is answered, it is not under way
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
+            elif not self._outbox.has_room:
+                self._held_back[begun.call_id] = begun  # its answer is taken when it can be sent, and kept by nobody
             else:
                 self._go_on(begun, outcome, self._store.now())
             self._outbox.kick()
 
         return release
 
+    def _room_came(self) -> None:
+        """Those that were released while there was no room are looked at again, the first one first."""
+        while self._held_back and self._outbox.has_room:
+            begun = self._held_back.pop(next(iter(self._held_back)))
+            assert begun.pending is not None, "only blocking gets are held back"
+            now = self._store.now()
+            try:
+                self._go_on(begun, first_of(begun.hosted.channel.polling(begun.pending, now)), now)
+            except StampedeError as error:
+                self._refuse(begun.call_id, error)
+            self._outbox.kick()
+
     def _answer(self, begun: _Begun, answer: Answer, now: int, cut: int | None = None) -> None:
         self._calls[begun.call_id] = None
         summary = summary_of(answer, now, cut)
         messages = get_responses(begun.call_id, answer, summary, without_payloads=begun.plan.without_payloads)
-        self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered)
+        self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered, _kept_bytes(answer))
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Not entered among the calls: a refused id may be one that is under way."""
@@ -168,6 +199,7 @@ class GetStream:
 
     def _cancel(self, call_id: int) -> None:
         get = self._calls.pop(call_id, None)
+        self._held_back.pop(call_id, None)
         if get is not None:
             get.cancel()
         self._outbox.drop(call_id)
@@ -192,6 +224,16 @@ def summary_of(answer: Answer, now: int, cut: int | None) -> pb.GetSummary:
         cut_unix_nano=cut,
         host_time_unix_nano=now,
     )
+
+
+def _kept_bytes(answer: Answer) -> int:
+    """What the stored runs that an answer refers to keep of the host's memory, as far as the bound on it goes."""
+    kept_bytes = 0
+    for part in answer.slices:
+        kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES
+        if kept_bytes > COUNTED_BYTES_MAX:
+            return COUNTED_BYTES_MAX
+    return kept_bytes
 
 
 def _count_nothing(payload_bytes: int) -> None:

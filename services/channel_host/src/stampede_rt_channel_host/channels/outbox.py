@@ -11,12 +11,20 @@ from stampede_rt_channel_host.channels.frames import Message
 from stampede_rt_channel_host.channels.streams import OpenStream
 
 ANSWERS_QUEUED_MAX = 256
+QUEUED_BYTES_MAX = 8 * 2**20
+"""Of items that answers refer to, and one answer more."""
+COUNTED_BYTES_MAX = QUEUED_BYTES_MAX // 2
+"""A larger answer counts as much, so that one of them does not hold up the small ones."""
 
 
 class _Answer(NamedTuple):
-    """The messages of one call, made as they are written; `on_sent` hears of each one's payload bytes."""
+    """The messages of one call, made as they are written; `on_sent` hears of each one's payload bytes.
+
+    `kept_bytes`: what the items that it refers to keep of the host's memory, even if retention has let them go.
+    """
 
     call_id: int
+    kept_bytes: int
     messages: Iterator[Message]
     on_sent: Callable[[int], None]
 
@@ -24,25 +32,44 @@ class _Answer(NamedTuple):
 class Outbox:
     """Writes answers in turn, one message of each, so that a large one does not hold up the small ones.
 
-    What is queued are references into the store, not copies. `on_end` hears of each call that was answered whole.
+    What is queued are references into the store, not copies. `on_end` hears of each call that was answered whole,
+    `on_room` that there is room again after there was none.
     """
 
-    def __init__(self, context: Any, stream: OpenStream, on_end: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        context: Any,
+        stream: OpenStream,
+        on_end: Callable[[int], None],
+        on_room: Callable[[], None] = lambda: None,
+    ) -> None:
         self._context = context
         self._stream = stream
+        self.queued_bytes = 0
         self._on_end = on_end
+        self._on_room = on_room
         self._answers: deque[_Answer] = deque()
         self._writing = False
         self._task: asyncio.Task[None] | None = None
         self._room = asyncio.Event()
 
-    def add(self, call_id: int, messages: Iterator[Message], on_sent: Callable[[int], None]) -> None:
+    @property
+    def has_room(self) -> bool:
+        """Another answer may be queued, however large it is."""
+        return len(self._answers) <= ANSWERS_QUEUED_MAX and self.queued_bytes <= QUEUED_BYTES_MAX
+
+    def add(
+        self, call_id: int, messages: Iterator[Message], on_sent: Callable[[int], None], kept_bytes: int = 0
+    ) -> None:
         """Queue an answer; `flush` or `kick` writes it."""
-        self._answers.append(_Answer(call_id, messages, on_sent))
+        self._answers.append(_Answer(call_id, kept_bytes, messages, on_sent))
+        self.queued_bytes += kept_bytes
 
     def drop(self, call_id: int) -> None:
         """Write no more of a call."""
-        self._answers = deque(answer for answer in self._answers if answer.call_id != call_id)
+        for answer in [answer for answer in self._answers if answer.call_id == call_id]:
+            self._answers.remove(answer)
+            self._let_go(answer)
         self._on_end(call_id)
 
     def kick(self) -> None:
@@ -61,7 +88,11 @@ class Outbox:
             finally:
                 self._writing = False
         self.kick()
-        while len(self._answers) > ANSWERS_QUEUED_MAX:
+        await self.room()
+
+    async def room(self) -> None:
+        """Wait until there is room for another answer."""
+        while not self.has_room:
             self._room.clear()
             await self._room.wait()
 
@@ -82,8 +113,6 @@ class Outbox:
         try:
             while self._answers:
                 await self._write_one()
-                if len(self._answers) <= ANSWERS_QUEUED_MAX:
-                    self._room.set()
         finally:
             self._writing = False
 
@@ -95,4 +124,11 @@ class Outbox:
         await self._context.write(message.encoded)
         answer.on_sent(message.payload_bytes)
         if message.is_last:
+            self._let_go(answer)
             self._on_end(answer.call_id)
+
+    def _let_go(self, answer: _Answer) -> None:
+        self.queued_bytes -= answer.kept_bytes
+        if self.has_room:
+            self._room.set()
+            self._on_room()
