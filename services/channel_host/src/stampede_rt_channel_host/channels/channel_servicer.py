@@ -13,6 +13,7 @@ from stampede_rt.status import abort
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -73,6 +74,7 @@ class ChannelServicer:
     async def consume(self, request: pb.ConsumeRequest, context: Any) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
         try:
+            await self._catch_up(self._store.find(request.channel_id, request.epoch))
             return self._store.find(request.channel_id, request.epoch).consume(request)
         except StampedeError as error:
             await abort(context, error)
@@ -86,9 +88,14 @@ class ChannelServicer:
                 hosted = self._store.find(request.channel_id, request.epoch)
             else:
                 hosted = self._store.find_any_epoch(request.channel_id)
+            await self._catch_up(hosted)
         except StampedeError as error:
             await abort(context, error)
         return pb.GetChannelStatusResponse(status=self._store.status(hosted))
+
+    async def _catch_up(self, hosted: HostedChannel) -> None:
+        """Long work that both would do at once."""
+        await self._store.turns.do(hosted.channel.catching_up(self._store.now()))
 
 
 def _unary(method: Any, request: Any, response: Any) -> grpc.RpcMethodHandler[Any, Any]:

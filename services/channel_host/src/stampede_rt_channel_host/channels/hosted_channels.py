@@ -113,11 +113,12 @@ class HostedChannel:
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
 
-    def collect(self, now: int) -> None:
-        """Free what time has outdated, a bounded part."""
-        self.channel.collect(now)
+    def collect(self, now: int) -> bool:
+        """Free what time has outdated, a bounded part; True if more is left to do at once."""
+        more = self.channel.collect(now)
         self.puts.expire(now)
         self._charge.set(self.footprint_bytes())
+        return more
 
     def next_deadline(self, now: int) -> int | None:
         """When `collect` is next useful; None: not before something changes. Frees a little, too."""

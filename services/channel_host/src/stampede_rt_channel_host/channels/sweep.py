@@ -59,8 +59,10 @@ class Sweep:
                 self._enter(hosted)
             elif (hosted := self._deadlines.pop(self._now())) is not None:
                 self.looked_at += 1
-                hosted.collect(self._now())
+                more = hosted.collect(self._now())
                 self._enter(hosted)
+                if more:
+                    return True
             else:
                 return False
         return True

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from stampede_rt.errors import InFuture, InvalidArgument
 from stampede_rt.model import Policy
 from stampede_rt.timeline import Bound, format_duration
+from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consumed, ConsumerPlace
 from stampede_rt_channel_host.core.channel.holdings import Cut, Holdings
@@ -244,6 +245,7 @@ class Channel:
         Takes the consumer's place if it has none, and keeps it for `lease_nanos` from now (see `Consumers`); 0 gives it
         up. `seqs` may be none. Raises InvalidArgument, and ChannelFull if all places are taken.
         """
+        at_once(self.catching_up(now))
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         if consumers is None:
@@ -258,14 +260,23 @@ class Channel:
         self._settle(clock)
         return consumed
 
+    def catching_up(self, now: int) -> Pieces[None]:
+        """Let consumers know all that was collected, in pieces: do it before `consume`, `consumers` and
+        `restore_consumers`, which otherwise do it at once."""
+        self._settle(self._tick(now))
+        while self._held.tell_gone(pieces.STEPS_PER_PIECE):
+            yield
+
     def consumers(self, now: int) -> list[ConsumerPlace]:
         """The places that were taken, as values: what moves with the channel, and what its status shows."""
+        at_once(self.catching_up(now))
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else consumers.places(clock, self.next_seq)
 
     def restore_consumers(self, places: Iterable[ConsumerPlace], now: int) -> None:
         """Take over the places that `consumers` told at the channel's former owner. Without consumers= nothing."""
+        at_once(self.catching_up(now))
         clock = self._settle(self._tick(now))
         if self._retention.consumers is not None:
             self._retention.consumers.restore(places, clock)
@@ -274,6 +285,7 @@ class Channel:
     def collect(self, now: int, entries_max: int = 1024) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
+        self._held.tell_gone(entries_max)
         return self._held.free(entries_max) or self._retention.has_more
 
     def next_deadline(self, now: int) -> int | None:

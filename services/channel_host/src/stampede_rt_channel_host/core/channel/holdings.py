@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel import tally
@@ -17,6 +18,9 @@ from stampede_rt_channel_host.core.channel.snapshot import Snapshot
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+
+TOLD_SLICES_MAX = 1024
+"""Of so many slices consumers hear at once that they were collected; the next calls go on."""
 
 FREED_ENTRIES_MAX = 2048
 """So many entries one call frees at the most, however much is outdated: the next calls go on."""
@@ -48,15 +52,14 @@ class Holdings:
 
     `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
     or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
-    `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection. `on_gone`
-    hears which seqs are collected, from the first up to, not including, the end.
+    `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection.
     """
 
     __slots__ = (
-        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest", "_snapshots",
-        "_stored_bytes", "_stored_items", "_tally",
+        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest",
+        "_on_gone", "_snapshots", "_stored_bytes", "_stored_items", "_tally", "_told",
         "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
-        "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "on_gone", "payload_bytes",
+        "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "payload_bytes",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -75,7 +78,8 @@ class Holdings:
         self.collected_by = AGE
         self.newest_consumed: int | None = None
         self.last_cause = AGE
-        self.on_gone: Callable[[int, int], None] | None = None
+        self._on_gone: Callable[[int, int], None] | None = None
+        self._told: Place = FIRST_PLACE  # up to where it has heard
         self._came_up_to: int | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
         self._newest_is_open = False  # an item of the newest bucket came without a duration
@@ -109,13 +113,15 @@ class Holdings:
 
     @property
     def has_backlog(self) -> bool:
-        """There are entries that can be freed."""
-        return self.index.has_below(self._free_floor)
+        """There are entries that can be freed, or would be if they were told of."""
+        untold = self._on_gone is not None and self._told < self.floor
+        return untold or self.index.has_below(self._free_floor)
 
     @property
     def _free_floor(self) -> Place:
-        """What snapshots still show is not freed."""
-        return min((self.floor, *(one.floor for one in self._snapshots))) if self._snapshots else self.floor
+        """What snapshots still show is not freed, nor what was not told of."""
+        floor = self.floor if self._on_gone is None else min(self.floor, self._told)
+        return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 
     @property
     def frontier(self) -> int | None:
@@ -179,12 +185,12 @@ class Holdings:
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()
-        while self._free_entry():
+        while self.tell_gone(TOLD_SLICES_MAX) or self._free_entry():
             pass
         trimmed = self.index.trim_below(self.floor)
         if trimmed is not None:
             self._forget(trimmed)
-        self.floor = FIRST_PLACE
+        self.floor = self._told = FIRST_PLACE
 
     def _split_block(self, crowded: tuple[Place, Place] | None) -> None:
         """Late items have crowded a block of the tally: make two of it."""
@@ -319,7 +325,7 @@ class Holdings:
 
     def outdate(self, front: Front, cause: str, now: int) -> None:
         """Collect a front. `now` ends the open spans of the newest bucket, if they are among it."""
-        last, former_floor = front.last, self.floor
+        last = front.last
         if last is None:
             return
         self.last_cause = cause
@@ -338,9 +344,21 @@ class Holdings:
         if front.rest is None:
             self.newest = None
             self._came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
-        if self.on_gone is not None:
-            for part in self.index.slices(former_floor, self.floor):
-                self.on_gone(part.first_seq, part.end_seq)
+        self.tell_gone(TOLD_SLICES_MAX)
+
+    def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
+        """From now on `on_gone` hears which seqs are collected, from the first up to, not including, the end."""
+        self._on_gone, self._told = on_gone, self.floor
+
+    def tell_gone(self, slices_max: int) -> bool:
+        """Tell of so many slices that were collected; True if more are left: nothing of these is freed before."""
+        if self._on_gone is None or self._told >= self.floor:
+            return False
+        parts = [*islice(self.index.slices(self._told, self.floor), slices_max)]
+        for part in parts:
+            self._on_gone(part.first_seq, part.end_seq)
+        self._told = (parts[-1].last_time, parts[-1].end_seq) if len(parts) == slices_max else self.floor
+        return self._told < self.floor
 
     def _note_end(self, last: Slice, following: int | None, cause: str, now: int) -> None:
         """Earlier buckets end at or before the last one's time, so only that one's items count. `following`: the time

@@ -6,7 +6,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-STEPS_PER_PIECE = 512
+STEPS_PER_PIECE = 256
 """So many slices, or so much work as these take, is one piece."""
 
 ITEMS_PER_STEP = 8

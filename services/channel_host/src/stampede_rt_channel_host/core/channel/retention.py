@@ -37,11 +37,12 @@ class Retention:
         self.limits = limits
         places = limits.consumer_places
         if not places:
-            self.consumers = self._held.on_gone = None
+            self.consumers = None
+            self._held.tell(None)
             self.has_more = False
         elif self.consumers is None:
             self.consumers = Consumers(places, _gone(self._held))
-            self._held.on_gone = self.consumers.let_go
+            self._held.tell(self.consumers.let_go)
         else:
             self.consumers.resize(places)
 

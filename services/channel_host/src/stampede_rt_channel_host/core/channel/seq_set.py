@@ -28,7 +28,9 @@ class SeqSet:
 
     def copy(self) -> SeqSet:
         """Another set of the same seqs."""
-        return SeqSet(self.below, self._ranges.items())
+        copy = SeqSet(self.below)
+        copy.size, copy._ranges = self.size, SortedDict(self._ranges)
+        return copy
 
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """The ranges that share a seq with those from `first` up to `end`, or adjoin them; the first one may be the one

@@ -1,0 +1,265 @@
+"""How long a host's event loop stands still for one long piece of work: `python -m tests.benchmarks.longest_pause`.
+
+One host, whose channels are filled in its own process. What a client asks for comes from a process of its own; the rest
+is done as the host's shell does it. Meanwhile the loop is turned as fast as it goes. A pause is the CPU time of its
+thread from one turn to the next, so that a busy machine counts for nothing; told are the longest one, and the CPU time
+of the whole work. A pause of the garbage collector is one of the host, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import gc
+import json
+import random
+import sys
+import time
+from collections.abc import Awaitable, Callable, Sequence
+
+import grpc
+
+from stampede_rt.v1 import channel_pb2, time_pb2
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.wire.runs import encode_run, seal_run
+from stampede_rt_bench.tables import Table
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.core.channel import Offer
+from stampede_rt_channel_host.core.group import CutFollower
+from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
+
+ITEMS, LATE_ITEMS, BUCKET_ITEMS = 500_000, 300_000, 50_000
+RUN_ITEMS = 200
+PAGE_ITEMS = 100
+READ_ITEMS = 20_000
+PATIENCE_SECONDS = 120.0
+
+Work = Callable[[], Awaitable[None]]
+Case = Callable[[Rig, int], Awaitable[tuple[str, Work]]]
+
+
+class Watch:
+    """Turns the loop, and notes the longest pause of its thread, in milliseconds."""
+
+    def __init__(self) -> None:
+        self.longest_ms = 0.0
+
+    async def over(self, work: Work) -> float:
+        """Do `work`; the CPU time of all, in milliseconds."""
+        gc.collect()
+        gc.freeze()
+        task, begun = asyncio.ensure_future(work()), time.thread_time()
+        last = begun
+        while not task.done():
+            await asyncio.sleep(0)
+            now = time.thread_time()
+            self.longest_ms, last = max(self.longest_ms, (now - last) * 1000), now
+        await task
+        gc.unfreeze()
+        return (time.thread_time() - begun) * 1000
+
+
+async def opened(rig: Rig, **spec: object) -> tuple[Opened, HostedChannel]:
+    retention = channel_pb2.RetentionPolicy(max_age_nanos=36_000 * S, max_bytes=2**40, **spec)  # type: ignore[arg-type]
+    channel = await rig.open(f"c{random.getrandbits(60)}", channel_pb2.ChannelSpec(retention=retention))
+    return channel, rig.host.store.find(channel.channel_id, channel.epoch)
+
+
+def fill(hosted: HostedChannel, now: int, times: Sequence[int]) -> None:
+    """One run, as a put stores it."""
+    run = encode_run([b"x"] * len(times), times=times)
+    offer = Offer(times=times, durations=None, lengths=[1] * len(times))
+    hosted.channel.put(offer, now, lambda first_seq, kept, stamped: seal_run(run, first_seq))
+
+
+def in_order(hosted: HostedChannel, rig: Rig, items: int) -> None:
+    now = rig.now()
+    for at in range(items):
+        fill(hosted, now, [now - items + at])
+
+
+def interleaved(hosted: HostedChannel, rig: Rig, items: int) -> None:
+    """Two producers put runs, each of whose items lies between two of the other's."""
+    now = rig.now()
+    for first in range(0, items, 2 * RUN_ITEMS):
+        for odd in (0, 1):
+            fill(hosted, now, [now - items + first + 2 * at + odd for at in range(RUN_ITEMS)])
+
+
+def asked(rig: Rig, channel: Opened, verb: str) -> Work:
+    """A client in a process of its own."""
+
+    async def work() -> None:
+        words = [rig.target, verb, channel.channel_id.hex(), str(channel.epoch)]
+        client = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "tests.benchmarks.longest_pause", "--client", *words
+        )
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            assert await client.wait() == 0, "the client failed"
+
+    return work
+
+
+async def large_get(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    interleaved(hosted, rig, items)
+    return f"get of {items:,} items of two producers that interleave, no payloads", asked(rig, channel, "get")
+
+
+async def subscription(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    return f"subscribe from the oldest of {items:,} single puts on", asked(rig, channel, "subscribe")
+
+
+async def smaller_limit(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    retention = channel_pb2.RetentionPolicy(max_items=10)
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=b"0123456789abcdef",
+        channel_id=channel.channel_id,
+        epoch=channel.epoch,
+        spec=channel_pb2.ChannelSpec(retention=retention),
+    )
+
+    async def work() -> None:
+        await rig.gate.ConfigureChannel(request)
+        await channel.put(run_of(b"x"))
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            while hosted.channel.look(rig.now())[0].has_backlog:
+                await channel.status()
+
+    return f"configure(max_items=10) with {items:,} items, a put, and the freeing", work
+
+
+async def late_items(rig: Rig, items: int) -> tuple[str, Work]:
+    _, hosted = await opened(rig)
+    now = rig.now()
+    fill(hosted, now, [now])
+    follower = CutFollower(hosted.channel, now + 1, now)
+    for at in range(items):
+        fill(hosted, now, [now - 1 - at])
+
+    async def work() -> None:
+        follower.begin(now + 2)
+        while follower.under_way:
+            follower.take(rig.now(), 2**20)
+            await asyncio.sleep(0)
+
+    return f"a cut event with {items:,} late items", work
+
+
+async def page(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    now = rig.now()
+    for _ in range(items):
+        fill(hosted, now, [now])
+    after = {"time_unix_nano": now, "seq": items - 2 * PAGE_ITEMS}
+
+    async def work() -> None:
+        got = await channel.get(limit=PAGE_ITEMS, after=after)
+        assert len(got.runs) == PAGE_ITEMS
+
+    return f"a page of {PAGE_ITEMS} in a bucket of {items:,} equal times", work
+
+
+async def reach(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    now = rig.now()
+    for _ in range(items):
+        fill(hosted, now, [now])
+    call = rig.channels.Get()
+    await call.write(channel.get_request(interval=between(now + 3600 * S, MAX_INSTANT), wait_nanos=-1))
+    await channel.until(lambda status: status.waiting_gets == 1)
+
+    async def work() -> None:
+        for _ in range(10):
+            await channel.put(run_of(b"x", times=[now]))
+        call.cancel()
+
+    return f"10 puts into a bucket of {items:,} equal times while a get is blocked", work
+
+
+async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig, consumers=1)
+    in_order(hosted, rig, items)
+    hosted.channel.consume(1, [], rig.now())
+
+    async def work() -> None:
+        request = pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, consumer_id=1, seqs=[1])
+        await rig.channels.Consume(request)
+        retention = channel_pb2.RetentionPolicy(max_items=10, consumers=1)
+        await rig.gate.ConfigureChannel(
+            gate_pb.ConfigureChannelRequest(
+                request_id=b"0123456789abcdef",
+                channel_id=channel.channel_id,
+                epoch=channel.epoch,
+                spec=channel_pb2.ChannelSpec(retention=retention),
+            )
+        )
+
+    return f"{items:,} items that are owed to a consumer go by count", work
+
+
+CASES: dict[str, tuple[Case, int]] = {
+    "get": (large_get, ITEMS),
+    "subscribe": (subscription, ITEMS),
+    "configure": (smaller_limit, ITEMS),
+    "late": (late_items, LATE_ITEMS),
+    "page": (page, BUCKET_ITEMS),
+    "reach": (reach, BUCKET_ITEMS),
+    "consumption": (consumption, ITEMS),
+}
+
+
+def ask(target: str, verb: str, channel_id: str, epoch: str) -> None:
+    """As a client does: one get, or the first items of a subscription."""
+    with grpc.insecure_channel(target, options=[("grpc.max_receive_message_length", -1)]) as connection:
+        stub = ChannelServiceStub(connection)
+        about = {"channel_id": bytes.fromhex(channel_id), "epoch": int(epoch)}
+        oldest = time_pb2.Bound(instant_unix_nano=MIN_INSTANT)
+        if verb == "get":
+            interval = between(MIN_INSTANT, MAX_INSTANT)
+            get = pb.GetRequest(call_id=1, interval=interval, without_payloads=True, **about)  # type: ignore[arg-type]
+            assert [*stub.Get(iter((get,)))][-1].HasField("summary")
+            return
+        begun = pb.SubscribeOpen(start=oldest, **about)  # type: ignore[arg-type]
+        items = 0
+        for response in stub.Subscribe(iter((pb.SubscribeRequest(open=begun, credit_bytes=2**60),))):
+            items += sum(len(one.run.payload_length_bytes) for one in response.runs)
+            if items >= READ_ITEMS:
+                return
+
+
+async def measure(names: Sequence[str], share: float) -> None:
+    """One host for each case, so that none leaves the next one anything."""
+    table = Table(("longest pause, ms", "all, ms", "work"))
+    for name in names:
+        case, items = CASES[name]
+        async with running_host(memory_bytes_max=2**40) as rig:
+            text, work = await case(rig, int(items * share))
+            watch = Watch()
+            all_ms = await watch.over(work)
+            table.rows.append((f"{watch.longest_ms:,.1f}", f"{all_ms:,.0f}", text))
+            print(json.dumps({"case": name, "longest_ms": watch.longest_ms, "all_ms": all_ms}), file=sys.stderr)
+    table.print()
+
+
+def main() -> None:
+    """Measure and print; with --client be the client."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; none: all")
+    parser.add_argument("--share", type=float, default=1.0, help="of the items")
+    parser.add_argument("--client", nargs=4, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.client:
+        ask(*options.client)
+    else:
+        asyncio.run(measure(options.cases or [*CASES], options.share))
+
+
+if __name__ == "__main__":
+    main()
