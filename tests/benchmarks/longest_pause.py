@@ -236,6 +236,7 @@ def ask(target: str, verb: str, channel_id: str, epoch: str) -> None:
 
 async def measure(names: Sequence[str], share: float) -> None:
     """One host for each case, so that none leaves the next one anything."""
+    gc.set_threshold(5_000, 5, 1_000)  # as `stampede host` does
     table = Table(("longest pause, ms", "all, ms", "work"))
     for name in names:
         case, items = CASES[name]

@@ -53,13 +53,15 @@ def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, witho
     """The messages that answer a call, made one by one; the last one has the summary."""
     head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves a zero away
     parts, runs, size, payload_bytes = [head], 0, 0, 0
-    last = len(answer.slices) - 1
-    for place, part in enumerate(answer.slices):
+    next_time, rest = answer.next_time, [*reversed(answer.slices)]
+    del answer  # what is sent is let go of: half a million slices at the end would be one long step
+    while rest:
+        part = rest.pop()
         body = run_bytes(part, without_payloads=without_payloads)
         if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
             yield Message(b"".join(parts), payload_bytes, False)
             parts, runs, size, payload_bytes = [head], 0, 0, 0
-        _add_run(parts, _GET_RUNS, body, answer.next_time if place == last else None)
+        _add_run(parts, _GET_RUNS, body, None if rest else next_time)
         runs += 1
         size += len(body)
         payload_bytes += 0 if without_payloads else part.payload_bytes
