@@ -337,3 +337,19 @@ def test_what_age_takes_is_owed_by_nobody_and_a_thousand_consumers_are_not_told_
     held_now = held(channel, now)
     assert {place.waiting for place in channel.consumers(now)} == {len(held_now)}
     assert channel.consume(5, range(1, 201), now).items == len(held_now), "what is gone counts for nobody"
+
+
+def test_consumers_hear_of_what_was_collected_in_bounded_parts_and_know_all_of_it_when_it_counts() -> None:
+    channel = a_channel(consumers=2)
+    for time in range(5000):
+        put(channel, CLOCK + time)
+    channel.consume(1, [5000], CLOCK)
+    channel.configure(Policy(consumers=2, max_items=10, max_future_nanos=10**6), CLOCK)
+    held, _ = channel.look(CLOCK)
+    assert held.items == 10
+    assert held.tell_gone(1), "there is more to tell"
+    assert held.index.has_below(held.floor), "what was not told of is not freed"
+    parts = 1 + sum(1 for _ in channel.catching_up(CLOCK))
+    assert parts > 10
+    assert channel.consume(1, [1, 4991], CLOCK).items == 1
+    assert [one.waiting for one in channel.consumers(CLOCK)] == [8]
