@@ -1,12 +1,8 @@
-"""Lets a call in by its caller's certificate: the right cluster, and a role that may call the RPC (see `roles`).
-
-gRPC tells an interceptor nothing of the caller's certificate, only a running call: so each handler is wrapped.
-"""
+"""Lets a call in by its caller's certificate: the right cluster, and a role that may call the RPC (see `roles`)."""
 
 from __future__ import annotations
 
 import contextlib
-import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
@@ -14,6 +10,7 @@ import grpc
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.status import abort
+from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import why_refused
 
@@ -37,35 +34,16 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
     ) -> Any:
         """The method's handler, which looks at the caller first."""
         handler = await continuation(handler_call_details)
-        return None if handler is None else self._guarded(handler, handler_call_details.method)
+        if handler is None:
+            return None
+        method = handler_call_details.method
 
-    def _guarded(self, handler: Any, method: str) -> Any:
-        make, behavior = _kind(handler)
-        guard = self._guard_iterator if inspect.isasyncgenfunction(behavior) else self._guard_call
-        return make(
-            guard(behavior, method),
-            request_deserializer=handler.request_deserializer,
-            response_serializer=handler.response_serializer,
-        )
-
-    def _guard_call(self, behavior: Callable[..., Awaitable[Any]], method: str) -> Callable[..., Awaitable[Any]]:
-        async def call(request: Any, context: Any) -> Any:
+        @contextlib.asynccontextmanager
+        async def admitted(context: Any) -> AsyncIterator[None]:
             await self._admit(method, context)
-            return await behavior(request, context)
+            yield
 
-        return call
-
-    def _guard_iterator(
-        self, behavior: Callable[..., AsyncIterator[Any]], method: str
-    ) -> Callable[..., AsyncIterator[Any]]:
-        async def call(request: Any, context: Any) -> AsyncIterator[Any]:
-            await self._admit(method, context)
-            responses: Any = behavior(request, context)
-            async with contextlib.aclosing(responses):
-                async for response in responses:
-                    yield response
-
-        return call
+        return guarded(handler, admitted)
 
     async def _admit(self, method: str, context: Any) -> None:
         caller = caller_identity(context)
@@ -78,14 +56,3 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
             refusal = why_refused(method, caller, self._own.cluster)
         if refusal:
             await abort(context, PermissionDenied(refusal))
-
-
-def _kind(handler: Any) -> tuple[Callable[..., Any], Any]:
-    """What makes a handler of this one's kind, and what it runs."""
-    if handler.request_streaming:
-        if handler.response_streaming:
-            return grpc.stream_stream_rpc_method_handler, handler.stream_stream
-        return grpc.stream_unary_rpc_method_handler, handler.stream_unary
-    if handler.response_streaming:
-        return grpc.unary_stream_rpc_method_handler, handler.unary_stream
-    return grpc.unary_unary_rpc_method_handler, handler.unary_unary

@@ -12,7 +12,9 @@ Option = tuple[str, int | str]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """`concurrent_rpcs_max` counts open streams, too; a call beyond it gets RESOURCE_EXHAUSTED.
+    """`concurrent_rpcs_max` calls of anybody are served at a time, `streams_max` of them streams, which may stay open;
+    beside them `reserved_rpcs_max` that only parts of the cluster make. A call beyond gets RESOURCE_EXHAUSTED, by gRPC
+    itself if more than `refusals_max` are just being refused.
 
     A server hangs up on a peer that pings more often than each `ping_interval_millis_min` while nothing else is sent;
     it must lie well below every caller's keepalive time, or an idle subscription is cut after three pings.
@@ -20,11 +22,18 @@ class Limits:
 
     message_bytes_max: int = 20 * 2**20
     metadata_bytes_max: int = 16 * 2**10
-    concurrent_rpcs_max: int = 4096
+    concurrent_rpcs_max: int = 4608
+    streams_max: int = 4096
+    reserved_rpcs_max: int = 512
+    refusals_max: int = 256
     keepalive_millis: int = 20_000
     keepalive_timeout_millis: int = 10_000
     ping_interval_millis_min: int = 2_000
     reconnect_millis_max: int = 1_000
+
+    def rpcs_max(self) -> int:
+        """What gRPC is told: those that are served, and those that are just being refused."""
+        return self.concurrent_rpcs_max + self.reserved_rpcs_max + self.refusals_max
 
     def server_options(self) -> list[Option]:
         """For `grpc.aio.server`. Without so_reuseport=0 a second server would share the port in silence."""

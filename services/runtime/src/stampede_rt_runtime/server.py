@@ -14,6 +14,7 @@ from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret, SecretInterceptor
+from stampede_rt_runtime.capacity import CapacityInterceptor
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
 from stampede_rt_runtime.tls import ServiceTls
@@ -36,9 +37,9 @@ class ServiceServer:
         limits = limits or Limits()
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            interceptors=_interceptors(secret, tls),
+            interceptors=_interceptors(secret, tls, limits),
             options=limits.server_options(),
-            maximum_concurrent_rpcs=limits.concurrent_rpcs_max,
+            maximum_concurrent_rpcs=limits.rpcs_max(),
         )
         self.address = ""
         self.stopping = asyncio.Event()
@@ -102,9 +103,11 @@ class ServiceServer:
         await self.grpc.stop(DRAIN_SECONDS)
 
 
-def _interceptors(secret: Secret | None, tls: ServiceTls | None) -> list[grpc.aio.ServerInterceptor]:
+def _interceptors(secret: Secret | None, tls: ServiceTls | None, limits: Limits) -> list[grpc.aio.ServerInterceptor]:
+    """The first is the outermost: who may not call takes no slot."""
     asked: list[grpc.aio.ServerInterceptor] = [SecretInterceptor(secret)] if secret else []
-    return [*asked, AdmissionInterceptor(tls.identity)] if tls else asked
+    admitted = [*asked, AdmissionInterceptor(tls.identity)] if tls else asked
+    return [*admitted, CapacityInterceptor(limits)]
 
 
 async def _bounded(work: Awaitable[Any]) -> None:

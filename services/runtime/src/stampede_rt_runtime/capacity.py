@@ -1,0 +1,79 @@
+"""How many calls a port serves at a time, and that callers' streams leave room for the cluster's own calls."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.status import abort
+from stampede_rt_runtime.handlers import guarded, is_stream
+from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.roles import roles_for
+
+
+class Slots:
+    """Slots for `calls_max` calls of anybody, of which `streams_max` may be streams, and `reserved_max` beside them.
+
+    The reserved ones are for what clients never call: Raft, leases, membership, the links between hosts.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self.streams = self.singles = self.reserved = 0
+
+    def take(self, *, is_stream: bool, for_members: bool) -> Callable[[], None]:
+        """Take a slot; returns what gives it back, once. Raises Overloaded if there is none."""
+        limits = self._limits
+        if for_members and self.reserved < limits.reserved_rpcs_max:
+            kind = "reserved"
+        elif is_stream and self.streams >= limits.streams_max:
+            raise Overloaded(
+                f"{limits.streams_max} streams are open at this port already, the most there may be; close some "
+                "subscriptions or watches, or go to another supernode or host"
+            )
+        elif self.streams + self.singles >= limits.concurrent_rpcs_max:
+            raise Overloaded(
+                f"{limits.concurrent_rpcs_max} calls are under way at this port already, the most there may be; try "
+                "again in a moment"
+            )
+        else:
+            kind = "streams" if is_stream else "singles"
+        setattr(self, kind, getattr(self, kind) + 1)
+        return lambda: setattr(self, kind, getattr(self, kind) - 1)
+
+
+class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
+    """Lets a call in if there is a slot for it, and refuses it otherwise, before any of its requests is read."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._slots = Slots(limits)
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Any:
+        """The method's handler, which takes a slot first."""
+        handler = await continuation(handler_call_details)
+        if handler is None:
+            return None
+        method, streams = handler_call_details.method, is_stream(handler)
+        for_members = Role.CLIENT not in roles_for(method) and bool(roles_for(method))
+
+        @contextlib.asynccontextmanager
+        async def slot(context: Any) -> AsyncIterator[None]:
+            try:
+                give_back = self._slots.take(is_stream=streams, for_members=for_members)
+            except Overloaded as error:
+                await abort(context, error)
+            try:
+                yield
+            finally:
+                give_back()
+
+        return guarded(handler, slot)

@@ -1,0 +1,63 @@
+"""Puts something around a method of a gRPC server, whatever kind of method it is.
+
+gRPC tells an interceptor nothing of the caller's certificate, nor when a call ends, only a running call: so the handler
+is wrapped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import inspect
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import grpc
+
+# Entered with the call's context before the method runs, and left when it has ended. It may end the call.
+Guard = Callable[[Any], contextlib.AbstractAsyncContextManager[None]]
+
+
+def is_stream(handler: Any) -> bool:
+    """Whether a handler's calls may stay open: in one direction or the other, any number of messages come."""
+    return bool(handler.request_streaming or handler.response_streaming)
+
+
+def guarded(handler: Any, guard: Guard) -> Any:
+    """A handler of the same kind, each call of which runs inside `guard`."""
+    make, behavior = _kind(handler)
+    around = _around_iterator if inspect.isasyncgenfunction(behavior) else _around_call
+    return make(
+        around(behavior, guard),
+        request_deserializer=handler.request_deserializer,
+        response_serializer=handler.response_serializer,
+    )
+
+
+def _around_call(behavior: Callable[..., Any], guard: Guard) -> Callable[..., Any]:
+    async def call(request: Any, context: Any) -> Any:
+        async with guard(context):
+            return await behavior(request, context)
+
+    return call
+
+
+def _around_iterator(behavior: Callable[..., AsyncIterator[Any]], guard: Guard) -> Callable[..., AsyncIterator[Any]]:
+    async def call(request: Any, context: Any) -> AsyncIterator[Any]:
+        async with guard(context):
+            responses: Any = behavior(request, context)
+            async with contextlib.aclosing(responses):
+                async for response in responses:
+                    yield response
+
+    return call
+
+
+def _kind(handler: Any) -> tuple[Callable[..., Any], Any]:
+    """What makes a handler of this one's kind, and what it runs."""
+    if handler.request_streaming:
+        if handler.response_streaming:
+            return grpc.stream_stream_rpc_method_handler, handler.stream_stream
+        return grpc.stream_unary_rpc_method_handler, handler.stream_unary
+    if handler.response_streaming:
+        return grpc.unary_stream_rpc_method_handler, handler.unary_stream
+    return grpc.unary_unary_rpc_method_handler, handler.unary_unary

@@ -1,0 +1,97 @@
+"""Callers' streams that fill a port, and what is let in all the same."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.status import from_rpc_error
+from stampede_rt_runtime.capacity import Slots
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.server import serving
+
+WATCH = "/stampede_rt.v1.DirectoryService/Watch"
+PING = "/stampede_rt.v1.DirectoryService/Ping"
+RAFT = "/stampede_rt.v1.RaftService/Exchange"
+RENEW = "/stampede_rt.v1.DirectoryService/RenewHostLease"
+LIMITS = Limits(concurrent_rpcs_max=3, streams_max=2, reserved_rpcs_max=2)
+
+
+class Parts(grpc.GenericRpcHandler):
+    """Streams answer once and stay open until they are cancelled; the other calls answer."""
+
+    def service(self, handler_call_details: grpc.HandlerCallDetails) -> Any:
+        if handler_call_details.method in (WATCH, RAFT):
+            return grpc.stream_stream_rpc_method_handler(self.hold)
+        return grpc.unary_unary_rpc_method_handler(self.echo)
+
+    async def hold(self, _requests: Any, context: Any) -> None:
+        await context.write(b"open")
+        await asyncio.Event().wait()
+
+    async def echo(self, request: bytes, context: Any) -> bytes:
+        return request
+
+
+def register(server: grpc.aio.Server) -> None:
+    server.add_generic_rpc_handlers((Parts(),))
+
+
+async def opened(channel: grpc.aio.Channel, method: str) -> Any:
+    call = channel.stream_stream(method)(timeout=20)
+    assert await call.read() == b"open"
+    return call
+
+
+async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_calls_are_answered() -> None:
+    async with serving(register, limits=LIMITS) as server, dial(server.address, secret=None) as channel:
+        watches = [await opened(channel, WATCH) for _ in range(LIMITS.streams_max)]
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await opened(channel, WATCH)
+        error = from_rpc_error(caught.value, server.address)
+        member = await opened(channel, RAFT)
+        assert await channel.unary_unary(RENEW)(b"mine", timeout=20) == b"mine"
+        assert await channel.unary_unary(PING)(b"you", timeout=20) == b"you"
+        for call in (*watches, member):
+            call.cancel()
+    assert isinstance(error, Overloaded)
+    assert "2 streams are open at this port already" in error.message
+
+
+async def test_a_stream_that_ends_makes_room_for_another_one() -> None:
+    async with serving(register, limits=LIMITS) as server, dial(server.address, secret=None) as channel:
+        watches = [await opened(channel, WATCH) for _ in range(LIMITS.streams_max)]
+        watches[0].cancel()
+        while True:  # ends with the test's timeout: the server hears of the cancellation a little later
+            try:
+                watches.append(await opened(channel, WATCH))
+                break
+            except grpc.aio.AioRpcError as error:
+                if error.code() is not grpc.StatusCode.RESOURCE_EXHAUSTED:
+                    raise
+        for call in watches:
+            call.cancel()
+
+
+def test_what_finds_no_reserved_slot_takes_one_of_all() -> None:
+    slots = Slots(LIMITS)
+    given = [slots.take(is_stream=True, for_members=True) for _ in range(3)]
+    assert (slots.reserved, slots.streams, slots.singles) == (2, 1, 0)
+    for give_back in given:
+        give_back()
+    assert (slots.reserved, slots.streams, slots.singles) == (0, 0, 0)
+
+
+def test_single_calls_leave_streams_no_more_room_than_there_is() -> None:
+    slots = Slots(LIMITS)
+    for _ in range(LIMITS.concurrent_rpcs_max):
+        slots.take(is_stream=False, for_members=False)
+    with pytest.raises(Overloaded, match="3 calls are under way"):
+        slots.take(is_stream=False, for_members=False)
+    with pytest.raises(Overloaded, match="3 calls are under way"):
+        slots.take(is_stream=True, for_members=False)
