@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncIterator
 
 import pytest
@@ -201,6 +202,7 @@ async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: R
         channel.epoch,
         channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=2)),
         b"0123456789abcdef",
+        time.monotonic(),
     )
     response = await call.read()
     assert [(ack.first_number, ack.first_seq) for ack in response.acks] == [(2, 2)]
@@ -293,7 +295,7 @@ async def make_room(rig: Rig, channel: Opened) -> None:
     """The channel gets another limit, and whatever waits has come in."""
     request = blocking(600 * S)
     request.retention.max_items = 9
-    await rig.host.store.configure(channel.channel_id, channel.epoch, request, b"0123456789abcdef")
+    await rig.host.store.configure(channel.channel_id, channel.epoch, request, b"0123456789abcdef", time.monotonic())
 
 
 async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:
@@ -302,7 +304,7 @@ async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_
     waiting = rig.channels.Put()
     await waiting.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x", b"y")]))
     await channel.until(lambda status: status.waiting_puts == 1)
-    await rig.host.store.drop(channel.channel_id, channel.epoch, b"0123456789abcdef")
+    await rig.host.store.drop(channel.channel_id, channel.epoch, b"0123456789abcdef", time.monotonic())
     (ack,) = (await waiting.read()).acks
     assert (ack.HasField("error"), ack.first_seq) == (False, 1)
     assert [one.error.reason for one in ack.rejections] == [error_pb2.ERROR_REASON_CHANNEL_NOT_FOUND]

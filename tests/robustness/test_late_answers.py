@@ -4,6 +4,7 @@ again, and only then it hears that the channel is its own."""
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
@@ -70,7 +71,7 @@ async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring
     directory = SlowDirectory()
     store = store_over(directory)
     await answered(directory, lambda: store.bind(CHANNEL, 1), record(ME, 1))
-    change = asyncio.create_task(store.configure(CHANNEL, 1, channel_pb2.ChannelSpec(), b"r" * 16))
+    change = asyncio.create_task(store.configure(CHANNEL, 1, channel_pb2.ChannelSpec(), b"r" * 16, time.monotonic()))
     late = await directory.questions.get()
     store.registered([], all_told=True)
     late.set_result(record(ME, 1))
