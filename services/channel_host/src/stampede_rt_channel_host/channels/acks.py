@@ -10,19 +10,24 @@ from stampede_rt_channel_host.core.judging import Judged
 
 def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
     """The ack of a run every item of which is judged."""
-    return pb.PutAck(
+    ack = pb.PutAck(
         first_number=first_number,
         items=judged.items,
         first_seq=judged.first_seq,
         stamped_unix_nano=judged.stamped_time,
-        rejections=[pb.PutRejection(index=one.place, error=to_error_message(one.error)) for one in judged.refusals],
-        later_parts=[
-            pb.PutPart(index=one.place, first_seq=one.first_seq, stamped_unix_nano=one.stamped_time)
-            for one in judged.parts[1:]
-        ],
         host_time_unix_nano=judged.time,
         incarnation=incarnation,
     )
+    if judged.refusals:
+        ack.rejections.extend(
+            pb.PutRejection(index=one.place, error=to_error_message(one.error)) for one in judged.refusals
+        )
+    if len(judged.parts) > 1:
+        ack.later_parts.extend(
+            pb.PutPart(index=one.place, first_seq=one.first_seq, stamped_unix_nano=one.stamped_time)
+            for one in judged.parts[1:]
+        )
+    return ack
 
 
 def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:

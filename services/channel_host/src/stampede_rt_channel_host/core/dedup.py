@@ -62,7 +62,8 @@ class _Producer:
         return PRODUCER_BYTES + len(self._columns) // _FIELDS * RUN_BYTES + self._odd_bytes
 
     def add(self, first_number: int, outcome: Judged) -> None:
-        self._forget_odd(first_number)
+        if self.odd:
+            self._forget_odd(first_number)
         part = outcome.parts[0]
         if len(outcome.parts) > 1 or part.items < outcome.items:
             self.odd[first_number] = outcome
@@ -172,9 +173,9 @@ class RetryWindow:
         producer.add(first_number, outcome)
         while len(producer) > RUNS_MAX or producer.oldest_time() <= outcome.time - KEPT_NANOS:
             producer.drop_oldest()
-        while len(producer) > 1 and producer.footprint_bytes > PRODUCER_BYTES_MAX:
+        while (after := producer.footprint_bytes) > PRODUCER_BYTES_MAX and len(producer) > 1:
             producer.drop_oldest()
-        self.footprint_bytes += producer.footprint_bytes - before
+        self.footprint_bytes += after - before
         self.expire(outcome.time)
 
     def expire(self, now: int) -> None:
