@@ -111,14 +111,19 @@ class _Taking:
         """Take one piece of a stretch; what is left of it, None if that is nothing."""
         if self.more:
             return None
-        steps = 0
+        fits, all_shown = stretch.fits, not self._snapshot.is_held
+        steps, steps_max = 0, pieces.STEPS_PER_PIECE
         for part in self._walk(stretch):
-            stretch = self._behind(part, stretch)
-            if self._snapshot.shows(part) and not self._take_fitting(part, stretch.fits):
-                return None
-            steps += 1 if stretch.fits is None else 1 + part.items // pieces.ITEMS_PER_STEP
-            if steps >= pieces.STEPS_PER_PIECE:
-                return stretch
+            steps += 1
+            if all_shown or self._snapshot.shows(part):
+                if fits is None and self._left is None:
+                    self._slices.append(part)
+                elif not self._take_fitting(part, fits):
+                    return None
+            if fits is not None:
+                steps += part.items // pieces.ITEMS_PER_STEP
+            if steps >= steps_max:
+                return self._behind(part, stretch)
         return None
 
     def _walk(self, stretch: _Stretch) -> Iterator[Slice]:
