@@ -51,6 +51,7 @@ class MemoryConnection:
 class MemoryChannel:
     def __init__(self, name: str, **policy: Any) -> None:
         stated = parse_policy(**policy)
+        self._overlap_nanos = stated.overlap_nanos or 0
         self.name = name
         self._consumer_id = 0
         self.core = Channel(stated, incarnation=random.getrandbits(63) | 1, name=name)
@@ -216,7 +217,12 @@ class MemoryChannel:
         delivered = [item_pb2.DeliveredRun(run=self._run(one, payloads)) for one in slices]
         if delivered and next_time is not None:
             delivered[-1].next_time_unix_nano = next_time
-        decoder = ItemDecoder(incarnation=self.core.incarnation, content_type=self._content_type, payloads=payloads)
+        decoder = ItemDecoder(
+            incarnation=self.core.incarnation,
+            content_type=self._content_type,
+            payloads=payloads,
+            overlap_nanos=self._overlap_nanos,
+        )
         return decoder.decode(delivered)
 
     def _run(self, one: Slice, payloads: bool) -> item_pb2.ItemRun:

@@ -76,6 +76,32 @@ async def test_a_duration_ends_a_span_before_the_next_item(surface: Surface) -> 
     assert shown(await channel.at(base + 10 * MS)) == []
 
 
+async def test_where_items_overlap_a_later_item_does_not_cut_a_duration(surface: Surface) -> None:
+    channel = await surface.channel(max_age="60s", overlap="400ms")
+    base = st.now() - 2_000 * MS
+    await channel.put(b"scene", time=base, duration="300ms")
+    await channel.put(b"open", time=base + 50 * MS)
+    await channel.put(b"talk", time=base + 100 * MS, duration="900ms")
+    await channel.put(b"end", time=base + 600 * MS)
+    assert shown(await channel.at(base + 60 * MS)) == ["scene", "open"]
+    assert shown(await channel.at(base + 200 * MS)) == ["scene", "talk"]  # what has no duration is cut as ever
+    assert shown(await channel.at(base + 300 * MS)) == ["talk"]
+    assert shown(await channel.at(base + 600 * MS)) == ["end"]  # "talk" has lasted for the overlap, and is cut
+    found = await channel.get(base, base + 1_000 * MS, match="start")
+    assert [item.end and item.end - base for item in found] == [300 * MS, 100 * MS, 600 * MS, None]
+    assert shown(await channel.get(base, base + 299 * MS, match="whole")) == ["open"]
+    assert shown(await channel.get(base, base + 300 * MS, match="whole")) == ["scene", "open"]
+    assert shown(await channel.get(base + 250 * MS, base + 260 * MS, limit=1, newest_first=True)) == ["talk"]
+
+
+async def test_where_items_overlap_ages_count_from_the_longest_that_an_item_may_last(surface: Surface) -> None:
+    channel = await surface.channel(max_age="1s", overlap="3600s")
+    base = st.now() - 3_000 * MS
+    for number in range(3):
+        await channel.put(b"%d" % number, time=base + number * MS, duration="1ms")
+    assert shown(await channel.get(st.OLDEST, st.NEWEST)) == ["0", "1", "2"]
+
+
 async def test_a_duration_of_zero_is_a_single_instant(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     base = st.now() - 1_000 * MS

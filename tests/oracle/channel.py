@@ -99,6 +99,17 @@ class OracleChannel:
         return self.held[0].time if self.held else None
 
     @property
+    def overlap(self) -> int:
+        return self.policy.overlap_nanos or 0
+
+    @property
+    def gone_before(self) -> int | None:
+        """No span of a collected item reaches past it. Where items overlap, each may have lasted for the overlap."""
+        if self.frontier is None:
+            return None
+        return max([self.frontier, *(time + self.overlap for time in self.collected_times)])
+
+    @property
     def frontier(self) -> int | None:
         """The latest span end that was collected, but never above an item that is still there; if none is, not above
         what had come when the last one went."""
@@ -112,11 +123,13 @@ class OracleChannel:
         return clock if self.newest is None else max(clock, self.newest)
 
     def end(self, item: Item) -> int | None:
-        """The earliest of time + duration and the next later item's time; None for an open newest item."""
-        ends = [other.time for other in self.held if other.time > item.time]
-        if item.duration is not None:
-            ends.append(item.time + item.duration)
-        return min(ends, default=None)
+        """The earliest of time + duration and the next later item's time; None for an open newest item. An item with a
+        duration is not cut before it has lasted for the overlap."""
+        following = min((other.time for other in self.held if other.time > item.time), default=None)
+        if item.duration is None:
+            return following
+        own = item.time + item.duration
+        return own if following is None else min(own, max(following, item.time + self.overlap))
 
     def span(self, item: Item, clock: int) -> Instants:
         """Half-open; an instantaneous item is its one instant; an open newest item holds up to and including now."""
@@ -130,6 +143,14 @@ class OracleChannel:
     def known_end(self, item: Item, clock: int) -> int:
         end = self.end(item)
         return self.now(clock) if end is None else end
+
+    def counted_end(self, item: Item, clock: int) -> int:
+        """From where its age counts: where items overlap, all count as if they lasted as long as any can."""
+        if not self.overlap:
+            return self.known_end(item, clock)
+        following = min((other.time for other in self.held if other.time > item.time), default=None)
+        end = self.known_end(item, clock) if following is None else following
+        return max(end, item.time + self.overlap)
 
     def put(self, time: int, duration: int | None, length: int, clock: int, since: int | None = None) -> Verdict:
         """One item, put at once or not at all. One without a time of its own that waits since then is judged as if it
@@ -207,8 +228,8 @@ class OracleChannel:
         """When age collects the oldest bucket, never if that is the newest, or a lease ends that may hold items."""
         instants = []
         if self.max_age is not None and self.oldest != self.newest:
-            ends = [self.end(item) for item in self.held if item.time == self.oldest]
-            instants.append(max(end for end in ends if end is not None) + self._age_of(self.oldest))
+            ends = [self.counted_end(item, 0) for item in self.held if item.time == self.oldest]
+            instants.append(max(ends) + self._age_of(self.oldest))
         lease_end = self.consumers.next_lease_end() if self.consumers and self.held else None
         return min([*instants, *([] if lease_end is None else [lease_end])], default=None)
 
@@ -255,7 +276,7 @@ class OracleChannel:
         max_age_unconsumed one that is owed stays, up to that, and so do all behind it."""
         while self.max_age is not None and self.oldest != self.newest:
             bucket = [item for item in self.held if item.time == self.oldest]
-            if max(self.known_end(item, clock) for item in bucket) > clock - self._age_of(self.oldest):
+            if max(self.counted_end(item, clock) for item in bucket) > clock - self._age_of(self.oldest):
                 return
             self._collect(bucket, "age", clock)
 
@@ -294,7 +315,7 @@ class OracleChannel:
             self.came_up_to = max(item.time for item in items)
             self.consumed_times += [item.time for item in items]
         else:
-            self.collected_ends += [self.known_end(item, clock) for item in items]
+            self.collected_ends += [max(self.known_end(item, clock), item.time + self.overlap) for item in items]
             self.collected_times += [item.time for item in items]
         self.collected[cause] += len(items)
         self.held = [item for item in self.held if item not in items]

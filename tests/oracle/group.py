@@ -200,6 +200,10 @@ class _Shown(OracleChannel):
     def frontier(self) -> int | None:
         return self._full.frontier
 
+    @property
+    def gone_before(self) -> int | None:
+        return self._full.gone_before
+
 
 class OracleView(OracleReader):
     """Reads through a group, under a clock that stops at the cut."""

@@ -105,7 +105,8 @@ class OracleReader:
         return region.end <= frontier if region.end_exclusive else region.end < frontier
 
     def _starts_below_frontier(self, region: ResolvedInterval) -> bool:
-        return self.channel.frontier is not None and region.start < self.channel.frontier
+        gone_before = self.channel.gone_before
+        return gone_before is not None and region.start < gone_before
 
     def _reaches_into_loss(self, region: ResolvedInterval) -> bool:
         """It begins before the present incarnation did."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
@@ -63,15 +63,16 @@ def _may_release(wake: WakeAt, reach: Reach, clock: int) -> bool:
     return reached or (wake.instant is not None and wake.instant <= clock)
 
 
-def ends_as_read(items: Sequence[Item], next_time: int | None) -> list[int | None]:
+def ends_as_read(items: Sequence[Item], next_time: int | None, overlap: int) -> list[int | None]:
     """The ends that a reader derives: by duration, by the next later item, for the last ones by `next_time`."""
     ends: list[int | None] = []
     for item in items:
         bounds = [other.time for other in items if other.time > item.time][:1]
         if not bounds and next_time is not None:
             bounds = [next_time]
-        own = [] if item.duration is None else [item.time + item.duration]
-        ends.append(min(bounds + own, default=None))
+        if item.duration is not None:
+            bounds = [item.time + item.duration, *(max(bound, item.time + overlap) for bound in bounds)]
+        ends.append(min(bounds, default=None))
     return ends
 
 
@@ -161,6 +162,8 @@ class ChannelPair:
                 self.core.advance(instant, self.clock)
 
     def configure(self, policy: Policy) -> None:
+        """Whether items overlap is fixed when the channel is made."""
+        policy = replace(policy, overlap_nanos=self.oracle.policy.overlap_nanos)
         self.core.configure(policy, self.clock)
         self.oracle.configure(policy, self.clock)
 
@@ -221,7 +224,7 @@ class ChannelPair:
     def _agree(self, answer: Answer, expected: OracleAnswer) -> None:
         items = items_of(answer.slices)
         assert facts(items) == facts(expected.items)
-        assert ends_as_read(items, answer.next_time) == expected.ends
+        assert ends_as_read(items, answer.next_time, self.oracle.overlap) == expected.ends
         assert (answer.interval, answer.complete, answer.truncated, answer.more) == (
             expected.interval,
             expected.complete,
@@ -297,7 +300,9 @@ class ChannelPair:
         subscription.settle([item.seq for item in items])
         for delivered in delivery.slices:
             part = items_of([delivered.slice])
-            assert ends_as_read(part, delivered.next_time) == [self.oracle.end(self.oracle.log[i.seq]) for i in part]
+            assert ends_as_read(part, delivered.next_time, self.oracle.overlap) == [
+                self.oracle.end(self.oracle.log[i.seq]) for i in part
+            ]
         assert delivery.is_empty <= (subscription.owed() == [])
         assert cursor.delivered + cursor.dropped <= len(self.oracle.log)
 

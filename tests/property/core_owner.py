@@ -150,7 +150,7 @@ class CoreOwner:
         items = items_of(slices)
         return [
             st.Item(one.time, end, one.duration, one.seq, self._payloads[one.seq], {}, "", one.length, INCARNATION)
-            for one, end in zip(items, ends_as_read(items, next_time), strict=True)
+            for one, end in zip(items, ends_as_read(items, next_time, self.policy.overlap_nanos or 0), strict=True)
         ]
 
     # --- subscriptions

@@ -28,6 +28,10 @@ POLICIES = (
     Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_future_nanos=8),
     Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, max_items=4, max_future_nanos=8, on_full="block"),
     Policy(max_age_nanos=6, max_age_unconsumed_nanos=25, consumers=2, max_bytes=500, max_future_nanos=8),
+    Policy(max_age_nanos=9, max_future_nanos=8, overlap_nanos=5),
+    Policy(max_items=4, max_age_nanos=12, max_future_nanos=8, on_full="block", overlap_nanos=3),
+    Policy(max_items=4, max_future_nanos=8, overlap_nanos=9),
+    Policy(consumers=2, max_age_nanos=15, max_bytes=500, max_future_nanos=8, overlap_nanos=4),
     Policy(),
 )
 DURATIONS = (None, 0, 1, 3, 7, 2**62, MAX_INSTANT)

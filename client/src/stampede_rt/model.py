@@ -9,6 +9,9 @@ from typing import Any, Literal, NamedTuple, overload
 from stampede_rt.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32
+OVERLAP_NANOS_MAX = 3_600_000_000_000
+"""The greatest `Policy.overlap_nanos`: a read looks at each item of so long before its start."""
+
 OnFull = Literal["drop_oldest", "block", "reject"]
 """What becomes of a put on a full channel or queue."""
 ChangeKind = Literal["added", "updated", "removed"]
@@ -135,6 +138,7 @@ class Policy:
     """How a channel is set up; None: never stated. Times in nanoseconds, sizes in bytes (paper, section 3.4).
 
     `max_age_unconsumed_nanos`: what a live consumer has yet to consume goes at that age instead of `max_age_nanos`.
+    `overlap_nanos`: how long an item with a duration is not cut by the next item; None: not at all.
     """
 
     max_age_nanos: int | None = None
@@ -146,6 +150,7 @@ class Policy:
     content_type: str | None = None
     max_item_bytes: int | None = None
     max_age_unconsumed_nanos: int | None = None
+    overlap_nanos: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -36,6 +36,7 @@ def parse_policy(
     max_future: DurationLike | None = None,
     content_type: str | None = None,
     max_age_unconsumed: DurationLike | None = None,
+    overlap: DurationLike | None = None,
 ) -> Policy:
     """The stated set-up; None stands for not stated. Raises InvalidArgument, naming the argument."""
     if on_full is not None and on_full not in ON_FULL:
@@ -49,6 +50,7 @@ def parse_policy(
         max_future_nanos=duration_of("max_future", max_future, least=0),
         content_type=content_type_of(content_type),
         max_age_unconsumed_nanos=duration_of("max_age_unconsumed", max_age_unconsumed, least=1),
+        overlap_nanos=duration_of("overlap", overlap, least=1),
     )
 
 

@@ -181,6 +181,22 @@ def test_an_update_changes_the_stated_fields_only_and_checks_the_whole(log: Log)
     assert isinstance(bad, Refused)
 
 
+def test_whether_items_overlap_is_fixed_when_the_channel_is_created(log: Log) -> None:
+    opened(log, "cam/left")
+    assert refused(log, "cam/left", overlap_nanos=5).reason == "CHANNEL_EXISTS", "not even while it is provisional"
+    channel = opened(log, "scenes", overlap_nanos=5).channel
+    assert (
+        opened(log, "scenes").channel.policy == opened(log, "scenes", overlap_nanos=5).channel.policy == channel.policy
+    )
+    result = refused(log, "scenes", overlap_nanos=6)
+    assert "configure()" not in result.message
+    changed = log.apply(update(channel.channel_id, channel.epoch, overlap_nanos=6))
+    assert isinstance(changed, Refused)
+    assert "fixed" in changed.message
+    assert isinstance(log.apply(update(channel.channel_id, channel.epoch, overlap_nanos=5)), ChannelUpdated)
+    assert refused(log, "too/long", overlap_nanos=3_600_000_000_001).reason == "INVALID_ARGUMENT"
+
+
 def test_an_update_under_another_epoch_is_refused(log: Log) -> None:
     channel = opened(log, "cam/left").channel
     result = log.apply(update(channel.channel_id, channel.epoch + 1, max_items=1))

@@ -113,6 +113,7 @@ class Connection(Discovery, Reference):
         on_full: OnFull | None = None,
         max_future: DurationLike | None = None,
         max_age_unconsumed: DurationLike | None = None,
+        overlap: DurationLike | None = None,
         content_type: str | None = None,
         codec: CodecLike | None = None,
         host: str | None = None,
@@ -138,6 +139,7 @@ class Connection(Discovery, Reference):
             on_full=on_full,
             max_future=max_future,
             max_age_unconsumed=max_age_unconsumed,
+            overlap=overlap,
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)

@@ -58,8 +58,14 @@ class ChannelState:
 
     def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
         """What makes Items of the runs that the host sends."""
-        content_type = self.info.policy.content_type or ""
-        return ItemDecoder(incarnation=incarnation, content_type=content_type, payloads=payloads, coding=self.coding)
+        policy = self.info.policy
+        return ItemDecoder(
+            incarnation=incarnation,
+            content_type=policy.content_type or "",
+            payloads=payloads,
+            coding=self.coding,
+            overlap_nanos=policy.overlap_nanos or 0,
+        )
 
 
 class Session:

@@ -134,11 +134,21 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-age-unconsumed", metavar="DURATION", help="keep for so long what a live consumer has yet to use up"
     )
+    parser.add_argument("--overlap", metavar="DURATION", help="so long no later item cuts an item with a duration")
     parser.add_argument("--on-full", choices=ON_FULL, help="what a put into a full channel does")
     parser.add_argument("--content-type", metavar="MIME", help='what the items are, such as "image/jpeg"')
 
 
 def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
     """The set-up as keyword arguments of `Connection.channel`."""
-    names = ("max_age", "max_items", "max_bytes", "consumers", "max_age_unconsumed", "on_full", "content_type")
+    names = (
+        "max_age",
+        "max_items",
+        "max_bytes",
+        "consumers",
+        "max_age_unconsumed",
+        "overlap",
+        "on_full",
+        "content_type",
+    )
     return {name: getattr(arguments, name) for name in names}

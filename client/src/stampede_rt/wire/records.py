@@ -47,6 +47,7 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
         max_future_nanos=policy.max_future_nanos,
         content_type=policy.content_type,
         max_item_bytes=policy.max_item_bytes,
+        overlap_nanos=policy.overlap_nanos,
     )
 
 
@@ -63,6 +64,7 @@ def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
         content_type=spec.content_type if spec.HasField("content_type") else None,
         max_item_bytes=spec.max_item_bytes if spec.HasField("max_item_bytes") else None,
         max_age_unconsumed_nanos=retention.max_age_unconsumed_nanos if retention.HasField(unconsumed) else None,
+        overlap_nanos=spec.overlap_nanos if spec.HasField("overlap_nanos") else None,
     )
 
 

@@ -167,9 +167,21 @@ def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
 
 
 class ItemDecoder:
-    """Turns delivered runs into Items, for one channel and incarnation; `coding` gives them their values."""
+    """Turns delivered runs into Items, for one channel and incarnation; `coding` gives them their values.
 
-    def __init__(self, *, incarnation: int, content_type: str, payloads: bool, coding: Coding | None = None) -> None:
+    `overlap_nanos`: how long an item of the channel with a duration is not cut by a later one.
+    """
+
+    def __init__(
+        self,
+        *,
+        incarnation: int,
+        content_type: str,
+        payloads: bool,
+        coding: Coding | None = None,
+        overlap_nanos: int = 0,
+    ) -> None:
+        self._overlap = overlap_nanos
         self._incarnation = incarnation
         self._content_type = content_type
         self._payloads = payloads
@@ -185,7 +197,7 @@ class ItemDecoder:
             return [self._single(last.run, next_time)]
         times = [time for one in delivered for time in one.run.time_unix_nano]
         durations = [duration for one in delivered for duration in _durations(one.run)]
-        ends = iter(_ends(times, durations, next_time))
+        ends = iter(_ends(times, durations, next_time, self._overlap))
         return [item for one in delivered for item in self._items(one.run, ends)]
 
     def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
@@ -213,7 +225,7 @@ class ItemDecoder:
         return self._make(
             (
                 time,
-                _end(time, duration, next_time),
+                _end(time, duration, next_time, self._overlap),
                 None if duration < 0 else duration,
                 run.first_seq,
                 run.payloads if self._payloads else None,
@@ -229,14 +241,14 @@ def _durations(run: item_pb2.ItemRun) -> Sequence[int]:
     return run.duration_nanos or (ABSENT,) * len(run.payload_length_bytes)
 
 
-def _end(time: int, duration: int, next_time: int | None) -> int | None:
+def _end(time: int, duration: int, next_time: int | None, overlap: int) -> int | None:
     if duration < 0:
         return next_time
     own = time + duration
-    return own if next_time is None or own < next_time else next_time
+    return own if next_time is None else min(own, max(next_time, time + overlap))
 
 
-def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None) -> list[int | None]:
+def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None, overlap: int) -> list[int | None]:
     """Each item's end. In a run that is not ascending (a subscription's late items) only later neighbours bound."""
     ends: list[int | None] = []
     following, bucket = next_time, None
@@ -244,6 +256,6 @@ def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None)
         if bucket is not None and bucket > time:
             following = bucket
         bucket = time
-        ends.append(_end(time, duration, following if following is None or following > time else None))
+        ends.append(_end(time, duration, following if following is None or following > time else None, overlap))
     ends.reverse()
     return ends

@@ -19,7 +19,7 @@ from stampede_rt_supernode.core.commands import (
 )
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
-from stampede_rt_supernode.core.policies import agree, check_policy, check_ranges, merge
+from stampede_rt_supernode.core.policies import agree, check_fixed, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.records import Channel, Host
 from stampede_rt_supernode.core.replicas.transitions import check_epoch
 from stampede_rt_supernode.core.tables import Tables
@@ -83,6 +83,7 @@ def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
     check_update(deed)
     channel = channel_by_id(tables, deed.channel_id)
     check_epoch(channel, deed.epoch)
+    check_fixed(channel.name, channel.policy, deed.policy)
     policy = merge(channel.policy, deed.policy)
     check_policy(channel.name, policy)
     if policy != channel.policy:

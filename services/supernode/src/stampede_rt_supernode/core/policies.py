@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 from stampede_rt.errors import ChannelExists, InvalidArgument
-from stampede_rt.model import Policy
+from stampede_rt.model import OVERLAP_NANOS_MAX, Policy
 from stampede_rt.timeline import format_duration
 
 ITEM_BYTES_MAX = 16 * 2**20
@@ -23,6 +23,7 @@ IN_EFFECT_UNSTATED = {
     "max_future_nanos": 10**9,
     "max_item_bytes": ITEM_BYTES_MAX,
 }
+FIXED = "overlap_nanos"  # at creation: another value would change the spans of items that readers have seen
 _RANGES = {
     "max_age_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
     "max_items": (1, 2**64 - 1, "at least 1"),
@@ -30,6 +31,7 @@ _RANGES = {
     "consumers": (1, 1024, "1 to 1024"),
     "max_age_unconsumed_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
     "max_future_nanos": (0, 2**63 - 1, "0 or more nanoseconds"),
+    "overlap_nanos": (1, OVERLAP_NANOS_MAX, "more than 0 nanoseconds and at most 1 h"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
 }
 
@@ -68,6 +70,16 @@ def check_policy(channel: str, policy: Policy) -> None:
         raise _invalid(channel, "max_age_unconsumed_nanos", text)
 
 
+def check_fixed(channel: str, held: Policy, changes: Policy) -> None:
+    """Raises InvalidArgument if `changes` states another value for what is fixed at creation."""
+    before, asked = getattr(held, FIXED), getattr(changes, FIXED)
+    if asked not in (None, before):
+        name = FIXED.removesuffix("_nanos")
+        raise _invalid(
+            channel, FIXED, f"{name} is fixed when a channel is created; delete the channel and create it anew"
+        )
+
+
 def _check_content_type(channel: str, content_type: str | None) -> None:
     if content_type is None:
         return
@@ -88,7 +100,7 @@ def agree(channel: str, held: Policy, asked: Policy) -> Policy:
     """
     for name, value in stated(asked).items():
         before = getattr(held, name)
-        if before is None and (is_provisional(held) or name == "content_type"):
+        if before is None and name != FIXED and (is_provisional(held) or name == "content_type"):
             continue
         in_effect = IN_EFFECT_UNSTATED.get(name) if before is None else before
         if value != in_effect:
@@ -102,10 +114,11 @@ def agree(channel: str, held: Policy, asked: Policy) -> Policy:
 def _contradiction(channel: str, field: str, before: object, in_effect: object, value: object) -> ChannelExists:
     name = field.removesuffix("_nanos")
     held = _shown(field, in_effect)
+    change = "" if field == FIXED else ", or change it for everybody with configure()"
     was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
     return ChannelExists(
         f"channel {channel} was set up with {was}, and {name} {_shown(field, value)} was asked for; leave {name} out "
-        "to take the channel as it is, or change it for everybody with configure()",
+        f"to take the channel as it is{change}",
         metadata={"channel": channel, "field": field, "held": str(in_effect), "asked": str(value)},
     )
 

@@ -152,7 +152,7 @@ class Acceptance:
         held, limits, age = self._held, self._retention.limits, self._retention.age_of_new
         following = held.next_time(time) if held.oldest is None or time >= held.oldest else held.oldest
         if age is not None and following is not None:
-            own_end = following if duration == ABSENT else min(time + duration, following)
+            own_end = held.counted_end(time, None if duration == ABSENT else time + duration, following)
             if max(own_end, held.bucket_end(time, following)) <= clock - age:
                 return f"its span ended before the last {format_duration(age)} (max_age)"
         if limits.drops_oldest and limits.max_items is not None:

@@ -53,13 +53,14 @@ class Holdings:
     `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
     or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
     `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection.
+    `overlap_nanos`: how long a later item does not cut one with a duration.
     """
 
     __slots__ = (
         "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest",
         "_on_gone", "_snapshots", "_stored_bytes", "_stored_items", "_tally", "_told",
         "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
-        "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "payload_bytes",
+        "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -78,6 +79,7 @@ class Holdings:
         self.collected_by = AGE
         self.newest_consumed: int | None = None
         self.last_cause = AGE
+        self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None
         self._told: Place = FIRST_PLACE  # up to where it has heard
         self._came_up_to: int | None = None
@@ -140,6 +142,14 @@ class Holdings:
     def snapshot(self) -> Snapshot:
         """What is held now, to be walked while it changes."""
         return Snapshot(self.index, self.floor, self.next_seq, self._snapshots)
+
+    @property
+    def gone_before(self) -> int | None:
+        """From here on no span of a collected item is missing: the frontier, or where items overlap a later instant."""
+        frontier = self.frontier
+        if not self.overlap_nanos or frontier is None or self.newest_collected is None:
+            return frontier
+        return max(frontier, self.newest_collected + self.overlap_nanos)
 
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run whose times lie between `low` and `high`."""
@@ -281,7 +291,18 @@ class Holdings:
 
     def bucket_end(self, time: int, bound: int) -> int:
         """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
+        if self.overlap_nanos:
+            return self.counted_end(time, None, bound)
         return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
+
+    def counted_end(self, time: int, own_end: int | None, bound: int) -> int:
+        """The span end from which the age of an item at `time` counts; `own_end` is its end by duration, if any.
+
+        Where items overlap, all count as if they lasted as long as any can: so ends ascend with the buckets.
+        """
+        if self.overlap_nanos:
+            return max(bound, time + self.overlap_nanos)
+        return bound if own_end is None else min(own_end, bound)
 
     def front(self, going: Going, whole: Whole = NO_BLOCKS) -> Front:
         """The oldest held items: those of `whole`, and what `going` takes of the next ones. It tells of each slice in
@@ -366,6 +387,7 @@ class Holdings:
         time = last.last_time
         bucket = self.slices((time, 0), (time, last.end_seq))
         end = _end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
+        end = max(end, time + self.overlap_nanos)
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end
             self.collected_by = cause

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import Policy
+from stampede_rt.model import OVERLAP_NANOS_MAX, Policy
 from stampede_rt.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
@@ -32,6 +32,7 @@ class Limits:
     on_full: str
     consumers: int | None
     max_age_unconsumed_nanos: int | None
+    overlap_nanos: int = 0
 
     @classmethod
     def of(cls, policy: Policy) -> Limits:
@@ -51,6 +52,7 @@ class Limits:
             on_full=policy.on_full or DROP_OLDEST,
             consumers=policy.consumers,
             max_age_unconsumed_nanos=policy.max_age_unconsumed_nanos,
+            overlap_nanos=policy.overlap_nanos or 0,
         )
 
     @property
@@ -82,6 +84,7 @@ def _check(policy: Policy) -> None:
     _check_range("max_items", policy.max_items, 1, MAX_INSTANT, "items")
     _check_range("max_bytes", policy.max_bytes, ITEM_OVERHEAD_BYTES, MAX_INSTANT, "bytes (64 of them for each item)")
     _check_range("max_future", policy.max_future_nanos, 0, MAX_INSTANT, "nanoseconds")
+    _check_range("overlap", policy.overlap_nanos, 1, OVERLAP_NANOS_MAX, "nanoseconds")
     _check_range("max_item_bytes", policy.max_item_bytes, 0, ITEM_BYTES_MAX, "bytes")
     _check_range("consumers", policy.consumers, 1, CONSUMERS_MAX, "consumers")
     if policy.on_full not in (None, DROP_OLDEST, BLOCK, REJECT):

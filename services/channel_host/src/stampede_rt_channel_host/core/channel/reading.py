@@ -155,8 +155,8 @@ class Reading:
         return frontier is not None and region.end + (not region.end_exclusive) <= frontier
 
     def _is_truncated(self, region: ResolvedInterval) -> bool:
-        frontier = self._held.frontier
-        return self._reaches_into_loss(region) or (frontier is not None and region.start < frontier)
+        gone_before = self._held.gone_before
+        return self._reaches_into_loss(region) or (gone_before is not None and region.start < gone_before)
 
     def _reaches_into_loss(self, region: ResolvedInterval) -> bool:
         return self._lost_before is not None and region.start < self._lost_before
@@ -187,8 +187,8 @@ class Reading:
 
     def _gone(self, region: ResolvedInterval) -> Reason:
         """What the region reaches back to was collected, or lost with an earlier incarnation."""
-        frontier = self._held.frontier
-        return self._collected() if frontier is not None and region.start < frontier else self._lost()
+        gone_before = self._held.gone_before
+        return self._collected() if gone_before is not None and region.start < gone_before else self._lost()
 
     def _lost(self) -> Reason:
         return Reason("LOST", f"{self._loss}; incarnation {self._incarnation:x} began then")
@@ -201,7 +201,7 @@ class Reading:
     def _collected(self) -> Reason:
         held = self._held
         policy = self._retention.limits.describe(held.collected_by)
-        before = format_instant(held.frontier or 0)
+        before = format_instant(held.gone_before or 0)
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:

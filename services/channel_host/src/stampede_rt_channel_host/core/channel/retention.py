@@ -35,6 +35,7 @@ class Retention:
     def set_limits(self, limits: Limits) -> None:
         """Other limits from now on. Walks the index once if they are the first that count consumption."""
         self.limits = limits
+        self._held.overlap_nanos = limits.overlap_nanos
         places = limits.consumer_places
         if not places:
             self.consumers = None
@@ -86,9 +87,10 @@ class Retention:
 
     def _age_bound(self, cutoff: int) -> int | None:
         """The time of the first bucket that age leaves. Span ends ascend with the buckets, so one bucket decides."""
-        bucket = self._held.floor_time(cutoff)
-        if bucket is None:
-            return None
+        oldest = self._held.oldest
+        bucket = self._held.floor_time(cutoff - self._held.overlap_nanos)
+        if bucket is None:  # where items overlap, the oldest bucket may have begun before the cutoff and stay
+            return None if oldest is None or oldest > cutoff else oldest
         following = self._held.next_time(bucket)
         if following is None or self._held.bucket_end(bucket, following) > cutoff:
             return bucket
@@ -231,12 +233,12 @@ class Retention:
         if age is None or held.oldest is None:
             return self._lease_end()
         if time < held.oldest:
-            return self._or_lease_end((held.oldest if own_end is None else min(own_end, held.oldest)) + age)
+            return self._or_lease_end(held.counted_end(time, own_end, held.oldest) + age)
         following = held.next_time(held.oldest)
         if time == held.oldest:
             if following is None:
                 return self._lease_end()
-            own = following if own_end is None else min(own_end, following)
+            own = held.counted_end(time, own_end, following)
             return self._or_lease_end(max(held.bucket_end(held.oldest, following), own) + age)
         end = held.bucket_end(held.oldest, time if following is None else min(time, following))
         return self._or_lease_end(end + (self._age_of_oldest() or age))

@@ -2,7 +2,8 @@
 
 In the order (time, seq) the items that match are a stretch, of which only one bucket needs a look at each item: with
 `span` the last bucket at or before the lower bound, which may reach in; with `whole` the last bucket in the interval,
-which may reach out. So a read costs two searches and what it returns.
+which may reach out. So a read costs two searches and what it returns. Where items overlap, the read looks at each item
+of one `overlap` before that bucket, too: an earlier item cannot reach so far.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.snapshot import Snapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
-Fits = Callable[[int], bool]
+Fits = Callable[[int, int], bool]
+"""Takes an item's time and duration."""
 
 
 class Readable(Protocol):
@@ -34,6 +36,14 @@ class Readable(Protocol):
 
     @property
     def frontier(self) -> int | None:
+        """As in `Holdings`."""
+
+    @property
+    def gone_before(self) -> int | None:
+        """As in `Holdings`."""
+
+    @property
+    def overlap_nanos(self) -> int:
         """As in `Holdings`."""
 
     @property
@@ -55,7 +65,7 @@ class Readable(Protocol):
 
 
 class _Stretch(NamedTuple):
-    """Items at or above `low` and below `high`; with `fits`, those of them whose duration it takes."""
+    """Items at or above `low` and below `high`; with `fits`, those of them that it takes."""
 
     low: Place
     high: Place
@@ -167,39 +177,57 @@ def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int)
 
 
 def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_Stretch]:
-    """The last bucket at or before the lower bound, as far as its spans hold an instant of the interval."""
+    """What begins at or before the lower bound, as far as its spans hold an instant of the interval."""
     bucket = held.floor_time(within.start)
     if bucket is None:
         return []
+    earlier = _reaching_over(held.overlap_nanos, within.start, bucket)
     if bucket in within:
-        return [_Stretch((bucket, 0), (bucket, SEQ_END))]
+        return [*earlier, _Stretch((bucket, 0), (bucket, SEQ_END))]
     following = held.next_time(bucket)
 
-    def fits(duration: int) -> bool:
+    def fits(time: int, duration: int) -> bool:
         if duration != ABSENT:
             return bucket + duration > within.start
         if following is not None:
             return True
         return now > within.start or (now == within.start and not within.start_exclusive)
 
-    return [_Stretch((bucket, 0), (bucket, SEQ_END), fits)]
+    return [*earlier, _Stretch((bucket, 0), (bucket, SEQ_END), fits)]
+
+
+def _reaching_over(overlap: int, start: int, bucket: int) -> list[_Stretch]:
+    """The items before `bucket` that its time does not cut before `start`."""
+    if not overlap:
+        return []
+    return [
+        _Stretch((start - overlap, SEQ_END), (bucket, 0), lambda time, duration: time + min(duration, overlap) > start)
+    ]
 
 
 def _staying_in(held: Readable, within: ResolvedInterval, low: Place, now: int) -> list[_Stretch]:
-    """The buckets in the interval; the spans of all but the last end within it."""
+    """The buckets in the interval; the spans of all but the last end within it, unless items overlap."""
     bucket = held.floor_time(within.end - 1 if within.end_exclusive else within.end)
     if bucket is None or bucket not in within:
         return []
     following = held.next_time(bucket)
     bound = now if following is None else following
+    overlap = held.overlap_nanos
 
-    def fits(duration: int) -> bool:
+    def fits(time: int, duration: int) -> bool:
         if duration == ABSENT:
             return bound <= within.end
-        end = bucket + duration
-        return (end if following is None else min(end, following)) <= within.end
+        end = time + duration
+        if following is not None:
+            end = min(end, max(following, time + overlap))
+        return end <= within.end
 
-    return [_Stretch(low, (bucket, 0)), _Stretch((bucket, 0), (bucket, SEQ_END), fits)]
+    last = _Stretch((bucket, 0), (bucket, SEQ_END), fits)
+    if not overlap:
+        return [_Stretch(low, (bucket, 0)), last]
+    middle = max(low, (within.end - overlap, SEQ_END))
+    ends = _Stretch(middle, (bucket, 0), lambda time, duration: time + min(duration, overlap) <= within.end)
+    return [_Stretch(low, min(middle, (bucket, 0))), ends, last]
 
 
 def _clip(stretch: _Stretch, query: Query, end: Place) -> _Stretch:
@@ -224,12 +252,12 @@ def _fitting(part: Slice, fits: Fits) -> Iterator[Slice]:
     """The longest slices of `part` whose durations all fit."""
     durations = part.run.durations
     if durations is None:
-        if fits(ABSENT):
+        if fits(part.first_time, ABSENT):
             yield part
         return
-    lo = part.lo
+    times, lo = part.run.times, part.lo
     for at in range(part.lo, part.hi):
-        if not fits(durations[at]):
+        if not fits(times[at], durations[at]):
             if lo < at:
                 yield Slice(part.run, lo, at)
             lo = at + 1

@@ -83,6 +83,8 @@ class Coming:
         """How far the spans of what is new reach, and, with the cut, that of the newest item that is visible."""
         if newest is None:
             return time
+        if held.overlap_nanos:
+            return max(_bucket_end(held, newest, now), newest + held.overlap_nanos)
         if has_moved or (time is not None and time >= newest):
             return held.newest_end(now) if newest == held.newest else _bucket_end(held, newest, now)
         following = None if time is None else held.next_time(time)

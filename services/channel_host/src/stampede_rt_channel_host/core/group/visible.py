@@ -32,13 +32,15 @@ class Horizon(NamedTuple):
 class VisibleHoldings:
     """Held items with a time before a cut, to be read like `Holdings`."""
 
-    __slots__ = ("_end", "_held", "_last", "frontier", "newest", "oldest")
+    __slots__ = ("_end", "_held", "_last", "frontier", "gone_before", "newest", "oldest", "overlap_nanos")
 
     def __init__(self, held: Holdings, cut: int | None) -> None:
         self._held = held
         self._end: Place = FIRST_PLACE if cut is None else (cut, 0)
         self._last = self._end[0] - 1
         self.frontier = held.frontier
+        self.gone_before = held.gone_before
+        self.overlap_nanos = held.overlap_nanos
         self.oldest = held.oldest if held.oldest is not None and held.oldest <= self._last else None
         self.newest = None if self.oldest is None else held.floor_time(self._last)
 
