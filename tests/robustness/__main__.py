@@ -20,7 +20,7 @@ from pathlib import Path
 from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import (
     HOST_FAULTS,
-    OPEN_FAULTS,
+    RARELY_COMPACTED_FAULTS,
     SECURED_FAULTS,
     WEATHERS,
     Findings,
@@ -63,10 +63,11 @@ async def real_faults(minutes: float, seed: int) -> list[Findings]:
             await run_campaign(
                 folder / "open",
                 "Directory without certificates",
-                in_rounds(OPEN_FAULTS, seed + 1, seconds * OPEN_SHARE),
+                in_rounds(RARELY_COMPACTED_FAULTS, seed + 1, seconds * OPEN_SHARE),
                 seed=seed + 1,
                 secured=False,
                 with_hosts=False,
+                compacts_early=False,
             ),
             await run_campaign(
                 folder / "hosts",

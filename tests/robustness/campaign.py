@@ -28,6 +28,8 @@ from tests.robustness.traffic import Traffic
 
 OPEN_FAULTS: dict[str, Fault] = {**faults.FAULTS, **hostility.FAULTS, **membership.FAULTS, **noise.FAULTS}
 SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **strangers.FAULTS}
+# Where logs are compacted as rarely as in production: no partition of a campaign outlasts them.
+RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if name != "past_compaction"}
 OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
 HOST_FAULTS: dict[str, Fault] = {
     **hosts.FAULTS,
@@ -86,10 +88,19 @@ def in_rounds(names: Iterable[str], seed: int, seconds: float) -> Iterator[str]:
 
 
 async def run_campaign(
-    folder: Path, title: str, names: Iterable[str], *, seed: int, secured: bool, with_hosts: bool, quiet_s: float = 0.5
+    folder: Path,
+    title: str,
+    names: Iterable[str],
+    *,
+    seed: int,
+    secured: bool,
+    with_hosts: bool,
+    compacts_early: bool = True,
+    quiet_s: float = 0.5,
 ) -> Findings:
     """Faults by name, in this order, each followed by `quiet_s` in which everybody serves again."""
-    async with running_cluster(folder, secured=secured, hosts=HOSTS if with_hosts else 0) as cluster:
+    hosts = HOSTS if with_hosts else 0
+    async with running_cluster(folder, secured=secured, hosts=hosts, compacts_early=compacts_early) as cluster:
         campaign = _Campaign(cluster, folder, seed)
 
         async def body() -> None:

@@ -61,8 +61,10 @@ class Host(PlacedProcess):
 class Cluster:
     """All processes, on a network. `supernodes` are the members that there should be at this moment."""
 
-    def __init__(self, network: Network, folder: Path, *, relayed: bool, secured: bool, hosts: int) -> None:
-        self.network, self.folder = network, folder
+    def __init__(
+        self, network: Network, folder: Path, *, relayed: bool, secured: bool, hosts: int, compacts_early: bool
+    ) -> None:
+        self.network, self.folder, self._compacts_early = network, folder, compacts_early
         folder.mkdir(parents=True, exist_ok=True)
         self.certificates = Certificates(folder / "certificates") if secured else None
         self._spare = network.places[SUPERNODES : SUPERNODES + SPARE_PLACES]
@@ -93,7 +95,17 @@ class Cluster:
     def _supernode(self, name: str, place: Place, members: str, relayed: bool = False) -> Supernode:
         tls = self._files(Role.SUPERNODE, name, place)
         callers = self.caller_files
-        return Supernode(name, place, self.folder, members=members, tls=tls, callers=callers, relayed=relayed)
+        early = self._compacts_early
+        return Supernode(
+            name,
+            place,
+            self.folder,
+            members=members,
+            tls=tls,
+            callers=callers,
+            relayed=relayed,
+            compacts_early=early,
+        )
 
     def _host(self, name: str, place: Place) -> Host:
         assert self.frontend is not None
@@ -210,11 +222,11 @@ async def serves(one: Supernode, deadline: float) -> None:
 
 @asynccontextmanager
 async def running_cluster(
-    folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0
+    folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0, compacts_early: bool = True
 ) -> AsyncIterator[Cluster]:
     """A cluster that serves, gone without a trace afterwards; its folder stays."""
     with Network(SUPERNODES + SPARE_PLACES + (hosts + 1 if hosts else 0)) as network:
-        cluster = Cluster(network, folder, relayed=relayed, secured=secured, hosts=hosts)
+        cluster = Cluster(network, folder, relayed=relayed, secured=secured, hosts=hosts, compacts_early=compacts_early)
         try:
             await cluster.start()
             yield cluster

@@ -49,9 +49,11 @@ class Supernode(PlacedProcess):
         tls: TlsFiles | None,
         callers: CallerFiles,
         relayed: bool = False,
+        compacts_early: bool = True,
     ) -> None:
         super().__init__(name, place, folder, PORT, tls)
         self._members, self._callers, self._relayed = members, callers, relayed
+        self._compacts_early = compacts_early
         self._relay: asyncio.subprocess.Process | None = None
         self._channels: dict[tuple[Role, str], grpc.aio.Channel] = {}
         self._stubs: dict[tuple[Role, str], Any] = {}
@@ -64,8 +66,9 @@ class Supernode(PlacedProcess):
         return [*founding, "--data-dir", str(self.data_dir), "--lease-ttl", f"{LEASE_TTL_SECONDS}s", *listen]
 
     def environment(self) -> dict[str, str]:
-        """With an early compaction."""
-        return super().environment() | {SNAPSHOT_EVERY: str(SNAPSHOT_ENTRIES)}
+        """With an early compaction, or that of production."""
+        early = {SNAPSHOT_EVERY: str(SNAPSHOT_ENTRIES)} if self._compacts_early else {}
+        return super().environment() | early
 
     async def start(self) -> bool:
         """Start it, behind its relay if it has one."""
