@@ -156,7 +156,8 @@ def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
     size, weather, every = dice.choice([3, 3, 3, 5]), weather_of(dice), OFTEN
     if seed % 5 == 4:  # as in production: a snapshot is old, and much has happened since
         weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
-    world = World(seed, size=size, weather=weather, rules=rules, snapshot_every=every)
+    kept_log_bytes = (1, 4000, 100_000)[seed % 3]
+    world = World(seed, size=size, weather=weather, rules=rules, snapshot_every=every, kept_log_bytes=kept_log_bytes)
     for member in world.members.values():
         member.disk.forgets = forgets
         member.start()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -13,6 +14,7 @@ from stampede_rt_supernode.replication.member_changes import ChangeOutcome
 from stampede_rt_supernode.replication.proposals import Outcome
 from stampede_rt_supernode.replication.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest
+from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.simulate import PRODUCTION, run
 from tests.robustness.replication.world import SimMember, Weather, World
@@ -132,6 +134,67 @@ def test_a_member_whose_disk_was_put_back_is_found_out_and_nothing_is_lost(leade
     assert isinstance(after[0], bytes)
     world.run_until(world.now + 2.0)
     world.history.check_end([leader.machine, away.machine])
+
+
+def under_load(world: World, *, per_second: float) -> Callable[[], None]:
+    """Have whoever leads take commands all the time, until the function that is returned is called."""
+    over: list[bool] = []
+
+    def one() -> None:
+        leader = leader_of(world)
+        if leader is not None:
+            world.propose(world.members[leader[0]], b"load-%f" % world.now, timeout=5.0)
+        if not over:
+            world.after(1 / per_second, one)
+
+    one()
+    return lambda: over.append(True)
+
+
+def lag(world: World, member: SimMember) -> int:
+    leader = leading(world).replica
+    assert leader is not None
+    assert member.replica is not None
+    return leader.status().applied_index - member.replica.status().applied_index
+
+
+class ForgetsWhatItSends(TrialElections):
+    """A leader that begins again with each snapshot that it takes, and keeps no log behind the last one."""
+
+    keeper: SnapshotKeeper
+
+    def let_go_of_log(self) -> None:
+        snapshot = self._SyncObj__raftLog.snapshot
+        if snapshot is not None and snapshot.last_log_index != getattr(self, "_last_snapshot", 0):
+            self._last_snapshot = snapshot.last_log_index
+            self.keeper.end_sending()
+        self._SyncObj__raftLog.keep_after(self.log_end())
+
+
+@pytest.mark.parametrize(
+    "rules", [TrialElections, pytest.param(ForgetsWhatItSends, marks=pytest.mark.xfail(strict=True))]
+)
+def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snapshots_are_taken(rules: type) -> None:
+    """A snapshot of 12 kB takes 2 s to send, and one is taken every second."""
+    world = World(3, size=3, weather=Weather(), rules=rules, snapshot_every=50, kept_log_bytes=1_000_000)
+    for member in world.members.values():
+        member.start()
+    away = next(member for member in world.members.values() if member is not leading(world))
+    away.crash()
+    end = under_load(world, per_second=50)
+    world.run_until(world.now + 10.0)
+    leader = leading(world)
+    assert leader.replica is not None
+    leader.replica._node._SyncObj__raftLog.keep_after(10**9)  # as if it had been away for longer
+    wire = world.wires[leader.member.member_id, away.member.member_id]
+    wire.bytes_per_second = 8_000
+    world.restart(away)
+    caught_up = world.run_until(world.now + 20.0, lambda: lag(world, away) < 50)
+    end()
+    assert caught_up, lag(world, away)
+    assert leading(world) is leader
+    world.run_until(world.now + 5.0)
+    world.history.check_end([member.machine for member in world.members.values()])
 
 
 class KeepsItsDistance(TrialElections):

@@ -34,6 +34,9 @@ from tests.robustness.replication.machine import History, ListMachine, PromiseBr
 
 T = TypeVar("T")
 
+# A slow wire takes pieces of snapshots and entries until so much waits on it.
+ROOM_SECONDS = 0.5
+
 
 @dataclass(frozen=True, kw_only=True)
 class Weather:
@@ -64,6 +67,8 @@ class Wire:
     generation: int = 0
     last_arrival: float = 0.0
     answer_due: float = 0.0
+    # How fast it is; one that is slow lets nothing overtake anything.
+    bytes_per_second: float = float("inf")
 
 
 class LateResult(Generic[T]):
@@ -95,6 +100,7 @@ class SimMember:
             cluster_id="simulated",
             snapshot_every_entries=world.snapshot_every,
             snapshot_piece_bytes=200,
+            kept_log_bytes_max=world.kept_log_bytes,
         )
         self.disk = Disk(crash_at_commit=self._dice_for_disk)
         self.machine = ListMachine(world.history)
@@ -146,7 +152,8 @@ class SimMember:
                 self.world.break_wire(ends)
 
     def has_room(self, member_id: str) -> bool:
-        return True
+        wire = self.world.wires[self.member.member_id, member_id]
+        return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
 
     def _dice_for_disk(self) -> str | None:
         if self.world.dice.random() >= self.world.weather.disk_crash:
@@ -182,12 +189,21 @@ class World:
     """Time, members and wires. `at` plans a call; `run_until` makes time pass."""
 
     def __init__(
-        self, seed: int, *, size: int, weather: Weather, rules: type = TrialElections, snapshot_every: int = 15
+        self,
+        seed: int,
+        *,
+        size: int,
+        weather: Weather,
+        rules: type = TrialElections,
+        snapshot_every: int = 15,
+        kept_log_bytes: int = 1,
     ) -> None:
         self.dice = random.Random(seed)
         self.weather = weather
         self.rules = rules
         self.snapshot_every = snapshot_every
+        # By default next to nothing, so that who lags is sent snapshots.
+        self.kept_log_bytes = kept_log_bytes
         self.now = 0.0
         self.timing = RaftTiming(tick_seconds=0.05)
         self.history = History()
@@ -245,6 +261,8 @@ class World:
             return
         data, generation = message.SerializeToString(), wire.generation
         arrival = self.now + self.dice.expovariate(1 / self.weather.delay_mean)
+        if wire.bytes_per_second < float("inf"):
+            arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
         if self.dice.random() < self.weather.unruly:
             arrival += self.dice.random() * 0.5
             if not message.HasField("forwarded_command") and self.dice.random() < 0.5:

@@ -9,7 +9,9 @@ tick loop calls it before any message or result leaves the process; that is also
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
+from itertools import chain, islice
 from typing import overload
 
 from stampede_rt_supernode.replication.codec import decode_configuration
@@ -27,13 +29,17 @@ from stampede_rt_supernode.replication.storage import (
 
 # More than there can be members at any time; those of removed ones make room.
 PROMISES_MAX = 64
+# What an entry costs beside its command.
+ENTRY_BYTES = 200
 
 
 class Journal:
     """Log, term, vote and commit index. Entries are without gaps; positions count from the first one held."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: Store, *, kept_bytes_max: int = 0) -> None:
+        """`kept_bytes_max`: how much of what is cut off at the front is kept for those who lag."""
         state = store.load()
+        self._kept_bytes_max = kept_bytes_max
         self._store = store
         self._entries = state.entries
         self._term = state.term
@@ -44,6 +50,9 @@ class Journal:
         self._promises_changed = False
         # Who the members are; it follows every change of the entries.
         self.configurations = Configurations(Configuration(()))
+        # What was cut off at the front, for those who still lack it: without gaps, up to the first entry held.
+        self._kept: deque[Entry] = deque()
+        self._kept_bytes = 0
         # Lowest log index from which the store differs from `_entries`; None when they agree.
         self._replace_from: int | None = None
         self._pending_pieces: list[SnapshotPiece] = []
@@ -74,6 +83,7 @@ class Journal:
         """Forget every entry."""
         if self._entries:
             self._differs_from(0)
+            self.keep_after(self._entries[-1].log_index)
         self._entries = []
 
     def deleteEntriesFrom(self, entryFrom: int) -> None:
@@ -156,6 +166,52 @@ class Journal:
         position = log_index - self._entries[0].log_index if self._entries else -1
         return self._entries[position] if 0 <= position < len(self._entries) else None
 
+    # -- what a leader sends to those who lag ------------------------------------------------------------------
+
+    @property
+    def first_sendable(self) -> int:
+        """The first entry that can be sent, or come before those that are; 0 for an empty log."""
+        return (self._kept[0] if self._kept else self._entries[0]).log_index if self._entries else 0
+
+    def sendable_at(self, log_index: int) -> Entry | None:
+        """As `entry_at`, of all that can be sent."""
+        first = self.first_sendable
+        return (
+            self._kept[log_index - first] if first <= log_index < first + len(self._kept) else self.entry_at(log_index)
+        )
+
+    def sendable_from(self, log_index: int, bytes_max: int) -> list[Entry]:
+        """The entries from a position on that can be sent, up to the first with which they are `bytes_max`."""
+        found, size, first = [], 0, self.first_sendable
+        kept = islice(self._kept, max(0, log_index - first), None)
+        held = islice(self._entries, max(0, log_index - first - len(self._kept)), None)
+        for entry in chain(kept, held):
+            found.append(entry)
+            size += len(entry.command)
+            if size >= bytes_max:
+                break
+        return found
+
+    def keep_after(self, log_index: int) -> None:
+        """Let go of what is kept at or before a position: everybody has it, or nobody is sent anything."""
+        while self._kept and self._kept[0].log_index <= log_index:
+            self._let_go_oldest()
+
+    def _keep(self, entries: list[Entry]) -> None:
+        """Keep what is cut off at the front, in memory alone: as much of the newest as fits."""
+        for entry in entries:
+            if self._kept and self._kept[-1].log_index + 1 != entry.log_index:
+                self.keep_after(entry.log_index)
+            self._kept.append(entry)
+            self._kept_bytes += len(entry.command) + ENTRY_BYTES
+        while self._kept_bytes > self._kept_bytes_max:
+            self._let_go_oldest()
+
+    def _let_go_oldest(self) -> None:
+        self._kept_bytes -= len(self._kept.popleft().command) + ENTRY_BYTES
+
+    # -- snapshots and the disk --------------------------------------------------------------------------------
+
     def write_piece(self, piece: SnapshotPiece) -> None:
         """Have a piece of a coming snapshot on the disk with the next sync, so that adopting it costs little."""
         self._pending_pieces.append(piece)
@@ -174,6 +230,8 @@ class Journal:
             keep_from = last.log_index + 1 - self._entries[0].log_index
             held_before = self.entry_at(previous.log_index) is not None
             tail = self._entries[keep_from:]
+            if held_before:
+                self._keep(self._entries[: keep_from - 2])
             self._entries = [previous, last, *tail]
             self._dirty = True
             if not held_before:
@@ -181,6 +239,7 @@ class Journal:
         else:
             self._differs_from(0)
             self._entries = [previous, last]
+            self.keep_after(last.log_index)
             self.configurations.cut_from(0)
         self.configurations.rebase(last.log_index, configuration)
         self.snapshot, self._pending_seal = snapshot, snapshot.seal()

@@ -8,6 +8,7 @@ from stampede_rt_supernode.replication.codec import Message
 from stampede_rt_supernode.replication.library import LEADER
 from stampede_rt_supernode.replication.membership import Membership
 from stampede_rt_supernode.replication.raft_node import InvariantViolation
+from stampede_rt_supernode.replication.storage import Entry
 
 # How many batches of entries one member is sent at a time.
 BATCHES_PER_ROUND = 4
@@ -48,7 +49,9 @@ class Leading(Membership):
         for node in self.sent_to():
             if node not in self._SyncObj__connectedNodes:
                 self.keeper.cancelTransmisstion(node)
-            elif self._SyncObj__raftNextIndex[node] > self._SyncObj__raftLog[0][1] or self._send_snapshot(node):
+            elif self._SyncObj__raftNextIndex[node] > self._SyncObj__raftLog.first_sendable or self._send_snapshot(
+                node
+            ):
                 self._send_entries(node)
 
     def _send_snapshot(self, node: Any) -> bool:
@@ -70,7 +73,7 @@ class Leading(Membership):
         end = self._SyncObj__raftLog[-1][1]
         for _ in range(BATCHES_PER_ROUND):
             next_index = self._SyncObj__raftNextIndex[node]
-            previous = self._SyncObj__raftLog.entry_at(next_index - 1)
+            previous = self._SyncObj__raftLog.sendable_at(next_index - 1)
             if previous is None:
                 raise InvariantViolation(f"{node.id} is to be sent entry {next_index}, but the log ends at {end}")
             entries = self._entries_from(next_index) if self.has_room(node.id) else []
@@ -89,8 +92,5 @@ class Leading(Membership):
             if not entries or self._SyncObj__raftNextIndex[node] > end:
                 return
 
-    def _entries_from(self, log_index: int) -> list[Any]:
-        if log_index > self._SyncObj__raftLog[-1][1]:
-            return []
-        entries: list[Any] = self._SyncObj__getEntries(log_index, None, self.conf.appendEntriesBatchSizeBytes)
-        return entries
+    def _entries_from(self, log_index: int) -> list[Entry]:
+        return self._SyncObj__raftLog.sendable_from(log_index, self.conf.appendEntriesBatchSizeBytes)

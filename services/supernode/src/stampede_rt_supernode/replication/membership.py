@@ -178,6 +178,14 @@ class Membership(NodeState):
             held = min(match, self._SyncObj__raftCommitIndex)
             self._SyncObj__raftLog.note_promise(node.id, 0, held)
 
+    def let_go_of_log(self) -> None:
+        """Keep, of what the log has cut off, only what somebody who is sent it may lack, and the entry before it; as a
+        follower, nothing.
+        """
+        held = [self._SyncObj__raftMatchIndex.get(node, 0) for node in self.sent_to()]
+        leads = self._SyncObj__raftState == LEADER
+        self._SyncObj__raftLog.keep_after(min(held, default=self.log_end()) - 1 if leads else self.log_end())
+
     def term_at(self, log_index: int) -> int | None:
         """The term of an entry, None when it is not held."""
         entry = self._SyncObj__raftLog.entry_at(log_index)

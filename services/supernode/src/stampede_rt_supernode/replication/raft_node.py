@@ -68,7 +68,6 @@ class NodeState(BytesNode):
     _SyncObj__onBecomeLeader: Any
     _SyncObj__generateRaftTimeout: Any
     _SyncObj__newAppendEntriesTime: float
-    _SyncObj__getEntries: Any
     _SyncObj__connectedNodes: set[Any]
 
     conf: Any
@@ -113,6 +112,8 @@ class NodeState(BytesNode):
         super()._SyncObj__setState(new_state)  # type: ignore[misc]
         if was_leader and new_state != LEADER:
             self.reads.on_leader_lost()
+            self.keeper.end_sending()
+            self._SyncObj__raftLog.keep_after(self._SyncObj__raftLog[-1][1])
 
     def _step_down(self, term: int) -> None:
         if term > self._SyncObj__raftCurrentTerm:

@@ -98,7 +98,7 @@ class Replica:
         self._new = _Arrivals()
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
-        self._journal = Journal(store)
+        self._journal = Journal(store, kept_bytes_max=settings.kept_log_bytes_max)
         self._node = self._open_node(state_machine, dice, rules, run_aside)
         self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
         self._changes = self._make_changes()
@@ -210,6 +210,7 @@ class Replica:
         self._snapshots.advance()
         if self._node._isLeader():
             self._node.note_promises()
+        self._node.let_go_of_log()
         self._journal.sync()
         self._release()
         return bool(self._new.events) or self._commits_alone()

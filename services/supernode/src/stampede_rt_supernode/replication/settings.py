@@ -17,6 +17,7 @@ _POSITIVE = (
     "reads_max",
     "inbox_items_max",
     "link_queue_bytes_max",
+    "kept_log_bytes_max",
     "snapshot_every_seconds",
     "snapshot_piece_bytes",
 )
@@ -53,6 +54,7 @@ class ReplicationSettings:
     to be added by them; once the log knows better, it is what the log says. `data_dir` is the folder of this
     replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder without
     one: a member that lost its disk must come back under a new id, so say False where a store must be there.
+    A leader keeps `kept_log_bytes_max` of what a snapshot has cut off its log, for members that lag.
     """
 
     self_member: Member
@@ -69,6 +71,7 @@ class ReplicationSettings:
     snapshot_piece_bytes: int = 256 * 1024
     inbox_items_max: int = 20_000
     link_queue_bytes_max: int = 32 << 20
+    kept_log_bytes_max: int = 64 << 20
 
     def __post_init__(self) -> None:
         ids = [member.member_id for member in self.initial_members]

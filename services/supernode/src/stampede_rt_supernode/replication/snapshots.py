@@ -41,6 +41,14 @@ class _Taking:
     pieces_written: int = 0
 
 
+@dataclass(slots=True)
+class _Sending:
+    """A snapshot on its way to a member. A newer one does not take its place: the transfer would never end."""
+
+    snapshot: StoredSnapshot
+    sent_bytes: int = 0
+
+
 class SnapshotKeeper:
     """Takes, sends, receives and opens snapshots. Tick thread only."""
 
@@ -64,8 +72,8 @@ class SnapshotKeeper:
         self._run_aside = run_aside
         # The snapshot that another thread encodes, and what it is of.
         self._taking: _Taking | None = None
-        # Member id -> how many bytes of the present snapshot it was sent.
-        self._sent: dict[str, int] = {}
+        # Member id -> the snapshot that it is being sent.
+        self._sending: dict[str, _Sending] = {}
         self._receiver = SnapshotReceiver(journal, state_machine, run_aside)
         # The last one that is whole.
         self._received: StoredSnapshot | None = None
@@ -154,20 +162,27 @@ class SnapshotKeeper:
         """Go on with what is opened; see `SnapshotReceiver.advance`."""
         last = self._receiver.advance(newer_than=newer_than)
         if last is not None:
-            self._sent.clear()
+            self.end_sending()
         return last
+
+    def end_sending(self) -> None:
+        """Let go of all snapshots that are being sent: this member does not lead any more."""
+        self._sending.clear()
 
     def getTransmissionData(self, transmissionID: Any) -> Piece | None:
         """The next piece for a node; None while its link or this step is full, or there is no snapshot."""
-        snapshot = self._journal.snapshot
-        if snapshot is None or self._chunks_left == 0 or not self._has_room(transmissionID.id):
+        if self._chunks_left == 0 or not self._has_room(transmissionID.id):
+            return None
+        sending = self._sending_to(transmissionID.id)
+        if sending is None:
             return None
         self._chunks_left -= 1
-        offset = self._sent.get(transmissionID.id, 0)
+        snapshot, offset = sending.snapshot, sending.sent_bytes
         data = snapshot.record[offset : offset + self._chunk_bytes]
-        end = offset + len(data)
-        is_last = end >= len(snapshot.record)
-        self._sent[transmissionID.id] = 0 if is_last else end
+        sending.sent_bytes = offset + len(data)
+        is_last = sending.sent_bytes >= len(snapshot.record)
+        if is_last:
+            del self._sending[transmissionID.id]
         chunk = pb.RaftSnapshotChunk(
             last_log_index=snapshot.last_log_index,
             offset_bytes=offset,
@@ -176,6 +191,16 @@ class SnapshotKeeper:
             data=data,
         )
         return Piece(chunk, offset == 0, is_last)
+
+    def _sending_to(self, member_id: str) -> _Sending | None:
+        """What is being sent to a member: the present snapshot, or an older one behind which the log is kept."""
+        sending, present = self._sending.get(member_id), self._journal.snapshot
+        if sending is not None and sending.snapshot.last_log_index >= self._journal.first_sendable:
+            return sending
+        if present is None:
+            return None
+        self._sending[member_id] = _Sending(present)
+        return self._sending[member_id]
 
     def setTransmissionData(self, data: Any) -> bool:
         """Take in a piece; True when the snapshot is whole and its checksum holds."""
@@ -186,8 +211,7 @@ class SnapshotKeeper:
 
     def cancelTransmisstion(self, id: Any) -> None:
         """Start from the beginning with this node next time."""
-        self._sent.pop(id.id, None)
+        self._sending.pop(id.id, None)
 
     def _adopt(self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration) -> None:
         self._journal.adopt_snapshot(snapshot, previous, last, configuration)
-        self._sent.clear()
