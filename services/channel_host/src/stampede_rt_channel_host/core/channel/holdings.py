@@ -6,15 +6,15 @@ So a policy that outdates a million items at once stalls nobody.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from itertools import islice
-from typing import NamedTuple
 
 from stampede_rt_channel_host.core.channel import tally
+from stampede_rt_channel_host.core.channel.front import Front, Going, before, oldest_bytes, oldest_items
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
 from stampede_rt_channel_host.core.channel.snapshot import Snapshot
+from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
@@ -25,18 +25,6 @@ TOLD_SLICES_MAX = 1024
 FREED_ENTRIES_MAX = 2048
 """So many entries one call frees at the most, however much is outdated: the next calls go on."""
 
-
-class Front(NamedTuple):
-    """The oldest held items: how many, and their payload bytes; the last slice of them, as far as it goes, None if they
-    are none; and the first slice behind them, None if they are all that is held."""
-
-    items: int
-    payload_bytes: int
-    last: Slice | None
-    rest: Slice | None
-
-
-Going = Callable[[Slice], int]
 
 Cut = Callable[[bytes, int, int], bytes]
 """Gives the body of the items from one place up to, not including, another."""
@@ -386,7 +374,7 @@ class Holdings:
         of the next bucket."""
         time = last.last_time
         bucket = self.slices((time, 0), (time, last.end_seq))
-        end = _end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
+        end = end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
         end = max(end, time + self.overlap_nanos)
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end
@@ -445,63 +433,3 @@ class Holdings:
         for part, body in zip(parts, bodies, strict=True):
             part.go_on_in(run.part(part.lo, part.hi, body))
             self._kept_body_bytes += len(body)
-
-
-def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
-    """The latest span end of items at `time` that the next bucket's time `bound` bounds."""
-    longest = 0
-    for part in bucket:
-        durations = part.run.durations
-        if durations is None:
-            return bound
-        for duration in durations[part.lo : part.hi]:
-            if duration == ABSENT or time + duration >= bound:
-                return bound
-            longest = max(longest, duration)
-    return min(time + longest, bound)
-
-
-def _end_of_newest(bucket: Iterator[Slice], time: int, now: int) -> int:
-    """The latest span end of items in the newest bucket: nothing bounds durations, open items hold until `now`."""
-    ends = [time]
-    for part in bucket:
-        durations = part.run.durations
-        for duration in (ABSENT,) if durations is None else durations[part.lo : part.hi]:
-            ends.append(max(now, time) if duration == ABSENT else time + duration)
-    return max(ends)
-
-
-def before(time: int) -> Going:
-    """Takes items before `time`."""
-
-    def going(part: Slice) -> int:
-        return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
-
-    return going
-
-
-def oldest_items(count: int) -> Going:
-    """Takes the first `count` items."""
-
-    def going(part: Slice) -> int:
-        nonlocal count
-        taken = min(part.items, count)
-        count -= taken
-        return taken
-
-    return going
-
-
-def oldest_bytes(charged_bytes: int) -> Going:
-    """Takes items until so many bytes are charged for them."""
-
-    def going(part: Slice) -> int:
-        nonlocal charged_bytes
-        lengths, lo = part.run.lengths, part.lo
-        for at in range(lo, part.hi):
-            if charged_bytes <= 0:
-                return at - lo
-            charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
-        return part.items
-
-    return going

@@ -11,7 +11,8 @@ but items age by the clock alone, so that a producer whose clock runs ahead shor
 from __future__ import annotations
 
 from stampede_rt_channel_host.core.channel.consumption import Consumers
-from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Going, Holdings, before
+from stampede_rt_channel_host.core.channel.front import Going, before
+from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
