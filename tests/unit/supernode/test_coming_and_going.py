@@ -37,8 +37,13 @@ async def command(*words: str) -> tuple[int, str]:
         stderr=asyncio.subprocess.STDOUT,
         env=clean_environment(),
     )
-    async with asyncio.timeout(PATIENCE_SECONDS):
-        printed, _ = await process.communicate()
+    try:
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            printed, _ = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
     return process.returncode or 0, printed.decode()
 
 
