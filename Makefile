@@ -38,12 +38,13 @@ fuzz: setup  ## calls that are cancelled over a network that is cut, for 10 minu
 	STAMPEDE_FUZZ_STORIES=$${STAMPEDE_FUZZ_STORIES:-15} STAMPEDE_FUZZ_SECONDS=$${STAMPEDE_FUZZ_SECONDS:-20} \
 		$(RUN)/pytest -s --timeout=0 tests/robustness/fuzz
 
-check: setup  ## lint, types, import rules, protobuf rules, freshness of generated files
+check: setup  ## lint, types, import rules, class names, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)
 	$(RUN)/ruff format --check $(PYTHON_DIRS)
 	$(RUN)/python tools/generate.py --check
 	$(RUN)/mypy
 	$(RUN)/lint-imports
+	$(RUN)/python tools/class_names.py
 	cd proto && ../$(RUN)/buf lint
 	$(RUN)/python tools/breaking.py
 

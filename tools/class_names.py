@@ -1,0 +1,98 @@
+"""Find class names that the distributions use for more than one thing.
+
+Two classes with one name are accepted if they are twins (a class of the async client or transport and its blocking
+counterpart), if `class_names.toml` allows the name and says why, or if it lists the name as one that is to be renamed.
+Everything else fails the check. So does an entry that is no longer true: the lists can only shrink by themselves.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+LISTS = Path(__file__).with_name("class_names.toml")
+GENERATED = {"v1", "_sync"}  # the stubs, and the client that is derived from _async/
+TWINS = re.compile(r"_(async|sync)\.py$")
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """The names that may stand for several things, and in how many places each does."""
+
+    allowed: Mapping[str, int]
+    to_rename: Mapping[str, int]
+
+
+def sources(root: Path) -> list[Path]:
+    """Every module of the workspace's distributions that is written by hand."""
+    workspace = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["uv"]["workspace"]
+    members = sorted(folder for pattern in workspace["members"] for folder in root.glob(pattern))
+    return [
+        path
+        for member in members
+        for path in sorted((member / "src").rglob("*.py"))
+        if not GENERATED & set(path.relative_to(root).parts)
+    ]
+
+
+def public_classes(source: str) -> list[str]:
+    """The names of the classes of a module that other modules may use: those without a leading underscore."""
+    return [
+        node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    ]
+
+
+def duplicates(modules: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """The class names with more than one meaning, each with its modules, from (path, source) of every module."""
+    places: dict[str, dict[str, str]] = defaultdict(dict)
+    for path, source in modules:
+        for name in public_classes(source):
+            places[name].setdefault(TWINS.sub(".py", path), path)
+    return {name: sorted(found.values()) for name, found in sorted(places.items()) if len(found) > 1}
+
+
+def complaints(found: Mapping[str, list[str]], accepted: Accepted) -> list[str]:
+    """What differs between the duplicates that are there and those that are accepted."""
+    lines = [
+        f"{name} is both allowed and to be renamed; keep one entry"
+        for name in accepted.allowed.keys() & accepted.to_rename.keys()
+    ]
+    counts = {**accepted.to_rename, **accepted.allowed}
+    for name in sorted(found.keys() | counts.keys()):
+        now, listed = len(found.get(name, ())), counts.get(name, 0)
+        if now > max(listed, 1):
+            lines.append(f"class {name} is defined in {', '.join(found[name])}; give the new class another name")
+        elif now < listed:
+            lines.append(f"class {name} has fewer meanings than {LISTS.name} says; correct or delete its entry")
+    return lines
+
+
+def read_lists(text: str) -> Accepted:
+    """Read the accepted names; an allowed name without a reason raises ValueError."""
+    tables = tomllib.loads(text)
+    for name, entry in tables["allowed"].items():
+        if not entry["why"].strip():
+            raise ValueError(f"the allowed class name {name} needs a reason")
+    return Accepted({name: entry["places"] for name, entry in tables["allowed"].items()}, tables["to_rename"])
+
+
+def main() -> int:
+    """Print each complaint, then the counts; 1 if there is a complaint."""
+    found = duplicates((str(path.relative_to(ROOT)), path.read_text()) for path in sources(ROOT))
+    accepted = read_lists(LISTS.read_text())
+    lines = complaints(found, accepted)
+    for line in lines:
+        print(line)
+    print(f"{len(found)} class names are used for several things; {len(accepted.allowed)} of them are allowed")
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
