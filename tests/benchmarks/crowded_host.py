@@ -2,6 +2,9 @@
 
 Others are gets that are blocked on the channel and that the put cannot release, channels in which nothing happens, and
 consumers. The channels are a host's own, called as its streams call them; no gRPC is between.
+
+The last row is of a cluster of processes: how long a client takes to open a new channel and put its first item, beside
+others that were opened before.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
+from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.tables import Table
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
@@ -173,13 +177,26 @@ def refusals_for_memory(others: int) -> list[float]:
     return timed(claim)
 
 
-def timed(step: Callable[[int], object]) -> list[float]:
-    """Microseconds of CPU that each step took."""
+def opens_beside_channels(others: int) -> list[float]:
+    """In wall time, over gRPC: the directory's log, the gatekeeper and the put take part."""
+    with connected() as rt:
+        for number in range(others):
+            rt.channel(f"others/{number}")
+
+        def step(number: int) -> None:
+            rt.channel(f"new/{number}").put(b"x" * 64)
+
+        step(PUTS)
+        return timed(step, time.perf_counter)
+
+
+def timed(step: Callable[[int], object], clock_s: Callable[[], float] = time.process_time) -> list[float]:
+    """Microseconds that each step took, of CPU or by another clock."""
     took = []
     for at in range(PUTS):
-        began = time.process_time_ns()
+        began_s = clock_s()
         step(at)
-        took.append((time.process_time_ns() - began) / 1e3)
+        took.append((clock_s() - began_s) * 1e6)
     return took
 
 
@@ -190,6 +207,7 @@ ROWS: Sequence[tuple[str, Callable[[int], list[float]], int]] = (
     ("a refusal for memory, idle channels", refusals_for_memory, 10_000),
     ("a put, consumers", puts_beside_consumers, CONSUMERS_MAX),
     ("a consume, consumers", consumes_beside_consumers, CONSUMERS_MAX),
+    ("open and first put, wall time", opens_beside_channels, 10_000),
 )
 
 
