@@ -11,9 +11,17 @@ from typing import Any
 import grpc
 import grpc.aio
 
+from stampede_rt_runtime.limits import Limits
+
 REQUEST = struct.Struct("<III")  # messages, items in each, bytes of an item
 QUEUE_MESSAGES_MAX = 64
-OPTIONS = (("grpc.max_receive_message_length", -1), ("grpc.max_send_message_length", -1), ("grpc.so_reuseport", 0))
+OPTIONS = (
+    ("grpc.max_receive_message_length", -1),
+    ("grpc.max_send_message_length", -1),
+    ("grpc.so_reuseport", 0),
+    # Its client pings each 5 s, as ours do. By default a third ping within 5 minutes without data ends the connection.
+    ("grpc.http2.min_ping_interval_without_data_ms", Limits().ping_interval_millis_min),
+)
 
 
 class Bare(grpc.GenericRpcHandler):

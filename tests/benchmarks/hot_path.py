@@ -29,6 +29,8 @@ from tests.support.cluster import running_cluster
 SIZES = (64, 18_000, 300_000)
 INTERVAL_ITEMS = {64: 1000, 18_000: 200, 300_000: 20}
 RUN_ITEMS = {64: 256, 18_000: 3, 300_000: 1}
+RUNS = 8  # on their way from a producer to a subscriber, before the first of them is read
+CHANNEL_ITEMS = 4096  # more than are ever on their way: what is collected unread would be waited for in vain
 
 
 @dataclass(frozen=True)
@@ -123,11 +125,11 @@ def interval(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable
 
 
 def subscribe(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable[[], int], Callable[[], int]]:
-    """Eight runs from a pipelined producer to a subscriber; bare, the same bytes relayed in eight messages."""
+    """RUNS runs from a pipelined producer to a subscriber; bare, the same bytes relayed in as many messages."""
     payload, count = bytes(size), RUN_ITEMS[size]
     producer, received = channel.producer(), channel.subscribe()
     send, out = bare.relay()
-    message, messages = bytes(size * count), 8
+    message, messages = bytes(size * count), RUNS
 
     def through() -> int:
         for _ in range(count * messages):
@@ -185,7 +187,7 @@ def main() -> None:
         rt = stack.enter_context(st.connect(cluster.address))
         for name, prepare in OPERATIONS.items():
             for size in SIZES:
-                channel = rt.channel(f"bench/{list(OPERATIONS).index(name)}/{size}", max_items=2000)
+                channel = rt.channel(f"bench/{list(OPERATIONS).index(name)}/{size}", max_items=CHANNEL_ITEMS)
                 row = compare(*prepare(channel, bare, size), arguments.seconds, arguments.rounds)
                 print(f"{name:17}{size:8}  {row}", flush=True)
 

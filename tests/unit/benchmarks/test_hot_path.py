@@ -1,0 +1,16 @@
+from __future__ import annotations
+
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
+from tests.benchmarks import bare_server, hot_path
+
+
+def test_what_is_on_its_way_to_a_subscriber_fits_into_the_channel() -> None:
+    """Else the benchmark waits for items that were collected before it began to read."""
+    most = max(hot_path.RUNS * max(hot_path.RUN_ITEMS.values()), *hot_path.INTERVAL_ITEMS.values())
+    assert most < hot_path.CHANNEL_ITEMS
+
+
+def test_the_bare_server_allows_the_pings_of_its_client() -> None:
+    """By default gRPC allows one in five minutes on an idle connection, and ends it at the third too many."""
+    allowed = dict(bare_server.OPTIONS)["grpc.http2.min_ping_interval_without_data_ms"]
+    assert dict(CHANNEL_OPTIONS)["grpc.keepalive_time_ms"] >= 2 * allowed
