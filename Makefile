@@ -38,13 +38,14 @@ fuzz: setup  ## calls that are cancelled over a network that is cut, for 10 minu
 	STAMPEDE_FUZZ_STORIES=$${STAMPEDE_FUZZ_STORIES:-15} STAMPEDE_FUZZ_SECONDS=$${STAMPEDE_FUZZ_SECONDS:-20} \
 		$(RUN)/pytest -s --timeout=0 tests/robustness/fuzz
 
-check: setup  ## lint, types, import rules, class names, protobuf rules, freshness of generated files
+check: setup  ## lint, types, import rules, class names, signposts, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)
 	$(RUN)/ruff format --check $(PYTHON_DIRS)
 	$(RUN)/python tools/generate.py --check
 	$(RUN)/mypy
 	$(RUN)/lint-imports
 	$(RUN)/python tools/class_names.py
+	$(RUN)/python tools/signposts.py --check
 	cd proto && ../$(RUN)/buf lint
 	$(RUN)/python tools/breaking.py
 
@@ -52,8 +53,9 @@ format: setup  ## put the code into the project's form
 	$(RUN)/ruff check --fix $(PYTHON_DIRS)
 	$(RUN)/ruff format $(PYTHON_DIRS)
 
-stubs: setup  ## generate the protobuf stubs and the synchronous client again
+stubs: setup  ## generate the protobuf stubs and the synchronous client, and draw the layers, again
 	$(RUN)/python tools/generate.py
+	$(RUN)/python tools/signposts.py
 
 robustness: setup  ## faults that really happen, for 25 minutes, with a report in out/robustness.md
 	$(RUN)/pytest -m slow -n 2

@@ -1,0 +1,129 @@
+"""Keep the pages that show a newcomer around true: paths, the picture of the layers, and the index of decisions.
+
+Without an option, draw the layers into ARCHITECTURE.md again. With --check, say what is not true and change nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import textwrap
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+PICTURE_PAGE = "ARCHITECTURE.md"
+PAGES = (PICTURE_PAGE, "CONTRIBUTING.md", "docs/glossary.md", "docs/finding-your-way.md")
+DECISIONS = "docs/decisions"
+BEGIN, END = "<!-- layers: drawn by tools/signposts.py from pyproject.toml -->", "<!-- end of the layers -->"
+WIDTH = 112
+
+MODULE = re.compile(r"`(stampede_rt\w*(?:\.\w+)*)`")
+ENTRY_POINTS = {"stampede_rt.verbs"}
+PATH = re.compile(r"`([\w./-]+(?:\.(?:py|proto|toml|md)|/))`")
+INDEX_LINE = re.compile(r"^\| \[(\d{4})\]\((.+?)\) \|", re.MULTILINE)
+
+
+def unknown_names(page: str, files: Iterable[str]) -> list[str]:
+    """The modules and paths that a page names and no file has. A path may leave out its first folders."""
+    known = {f"/{file}" for file in files}
+    known |= {f"{parent}/" for file in known for parent in map(str, Path(file).parents)}
+    modules = {name.replace(".", "/") for name in MODULE.findall(page) if name not in ENTRY_POINTS}
+    unknown = [
+        name.replace("/", ".")
+        for name in modules
+        if not any(path.endswith((f"/src/{name}.py", f"/src/{name}/")) for path in known)
+    ]
+    unknown += [name for name in set(PATH.findall(page)) if not any(path.endswith(f"/{name}") for path in known)]
+    return sorted(unknown)
+
+
+def layers(contracts: Iterable[Mapping[str, Any]]) -> str:
+    """The contracts of import-linter as a text for people."""
+    return "\n\n".join(f"{contract['name']}\n{_drawn(contract)}" for contract in contracts)
+
+
+def _drawn(contract: Mapping[str, Any]) -> str:
+    if contract["type"] == "layers":
+        rows = [", ".join(_short(row.split(" : "), contract)) for row in contract["layers"]]
+        return "\n".join(_indented(row, "    " if row is rows[0] else "  ↓ ") for row in rows)
+    if contract["type"] == "independence":
+        return _indented(" | ".join(contract["modules"]))
+    sources, forbidden = ", ".join(contract["source_modules"]), ", ".join(contract["forbidden_modules"])
+    return f"{_indented(sources)}\n    ✗ do not import\n{_indented(forbidden)}"
+
+
+def _short(names: Iterable[str], contract: Mapping[str, Any]) -> list[str]:
+    package = ", ".join(contract.get("containers", ())) or contract["layers"][0].split(".")[0]
+    return [name.strip().removeprefix(f"{package}.") for name in names]
+
+
+def _indented(text: str, start: str = "    ") -> str:
+    return textwrap.fill(text, WIDTH, initial_indent=start, subsequent_indent="    ", break_on_hyphens=False)
+
+
+def with_layers(page: str, picture: str) -> str:
+    """The page with the picture between its two marks. Raises ValueError if they are missing."""
+    before, begin, rest = page.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f"{PICTURE_PAGE} needs the two lines {BEGIN!r} and {END!r} around the picture")
+    return f"{before}{begin}\n\n```\n{picture}\n```\n\n{end}{after}"
+
+
+def index_complaints(index: str, records: Mapping[str, str]) -> list[str]:
+    """What the index lacks or lists wrongly, from the text of each record by its file name."""
+    listed = INDEX_LINE.findall(index)
+    files = [file for _, file in listed]
+    lines = [f"{file} is not in the index of decisions" for file in sorted(records.keys() - set(files))]
+    lines += [f"the index of decisions lists {file}, which does not exist" for file in files if file not in records]
+    lines += [f"the index calls {file} number {number}" for number, file in listed if not file.startswith(number)]
+    if files != sorted(set(files)):
+        lines.append("the index of decisions is not in the order of the numbers, or lists one twice")
+    return lines
+
+
+def complaints() -> list[str]:
+    """Everything that is not true in the pages as they are."""
+    files = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT, check=True, capture_output=True, text=True,
+    ).stdout.splitlines()  # fmt: skip
+    there = [file for file in files if (ROOT / file).exists()]
+    lines = [
+        f"{page} names {name}, which does not exist; correct the name"
+        for page in PAGES
+        for name in unknown_names((ROOT / page).read_text(), there)
+    ]
+    page = (ROOT / PICTURE_PAGE).read_text()
+    if with_layers(page, layers(_contracts())) != page:
+        lines.append(f"the layers in {PICTURE_PAGE} are not those of pyproject.toml; run: make stubs")
+    folder = ROOT / DECISIONS
+    records = {path.name: path.read_text() for path in folder.glob("[0-9]*.md")}
+    return lines + index_complaints((folder / "README.md").read_text(), records)
+
+
+def _contracts() -> list[dict[str, Any]]:
+    return list(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Draw, or with --check compare."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true")
+    if not parser.parse_args(arguments).check:
+        page = ROOT / PICTURE_PAGE
+        page.write_text(with_layers(page.read_text(), layers(_contracts())))
+        return 0
+    lines = complaints()
+    for line in lines:
+        print(line)
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
