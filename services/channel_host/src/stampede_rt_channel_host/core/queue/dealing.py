@@ -14,6 +14,8 @@ from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
 """Of a batch with several items, on the wire: with a little beside it, it makes a message of 1 MiB."""
+ITEMS_DEALT_MAX = 512
+"""So many items one batch holds at the most, and as many in all are given out at once; then others have their turn."""
 DELIVERY_BYTES = 16
 """What an item's delivery id and number take on the wire, at the most."""
 VIEWS_MAX = 4096
@@ -95,7 +97,8 @@ class _Draft:
 class Dealing:
     """The line of waiting takers. `dealt` gathers who was given what, until the caller takes it.
 
-    While it `is_paused` nobody is given anything: all wait in line.
+    While it `is_paused` nobody is given anything: all wait in line. `has_more`: `deal` has given out as much as it may
+    at once, and is to be called again soon.
     """
 
     def __init__(self, shelf: Shelf, leasing: Leasing) -> None:
@@ -104,7 +107,7 @@ class Dealing:
         self._line: OrderedDict[Taker, None] = OrderedDict()
         self._views: OrderedDict[int, View] = OrderedDict()  # the latest used last
         self.dealt: list[tuple[Taker, Batch]] = []
-        self.is_paused = False
+        self.is_paused = self.has_more = False
 
     def __len__(self) -> int:
         """How many takers wait."""
@@ -113,7 +116,7 @@ class Dealing:
     def wait(self, taker: Taker, now: int) -> None:
         """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
         waits = taker.credit and not taker.is_busy and not taker.is_silent and taker not in self._line
-        if waits and (self.is_paused or not self._serve(taker, 1, now)):
+        if waits and (self.is_paused or self.has_more or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
     def leave(self, taker: Taker) -> None:
@@ -122,30 +125,36 @@ class Dealing:
 
     def deal(self, now: int) -> None:
         """There may be something new for those in line."""
-        served = []
+        served, items = [], 0
+        self.has_more = False
         for place, taker in enumerate(self._line):
             if self.is_paused or not self._shelf.available_items:
                 break
-            if self._serve(taker, len(self._line) - place, now):
+            if items >= ITEMS_DEALT_MAX:
+                self.has_more = True
+                break
+            dealt = self._serve(taker, len(self._line) - place, now)
+            if dealt:
                 served.append(taker)
+                items += dealt
         for taker in served:
             del self._line[taker]
 
-    def _serve(self, taker: Taker, takers: int, now: int) -> bool:
-        """Give it its share among so many; False if there is nothing for it."""
+    def _serve(self, taker: Taker, takers: int, now: int) -> int:
+        """Give it its share among so many; gives how many items that is."""
         there = self._shelf.available_items * self._shelf.limits.copies
-        share = min(-(-there // takers), taker.credit)
+        share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
         lease_nanos = taker.lease_nanos or self._shelf.limits.lease_nanos
         draft = _Draft()
         while draft.items < share and self._give_next(taker, draft, now, now + lease_nanos):
             pass
         if not draft.items:
-            return False
+            return 0
         taker.credit -= draft.items
         taker.is_busy = True
         taker.unsent = Batch(draft.slices, now + lease_nanos)
         self.dealt.append((taker, taker.unsent))
-        return True
+        return draft.items
 
     def _give_next(self, taker: Taker, draft: _Draft, now: int, expires: int) -> bool:
         shelf = self._shelf

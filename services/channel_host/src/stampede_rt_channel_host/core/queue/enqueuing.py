@@ -21,6 +21,13 @@ from stampede_rt_channel_host.core.queue.values import SealRun
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
 """At least one run may wait, however large it is."""
+OFFERED_PER_CALL_MAX = 512
+"""So many items of runs in line one call judges; the last of these runs is judged as a whole."""
+DROPPED_PER_RUN_MAX = 1024
+"""So many items one call drops to make room for a run, beside as many as the run has twice. Where more have to go, the
+run waits a moment in line."""
+MAKING_ROOM_NANOS = 1_000_000_000
+"""So long a run may wait at the most while room is made for it, though its producer does not wait."""
 
 
 class Enqueue:
@@ -73,7 +80,8 @@ class Enqueue:
 
 class Enqueuing:
     """Behind a run that waits all wait, in the order of their coming. `finished` gathers those that waited and are
-    through, until the caller takes them."""
+    through, until the caller takes them. `has_more`: there may be room for the first one in line, and `offer_line` is
+    to be called again soon."""
 
     def __init__(self, shelf: Shelf, queue_name: str) -> None:
         self._shelf = shelf
@@ -85,6 +93,8 @@ class Enqueuing:
         self.message_ids = MessageIds()
         self.waiting_bytes = 0
         self.finished: list[Enqueue] = []
+        self.has_more = False
+        self._drops_left = 0
 
     def __len__(self) -> int:
         """How many runs wait."""
@@ -96,19 +106,24 @@ class Enqueuing:
             return
         if not self._line and self._offer(run, now):
             return
-        if run.wait_nanos is not None and run.wait_nanos <= 0:
+        if run.wait_nanos is not None and run.wait_nanos <= 0 and not self._is_making_room:
             self._refuse_rest(run, self._full(), now)
             return
         self._stand_in_line(run, now)
 
     def offer_line(self, now: int) -> None:
         """Room may have been made: those in line are judged again, the first one first."""
+        self.has_more, offered = False, 0
         while self._line:
+            if offered >= OFFERED_PER_CALL_MAX:
+                self.has_more = True
+                return
             run = next(iter(self._line))
             if not self._judge_again(run, now):
                 return
             self._leave_line(run)
             self.finished.append(run)
+            offered += len(run.lengths)
 
     def give_up_one(self, now: int) -> bool:
         """End the wait of a run whose time is over; False if there is none."""
@@ -184,7 +199,13 @@ class Enqueuing:
         self.waiting_bytes += run.charged_bytes
         self._line[run] = None
         if run.wait_nanos is not None:
-            self._deadlines.arm(run, now + run.wait_nanos)
+            at_least = MAKING_ROOM_NANOS if self._is_making_room else 0
+            self._deadlines.arm(run, now + max(run.wait_nanos, at_least))
+
+    @property
+    def _is_making_room(self) -> bool:
+        """Those in line wait for no taker: what is in their way is being dropped."""
+        return self.has_more and self._shelf.limits.on_full == DROP_OLDEST
 
     def _leave_line(self, run: Enqueue) -> None:
         del self._line[run]
@@ -195,6 +216,7 @@ class Enqueuing:
         """Take in what there is room for; True if the run is through."""
         shelf, taken, judging = self._shelf, QueuedRun(self._shelf.next_seq, [], now), run.judging
         places: list[int] = []
+        self._drops_left = DROPPED_PER_RUN_MAX + 2 * len(run.lengths)
         while judging.settled < len(run.lengths):
             length = run.lengths[judging.settled]
             if length > shelf.limits.payload_bytes_max:
@@ -202,7 +224,7 @@ class Enqueuing:
             elif self._make_room(length):
                 shelf.add(taken, length)
                 places.append(judging.settled)
-            elif shelf.limits.on_full == BLOCK:
+            elif shelf.limits.on_full == BLOCK or self._is_making_room:
                 break
             else:
                 self._refuse(run, self._full())
@@ -216,8 +238,14 @@ class Enqueuing:
 
     def _make_room(self, length: int) -> bool:
         while not self._shelf.has_room(length):
-            if self._shelf.limits.on_full != DROP_OLDEST or not self._shelf.drop_oldest():
+            if self._shelf.limits.on_full != DROP_OLDEST:
                 return False
+            if not self._drops_left:
+                self.has_more = True
+                return False
+            if not self._shelf.drop_oldest():
+                return False
+            self._drops_left -= 1
         return True
 
     def _seal(self, run: Enqueue, taken: QueuedRun, places: list[int], now: int) -> None:

@@ -176,7 +176,7 @@ class Queue:
 
     def next_deadline(self) -> int | None:
         """When `tick` is next useful; None: only after another call."""
-        if self._unchecked:
+        if self._unchecked or self._has_more:
             return self._clock
         known = self._enqueuing.message_ids.next_deadline()
         due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline(), known)
@@ -254,6 +254,11 @@ class Queue:
         known += enqueuing.message_ids.footprint_bytes
         return shelf.stored_bytes + shelf.items * 64 + enqueuing.waiting_bytes + known
 
+    @property
+    def _has_more(self) -> bool:
+        """Takers or runs in line have to wait only because one call does no more."""
+        return self._dealing.has_more or self._enqueuing.has_more
+
     def _tick(self, now: int) -> int:
         clock = self._clock = now if self._clock is None else max(self._clock, now)
         due = self._check_again()
@@ -263,7 +268,7 @@ class Queue:
             self._dealing.leave(taker)
         while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
             due += 1
-        if due:
+        if due or self._has_more:
             self._follow_up(clock)
         while due < DUE_PER_CALL_MAX and self._enqueuing.message_ids.forget_one(clock):
             due += 1

@@ -1,0 +1,75 @@
+"""What one call of a queue does is bounded, however much it holds and however many wait; the next calls go on."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.core.queue import Enqueue, QueueLimits
+from stampede_rt_channel_host.core.queue.dealing import ITEMS_DEALT_MAX
+from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
+from tests.unit.queues.cores import Core
+
+
+def test_a_batch_holds_a_bounded_number_of_items_however_small_they_are() -> None:
+    core = Core()
+    for _ in range(2000):
+        core.put(1)
+    core.taker(1, 2000)
+    ((taker, batch),) = core.queue.take_dealt()
+    assert len(batch.slices) == ITEMS_DEALT_MAX
+    core.queue.sending(taker)
+    core.queue.sent(taker, core.now)
+    assert core.dealt() == {1: [*range(ITEMS_DEALT_MAX + 1, 2001)]}
+
+
+def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> None:
+    core = Core(max_items=10_000)
+    for taker_id in range(1, 101):
+        core.taker(taker_id, 100)
+    core.put(*[1] * 10_000)
+    served: dict[int, list[int]] = {}
+    while dealt := core.queue.take_dealt():
+        assert sum(one.hi - one.lo for _, batch in dealt for one in batch.slices) < 2 * ITEMS_DEALT_MAX
+        served |= {taker.taker_id: [one.hi - one.lo for one in batch.slices] for taker, batch in dealt}
+        if len(served) < 100:
+            assert core.queue.next_deadline() == core.now
+        core.queue.tick(core.now)
+    assert served == {taker_id: [100] for taker_id in range(1, 101)}
+
+
+def test_a_taker_that_comes_while_others_are_still_to_be_served_waits_behind_them() -> None:
+    core = Core(max_items=10_000)
+    for taker_id in range(1, 21):
+        core.taker(taker_id, 100)
+    core.put(*[1] * 2000)
+    before = {taker.taker_id for taker, _ in core.queue.take_dealt()}
+    core.taker(100, 100)
+    assert 100 not in {taker.taker_id for taker, _ in core.queue.take_dealt()}
+    assert before == {*range(1, len(before) + 1)}
+
+
+def test_room_for_many_runs_that_wait_is_given_to_some_by_each_call_in_order() -> None:
+    core = Core(max_items=1)
+    core.put(1)
+    waiting = [core.put(1, wait_nanos=10**9) for _ in range(5 * OFFERED_PER_CALL_MAX)]
+    core.queue.configure(QueueLimits(max_items=10_000), core.now)
+    finished: list[Enqueue] = []
+    while more := core.queue.take_finished():
+        assert len(more) == OFFERED_PER_CALL_MAX
+        finished += more
+        core.queue.tick(core.now)
+    assert finished == waiting
+    assert core.queue.next_deadline() is None
+
+
+def test_what_a_smaller_limit_leaves_too_much_is_dropped_by_many_calls_while_the_put_waits() -> None:
+    core = Core(max_items=20_000, on_full="drop_oldest")
+    core.put(*[1] * 10_000)
+    core.queue.configure(QueueLimits(max_items=10, on_full="drop_oldest"), core.now)
+    run, held = core.put(1, wait_nanos=0), 10_000
+    while not run.is_through:
+        (now_held,) = core.counted("held")  # looks after what is due
+        assert held - 2 * (DROPPED_PER_RUN_MAX + 2) <= now_held < held
+        held = now_held
+    assert core.counted("held", "dropped") == (10, 9991)
+    assert core.queue.take_finished() == [run]
+    assert run.outcome is not None
+    assert run.outcome.parts
