@@ -32,6 +32,8 @@ class FakeDirectory(
         self.channels: dict[bytes, channel_pb2.ChannelRecord] = {}
         self.refuse: dict[str, StampedeError] = {}
         self.calls: Counter[str] = Counter()
+        # By method, the clusters of which hosts said that they are.
+        self.clusters_told: dict[str, list[str]] = {"RegisterHost": [], "RenewHostLease": []}
         self.target = ""
         self.others: list[str] = []
         self._called = asyncio.Condition()
@@ -87,6 +89,7 @@ class FakeDirectory(
         )
 
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:  # noqa: N802
+        self.clusters_told["RegisterHost"].append(request.cluster_id)
         await self._begin("RegisterHost", context)
         for held in self.hosts.values():
             if held.name == request.name and held.alive and held.host_id != request.host_id:
@@ -110,6 +113,7 @@ class FakeDirectory(
     async def RenewHostLease(  # noqa: N802
         self, request: pb.RenewHostLeaseRequest, context: Any
     ) -> pb.RenewHostLeaseResponse:
+        self.clusters_told["RenewHostLease"].append(request.cluster_id)
         await self._begin("RenewHostLease", context)
         host = self.hosts.get(request.host_id)
         if host is None or not host.alive or host.boot_incarnation != request.boot_incarnation:

@@ -5,12 +5,19 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable
-from stampede_rt_channel_host.cluster.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
+from stampede_rt_channel_host.cluster.identity import (
+    HomeCluster,
+    HostIdentity,
+    default_name,
+    load_host_id,
+    new_boot_incarnation,
+)
 from stampede_rt_channel_host.cluster.registration import Registration
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_runtime.clock import SystemClock
@@ -24,7 +31,7 @@ MS = 10**6
 class Host:
     """A registration under test, and what it was told."""
 
-    def __init__(self, frontend: str, name: str = "h1") -> None:
+    def __init__(self, frontend: str, name: str = "h1", folder: Path | None = None) -> None:
         self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=7)
         self.supernodes = Supernodes([frontend], lambda target: dial(target, secret=None), peer_name=name)
         self.registered: asyncio.Queue[Any] = asyncio.Queue()
@@ -35,6 +42,7 @@ class Host:
             SystemClock(),
             on_registered=self.registered.put,
             on_lease=self.lease.put_nowait,
+            home=HomeCluster(folder),
         )
 
     async def lease_becomes(self, held: bool) -> None:
@@ -72,6 +80,18 @@ async def test_a_host_enters_and_holds_its_lease() -> None:
         assert fake.hosts[host.identity.host_id].gatekeepers[0].target == "localhost:1"
         assert host.registered.qsize() == 1
         await host.supernodes.aclose()
+
+
+async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_after_a_restart(tmp_path: Path) -> None:
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        first = Host(fake.target, folder=tmp_path)
+        await first.registration.enter("localhost:1")
+        async with keeping(first):
+            await fake.called("RenewHostLease", times=1)
+        again = Host(fake.target, folder=tmp_path)
+        await again.registration.enter("localhost:1")
+        await again.supernodes.aclose()
+    assert fake.clusters_told == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
 
 
 async def test_it_renews_three_times_per_ttl_and_is_not_fenced() -> None:

@@ -10,8 +10,10 @@ from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import SUPERNODES_MAX, Answer, MemberList, Roster
 
 
-def answer(name: str, *, ready: bool = True, trip: int | None = 10, cluster: str = "c1") -> Answer:
-    return Answer(supernode_id=name, cluster_id=cluster, ready=ready, round_trip_nanos=trip)
+def answer(
+    name: str, *, ready: bool = True, trip: int | None = 10, cluster: str = "c1", former: tuple[str, ...] = ()
+) -> Answer:
+    return Answer(supernode_id=name, cluster_id=cluster, ready=ready, round_trip_nanos=trip, former_cluster_ids=former)
 
 
 def members(*names: str, term: int = 1, index: int = 1, leader: str = "", zone: str = "") -> MemberList:
@@ -160,12 +162,32 @@ def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> N
     assert roster.answered("s1:1", answer("s1"))
     assert not roster.answered("x1:1", answer("x1", cluster="c2"))
     assert list(known(roster)) == ["s1"]
-    assert roster.failures() == ["x1:1: belongs to another cluster, c2"]
+    [failure] = roster.failures()
+    assert failure.startswith("x1:1: belongs to another cluster, c2, and this front-end serves c1;")
 
 
-def test_a_cluster_founded_anew_at_the_same_addresses_is_taken_up() -> None:
-    roster = Roster(("s1:1",))
+def test_another_cluster_at_its_addresses_is_left_out_though_nobody_of_the_own_one_answers() -> None:
+    roster = Roster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
+    for target in roster.targets():
+        roster.failed(target, "no answer in time")
+    assert not roster.answered("s2:1", answer("r", cluster="c2"))
+    assert roster.cluster_id == "c1"
+    assert roster.known() == [one for one in roster.known() if not one.healthy]
+
+
+def test_a_cluster_that_takes_the_place_of_the_own_one_is_taken_up_once_that_one_is_gone() -> None:
+    roster = Roster(("s1:1", "s2:1"))
+    roster.answered("s1:1", answer("s1"))
+    assert not roster.answered("s2:1", answer("r", cluster="c2", former=("c1",)))
+    roster.failed("s1:1", "refused")
+    assert roster.answered("s2:1", answer("r", cluster="c2", former=("c1",)))
+    assert roster.cluster_id == "c2"
+
+
+def test_a_cluster_founded_anew_at_the_addresses_of_one_in_memory_is_taken_up() -> None:
+    roster = Roster(("s1:1",))
+    roster.answered("s1:1", answer("s1", cluster="memory-1"))
     roster.listed(members("s1", "s2", term=7, index=70))
     roster.failed("s1:1", "refused")
     assert roster.answered("s1:1", answer("n1", cluster="c2"))

@@ -160,13 +160,14 @@ async def attempts() -> AsyncIterator[None]:
     raise AssertionError(f"it did not happen within {PATIENCE_SECONDS} s")
 
 
-async def register(supernode: Supernode, number: int) -> pb.RegisterHostResponse:
+async def register(supernode: Supernode, number: int, *, cluster_id: str = "") -> pb.RegisterHostResponse:
     request = pb.RegisterHostRequest(
         request_id=secrets.token_bytes(16),
         host_id=number.to_bytes(16, "big"),
         name=f"host-{number}",
         gatekeepers=[directory_pb2.Endpoint(target=f"localhost:{7000 + number}")],
         boot_incarnation=1,
+        cluster_id=cluster_id,
     )
     answer: pb.RegisterHostResponse = await called(
         supernode.stub.RegisterHost(request, timeout=PATIENCE_SECONDS, wait_for_ready=True), supernode

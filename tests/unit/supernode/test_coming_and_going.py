@@ -172,22 +172,22 @@ async def test_what_a_command_cannot_do_it_says_in_one_line(tmp_path: Path) -> N
 async def test_nobody_is_removed_without_a_majority_and_status_tells_who_is_not_where_it_should_be(
     tmp_path: Path,
 ) -> None:
-    ports = free_ports(3)
-    members = ",".join(f"{name}=127.0.0.1:{port}" for name, port in zip("abc", ports, strict=True))
-    words = ["--id", "a", "--listen", f"127.0.0.1:{ports[0]}", "--members", members]
-    one = Supernode("a", f"127.0.0.1:{ports[0]}", words)
-    other = Supernode("d", f"127.0.0.1:{ports[1]}", ["--id", "d", "--listen", f"127.0.0.1:{ports[1]}"])
-    try:
-        await one.start()
-        await other.start()
-        code, printed = await command("status", "--member", one.address, "-o", "json")
-        states = {row["supernode"]: row["state"] for row in json.loads(printed)}
-        assert (code, states) == (1, {"a": "no leader", "b": "d is there", "c": "down"})
-        code, printed = await command("remove", "c", "--member", one.address)
-        assert (code, "start supernodes until 2 of a, b, c serve" in printed) == (1, True), printed
-    finally:
-        await one.close()
-        await other.close()
+    async with running_cluster(tmp_path) as cluster:
+        await register(await cluster.leader(), 1)
+        one, gone, down = cluster.supernodes
+        await gone.end(signal.SIGKILL)
+        await down.end(signal.SIGKILL)
+        other = Supernode("d", gone.address, ["--id", "d", "--listen", gone.address])
+        try:
+            await other.start()
+            await status_has(one.address, "no leader")
+            code, printed = await command("status", "--member", one.address, "-o", "json")
+            states = {row["supernode"]: row["state"] for row in json.loads(printed)}
+            assert (code, states) == (1, {"s1": "no leader", "s2": "d is there", "s3": "down"})
+            code, printed = await command("remove", "s3", "--member", one.address)
+            assert (code, "start supernodes until 2 of s1, s2, s3 serve" in printed) == (1, True), printed
+        finally:
+            await other.close()
 
 
 async def test_a_founder_that_lost_its_disk_is_refused_and_what_was_acknowledged_before_is_kept(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ class DirectoryServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class DirectoryServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes")
+    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids")
     class RefusedSupernodesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -28,13 +28,15 @@ class DirectoryServicePingResponse(_message.Message):
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     REFUSED_SUPERNODES_FIELD_NUMBER: _ClassVar[int]
+    FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     supernode_id: str
     ready: bool
     cluster_id: str
     version: str
     refused_supernodes: _containers.ScalarMap[str, str]
-    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ...) -> None: ...
+    former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
     __slots__ = ("request_id", "name", "spec", "create", "host_name")
@@ -135,7 +137,7 @@ class DeleteChannelResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class RegisterHostRequest(_message.Message):
-    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version")
+    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "cluster_id")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -143,6 +145,7 @@ class RegisterHostRequest(_message.Message):
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     host_id: bytes
     name: str
@@ -150,7 +153,8 @@ class RegisterHostRequest(_message.Message):
     boot_incarnation: int
     version: str
     protocol_version: int
-    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ...) -> None: ...
+    cluster_id: str
+    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
     __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues")
@@ -169,12 +173,14 @@ class RegisterHostResponse(_message.Message):
     def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ...) -> None: ...
 
 class RenewHostLeaseRequest(_message.Message):
-    __slots__ = ("host_id", "boot_incarnation")
+    __slots__ = ("host_id", "boot_incarnation", "cluster_id")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     boot_incarnation: int
-    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
+    cluster_id: str
+    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
 
 class RenewHostLeaseResponse(_message.Message):
     __slots__ = ("lease_ttl_nanos", "tenure")

@@ -7,7 +7,13 @@ import gc
 import socket
 from collections.abc import Sequence
 
-from stampede_rt_channel_host.cluster.identity import HostIdentity, default_name, load_host_id, new_boot_incarnation
+from stampede_rt_channel_host.cluster.identity import (
+    HomeCluster,
+    HostIdentity,
+    default_name,
+    load_host_id,
+    new_boot_incarnation,
+)
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_runtime.clock import SystemClock
@@ -78,6 +84,7 @@ class _Service:
             memory_bytes_max=settings.memory_bytes_max,
             on_serving=self._serving_changed,
             on_defect=self._end,
+            home=HomeCluster(settings.data_dir),
         )
 
     def _name(self) -> str:

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
-from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
@@ -59,8 +59,10 @@ class ChannelHost:
         on_serving: Callable[[bool], None],
         on_defect: Callable[[BaseException], None],
         explain: Explain | None = None,
+        home: HomeCluster | None = None,
     ) -> None:
         self.identity = identity
+        self._home = home or HomeCluster()
         self._dial = dial
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
         apart = Supernodes(frontends, dial_apart, peer_name=identity.name, zone=identity.zone, explain=explain)
@@ -95,6 +97,7 @@ class ChannelHost:
             on_registered=registered,
             on_lease=lambda held: serving.run_soon(lambda: self._lease_changed(held)),
             has_hung=serving.has_hung,
+            home=self._home,
         )
 
     def _make_queues(

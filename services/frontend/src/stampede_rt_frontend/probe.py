@@ -132,6 +132,7 @@ async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.Dire
         cluster_id=said.cluster_id,
         ready=said.ready,
         round_trip_nanos=took if connected else None,
+        former_cluster_ids=tuple(said.former_cluster_ids),
     )
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from stampede_rt_frontend.ranking import Supernode, smooth
+from stampede_rt_runtime.cluster_ids import may_go_over
 
 SUPERNODES_MAX = 64  # probed at once; a consensus group has 3 to 7 members
 
@@ -21,6 +22,7 @@ class Answer:
     cluster_id: str
     ready: bool
     round_trip_nanos: int | None
+    former_cluster_ids: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,7 +63,11 @@ class Roster:
         if node is None:
             return True  # removed from the member list while its answer was on the way
         if not self._same_cluster(answer):
-            self._fail(node, f"belongs to another cluster, {answer.cluster_id}")
+            self._fail(
+                node,
+                f"belongs to another cluster, {answer.cluster_id}, and this front-end serves {self.cluster_id}; if "
+                "that one is gone for good, start the front-end again",
+            )
             return False
         measured = answer.round_trip_nanos
         trip = node.round_trip_nanos if measured is None else smooth(node.round_trip_nanos, measured)
@@ -132,7 +138,9 @@ class Roster:
             return True
         if self.cluster_id and self.any_healthy():
             return False
-        # The first cluster seen, or the old one is gone and another was founded at its addresses.
+        if not may_go_over(self.cluster_id, answer.cluster_id, answer.former_cluster_ids):
+            return False  # ours may come back
+        # The first cluster seen, or one that takes the place of ours, which is gone.
         self.cluster_id, self._position = answer.cluster_id, (0, 0)
         self._listed = {}
         return True

@@ -68,6 +68,7 @@ async def serve(settings: SupernodeSettings) -> None:
             parts.probe.run(),
             _follow_leader(server, parts.members),
             _watch_removal(server, log, keeps=settings.data_dir is not None),
+            _watch_founding(server, parts, founding),
         ]
         if founding.token and settings.data_dir is not None:
             work.append(_enter(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
@@ -119,7 +120,8 @@ def _assemble(
     clock = SystemClock()
     submission = Submission(log, time_unix_nano=clock.time_unix_nano)
     leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
-    leases.founding_cluster_id = founding.log_cluster_id
+    leases.founding_cluster_id = "" if founding.listed or founding.joining else founding.log_cluster_id
+    leases.takes_over, leases.in_memory = founding.takes_over, settings.data_dir is None
     probe = Probe(log, credentials, explain=credentials.explain)
     members = Members(log, replica, probe, advertise=settings.advertise or founding.address, zone=settings.zone)
     tokens = JoinTokens(credentials.secret.text if credentials.secret else "")
@@ -198,6 +200,20 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
                 f"as of a backup or a machine that was restored; start it with the folder as it was last, or {anew}"
             )
         await asyncio.sleep(HEALTH_SECONDS)
+
+
+async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Founding) -> None:
+    """End the service if it is to found a cluster with others who were given another list of members."""
+    while founding.listed and not server.stopping.is_set():
+        if parts.replica.read(lambda directory: directory.tenure > 0):
+            break  # it is founded: whoever comes with another list now is refused, and that is all
+        if other := parts.log.status().other_cluster:
+            raise StampedeError(
+                f"supernode {founding.supernode_id} founds no cluster with --members {', '.join(founding.members)}: "
+                f"one of them was given another list, or is of another cluster ({other}); give all the same --members"
+            )
+        await asyncio.sleep(HEALTH_SECONDS)
+    await asyncio.Event().wait()
 
 
 async def _follow_leader(server: ServiceServer, members: Members) -> None:

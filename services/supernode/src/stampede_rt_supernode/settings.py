@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.policy import parse_name
+from stampede_rt_runtime.cluster_ids import listed_cluster_id
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.routes import is_loopback
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS
 from stampede_rt_supernode.joining.founding import Founding, read_founding
-from stampede_rt_supernode.replication import holds_store
+from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, holds_store, read_identity
 
 DEFAULT_ID = "supernode-1"
 MEMBERS_MAX = 9  # a majority of more costs more than it protects
@@ -107,14 +109,22 @@ class SupernodeSettings(ServiceSettings):
             return prepared
         if self.members:
             members = dict(self._pairs())
-            return Founding(supernode_id=self.id, address=members[self.id], members=members)
+            return self._listed(self.id, members[self.id], members)
         name, address = self.id or DEFAULT_ID, self.advertise or listening_at
         if self.data_dir is not None and not holds_store(self.data_dir):
             raise StampedeError(
                 f"{self.data_dir} holds no supernode yet: found a cluster there with `stampede supernode init`, enter "
                 "one with `stampede supernode join`, or start the founders of one with --members"
             )
-        return Founding(supernode_id=name, address=address, members={name: address})
+        return self._listed(name, address, {name: address})
+
+    def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
+        """One of the founders in the list. The store knows best of which cluster it is: a list may change later."""
+        cluster_id = listed_cluster_id(members)
+        if self.data_dir is not None and holds_store(self.data_dir):
+            with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens it says so
+                cluster_id, _ = read_identity(self.data_dir)
+        return Founding(supernode_id=name, address=address, members=members, log_cluster_id=cluster_id, listed=True)
 
     def _pairs(self) -> Iterator[tuple[str, str]]:
         for member in self.members:

@@ -13,6 +13,7 @@ from stampede_rt_runtime.written import naming
 
 ID_BYTES = 16
 _FILE = "host-id"
+_CLUSTER_FILE = "cluster-id"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -35,15 +36,35 @@ def load_host_id(folder: Path | None) -> bytes:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     place = folder / _FILE
     if not place.exists():
-        _write_once(place, secrets.token_bytes(ID_BYTES))
+        _write_once(place, secrets.token_hex(ID_BYTES))
     return _read(place)
 
 
-def _write_once(place: Path, host_id: bytes) -> None:
+class HomeCluster:
+    """The cluster that this host is of: the one with which it has registered. Kept in `folder`, if there is one.
+
+    Reads and writes a file.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._place = None if folder is None else folder / _CLUSTER_FILE
+        kept = self._place is not None and self._place.exists()
+        self.cluster_id = self._place.read_text().strip() if kept and self._place else ""
+
+    def note(self, cluster_id: str) -> None:
+        """The directory has let this host in, as one of that cluster. Raises OSError."""
+        if cluster_id in ("", self.cluster_id):
+            return
+        if self._place is not None:
+            _write_once(self._place, cluster_id)
+        self.cluster_id = cluster_id
+
+
+def _write_once(place: Path, text: str) -> None:
     """The file appears whole or not at all, so that a crash leaves no half an id behind."""
     draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
     with naming(place), draft.open("w") as file:
-        file.write(host_id.hex() + "\n")
+        file.write(text + "\n")
         file.flush()
         os.fsync(file.fileno())
     draft.rename(place)

@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
-from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import RENEWALS_PER_TTL, LeaseKeeper
 from stampede_rt_channel_host.cluster.supernodes import Supernodes, may_pass
 from stampede_rt_runtime.clock import HostClock
@@ -36,7 +36,8 @@ class Registration:
 
     `on_registered` hears of every registration with the directory's answer, and is waited for, before anything is
     served under it; `on_lease` hears True when the lease begins to hold, and False when it ran out. While `has_hung`
-    says that nothing is served anyway, the lease is not renewed. Order: `enter`, `keep`, `leave`. All of it runs on one
+    says that nothing is served anyway, the lease is not renewed. `home`: the cluster that it is
+    of, any until it has registered. Order: `enter`, `keep`, `leave`. All of it runs on one
     event loop; `lease_held` may be asked from any thread.
     """
 
@@ -49,6 +50,7 @@ class Registration:
         on_registered: Callable[[RegisterHostResponse], Awaitable[None]],
         on_lease: Callable[[bool], None],
         has_hung: Callable[[], bool] = lambda: False,
+        home: HomeCluster | None = None,
     ) -> None:
         self._identity = identity
         self._supernodes = supernodes
@@ -56,6 +58,7 @@ class Registration:
         self._on_registered = on_registered
         self._on_lease = on_lease
         self._has_hung = has_hung
+        self._home = home or HomeCluster()
         self._lease = LeaseKeeper()
         self._told_held = False  # what on_lease heard last
         self._unrenewed_since_s: float | None = None  # when renewals began to fail, if they do
@@ -148,7 +151,9 @@ class Registration:
 
     async def _renew(self) -> None:
         request = directory_service_pb2.RenewHostLeaseRequest(
-            host_id=self._identity.host_id, boot_incarnation=self._identity.boot_incarnation
+            host_id=self._identity.host_id,
+            boot_incarnation=self._identity.boot_incarnation,
+            cluster_id=self._home.cluster_id,
         )
         sent = self._clock.boottime_nanos()
         timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9
@@ -166,6 +171,7 @@ class Registration:
             boot_incarnation=one.boot_incarnation,
             version=software_version(),
             protocol_version=PROTOCOL_VERSION,
+            cluster_id=self._home.cluster_id,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)
@@ -174,6 +180,7 @@ class Registration:
                 f"the directory speaks protocol {response.protocol_version}, this host {PROTOCOL_VERSION} (version "
                 f"{software_version()}); install the same release on both"
             )
+        await asyncio.to_thread(self._home.note, response.cluster_id)
         await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
         logger.info("registered", extra={"host": one.name, "channels": len(response.channels)})

@@ -178,6 +178,7 @@ def _tenure_message(deed: BeginTenure) -> pb.BeginTenureCommand:
         new_cluster_id=deed.new_cluster_id,
         new_lease_ttl_nanos=deed.new_lease_ttl_nanos,
         founded_anew=deed.founded_anew,
+        takes_over=deed.takes_over,
     )
 
 
@@ -269,6 +270,7 @@ def _read_tenure(message: pb.BeginTenureCommand) -> BeginTenure:
         new_cluster_id=message.new_cluster_id,
         new_lease_ttl_nanos=message.new_lease_ttl_nanos,
         founded_anew=message.founded_anew,
+        takes_over=message.takes_over,
     )
 
 

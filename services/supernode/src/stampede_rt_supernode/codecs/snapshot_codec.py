@@ -133,6 +133,7 @@ def _head(directory: Directory) -> bytes:
         lease_ttl_nanos=directory.lease_ttl_nanos,
         hosts=[host_entry(hosts[host_id]) for host_id in sorted(hosts)],
         time_marks=directory.answered.marks,
+        former_cluster_ids=directory.former_cluster_ids,
     ).SerializeToString()
 
 
@@ -175,6 +176,7 @@ def decode_snapshot(encoded: bytes) -> Directory:
         peers=[peer_from(entry) for entry in message.peers],
         answers=[_answer(operation) for operation in message.remembered_operations],
         time_marks=message.time_marks,
+        former_cluster_ids=message.former_cluster_ids,
     )
 
 

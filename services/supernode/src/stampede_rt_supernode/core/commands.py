@@ -110,7 +110,8 @@ class ExpireHost:
 class BeginTenure:
     """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
 
-    `founded_anew`: by restoring, so that the id is to replace that of the former cluster.
+    `founded_anew`: by restoring, so that the id is to replace that of the former cluster; `takes_over`: whose hosts may
+    go over to this one.
     """
 
     tenure: int
@@ -118,6 +119,7 @@ class BeginTenure:
     new_cluster_id: str
     new_lease_ttl_nanos: int
     founded_anew: bool = False
+    takes_over: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

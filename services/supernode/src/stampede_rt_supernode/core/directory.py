@@ -79,6 +79,8 @@ from stampede_rt_supernode.core.replicas.transitions import (
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
+FORMER_MAX = 16
+
 _CHECKS: Mapping[type[Deed], Callable[[Any], None]] = {
     OpenChannel: check_open,
     UpdateChannel: check_update,
@@ -144,10 +146,13 @@ class Directory:
         peers: Iterable[Peer] = (),
         answers: Iterable[Answer] = (),
         time_marks: Iterable[int] = (),
+        former_cluster_ids: Iterable[str] = (),
     ) -> None:
         self.tenure = tenure
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
+        # The clusters whose place this one has taken.
+        self.former_cluster_ids = tuple(former_cluster_ids)
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
         self.answered = Answered(answers, time_marks)
 
@@ -230,6 +235,8 @@ class Directory:
         """A leader's first entry; one of a leader that was already replaced is without effect."""
         self.tenure = max(self.tenure, deed.tenure)
         if deed.founded_anew or not self.cluster_id:
+            if self.cluster_id and deed.takes_over and self.cluster_id != deed.new_cluster_id:
+                self.former_cluster_ids = (*self.former_cluster_ids, self.cluster_id)[-FORMER_MAX:]
             self.cluster_id = deed.new_cluster_id
         self.lease_ttl_nanos = self.lease_ttl_nanos or deed.new_lease_ttl_nanos
         return TenureBegun(tenure=self.tenure, cluster_id=self.cluster_id)

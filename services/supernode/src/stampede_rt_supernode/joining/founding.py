@@ -27,7 +27,12 @@ class Founding:
     supernode_id: str
     address: str
     members: dict[str, str]
+    # What the members call the cluster among each other; founded by `init`, it is the cluster's own id.
     log_cluster_id: str = ""
+    # Whether it is founded by a list of members, which they all were given.
+    listed: bool = False
+    # Whether the hosts of the cluster that is restored may go over to this one.
+    takes_over: bool = False
     joining: bool = False
     # Lets it in; forgotten once it is a member. Not shown.
     token: str = field(default="", repr=False)

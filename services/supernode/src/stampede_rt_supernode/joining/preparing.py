@@ -39,6 +39,11 @@ def prepare(argv: Sequence[str]) -> int:
         metavar="PATH",
         help="take over what a backup holds (see `stampede supernode snapshot`), or a lost member's folder",
     )
+    init.add_argument(
+        "--take-over",
+        action="store_true",
+        help="with --restore: the former cluster is gone for good, and its hosts and front-ends go over to this one",
+    )
     join = verbs.add_parser("join", help="enter a cluster", description="Enter a running cluster, under a new id.")
     join.set_defaults(run=_run_join)
     add_place(join)
@@ -64,6 +69,8 @@ def _run_init(arguments: argparse.Namespace) -> int:
     name, address = _name(arguments), _address(arguments)
     cluster_id = secrets.token_hex(16)
     founding = Founding(supernode_id=name, address=address, members={name: address}, log_cluster_id=cluster_id)
+    if arguments.take_over and arguments.restore is None:
+        raise ValueError("--take-over goes with --restore: there is no former cluster otherwise")
     if arguments.restore is not None:
         founding = _restored(arguments, founding)
     write_founding(arguments.data_dir, founding)
@@ -79,7 +86,7 @@ def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
     except (StoreDamaged, StoreRefused) as error:
         raise StampedeError(str(error)) from error
     _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")
-    return replace(founding, started=True)
+    return replace(founding, started=True, takes_over=arguments.take_over)
 
 
 def _run_join(arguments: argparse.Namespace) -> int:

@@ -29,7 +29,7 @@ from stampede_rt_supernode.replication.links import CHANNEL_OPTIONS
 from stampede_rt_supernode.replication.replicated_log import open_replicated_log
 from stampede_rt_supernode.replication.restoring import restore_from
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, RaftTiming, ReplicationSettings
-from stampede_rt_supernode.replication.sqlite_store import holds_store
+from stampede_rt_supernode.replication.sqlite_store import holds_store, read_identity
 from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
 
 __all__ = [
@@ -56,5 +56,6 @@ __all__ = [
     "holds_store",
     "make_backup",
     "open_replicated_log",
+    "read_identity",
     "restore_from",
 ]

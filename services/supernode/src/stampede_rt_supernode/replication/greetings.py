@@ -19,6 +19,8 @@ REMOVED = "was removed from this cluster"
 ANOTHER_STORE = "has come with another store before"
 # In the refusal of a member whose store lacks what it has promised.
 OLDER_STORE = "comes with an older copy of its store"
+# In the refusal of one that is of another cluster.
+OTHER_CLUSTER = "is of another cluster"
 # In the refusal of one that is not known, as who just joins is not for a moment.
 UNKNOWN = "is no other member of this cluster"
 
@@ -58,7 +60,7 @@ def refusal_of(
     if hello.protocol_version != PROTOCOL_VERSION:
         return Refusal(failed, f"this member speaks protocol {PROTOCOL_VERSION}, not {hello.protocol_version}")
     if hello.cluster_id != settings.cluster_id:
-        return Refusal(failed, f"this member is of cluster {settings.cluster_id!r}, not {hello.cluster_id!r}")
+        return Refusal(failed, f"this member {OTHER_CLUSTER}, {settings.cluster_id!r} and not {hello.cluster_id!r}")
     if hello.peer_member_id != own:
         return Refusal(failed, f"this is member {own!r}, not {hello.peer_member_id!r}")
     if caller in roster.removed:

@@ -46,10 +46,11 @@ class Member:
 class ReplicationStatus:
     """What a replica believes of the log at this moment; it may be stale.
 
-    `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may be
-    committed or not yet. `removed`: another member has said that this one was removed, for good; `has_lost_store`: that
-    it was here before with another store; `has_old_store`: that its store lacks what it has promised. `refused`: by id,
-    why this one does not take the store with which another member came last.
+    `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may
+    be committed or not yet. `removed`: another member has said that this one was removed, for good;
+    `has_lost_store`: that it was here before with another store; `has_old_store`: that its store lacks what it has
+    promised; `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
+    take the store with which another member came last.
     """
 
     self_id: str
@@ -62,6 +63,7 @@ class ReplicationStatus:
     removed: bool = False
     has_lost_store: bool = False
     has_old_store: bool = False
+    other_cluster: str = ""
     refused: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -16,7 +16,7 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.codec import MalformedMessage, decode_members
-from stampede_rt_supernode.replication.greetings import ANOTHER_STORE, OLDER_STORE, REMOVED, UNKNOWN
+from stampede_rt_supernode.replication.greetings import ANOTHER_STORE, OLDER_STORE, OTHER_CLUSTER, REMOVED, UNKNOWN
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
@@ -107,7 +107,7 @@ class Link:
                 await self._hold_stream()
             except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
                 self._report(_brief(error))
-                self._on_refused(str(error))
+                self._on_refused(_brief(error))
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:
@@ -243,6 +243,8 @@ class Links:
         # True since a member has said that this one was removed for good, that it had another store before, or that
         # its store is an older copy.
         self.removed = self.has_lost_store = self.has_old_store = False
+        # What a member has said that is of another cluster; empty if none has.
+        self.other_cluster = ""
         # Told once why others do not take this member's store; blocks for one small file.
         self.on_store_refused: Callable[[str], None] = lambda why: None
 
@@ -279,6 +281,8 @@ class Links:
                 self._tasks[member_id] = task
 
     def _on_refused(self, why: str) -> None:
+        if OTHER_CLUSTER in why:
+            self.other_cluster = why
         took_store = not (self.has_lost_store or self.has_old_store)
         self.removed = self.removed or REMOVED in why
         self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why

@@ -107,13 +107,14 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
         refused = self._servicer.refused() if self._servicer is not None else {}
-        if not (links.is_refused or refused):
+        if not (links.is_refused or links.other_cluster or refused):
             return status
         return replace(
             status,
             removed=links.removed,
             has_lost_store=links.has_lost_store,
             has_old_store=links.has_old_store,
+            other_cluster=links.other_cluster,
             refused=refused,
         )
 

@@ -65,7 +65,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             time_unix_nano=self._clock.time_unix_nano(),
             supernode_id=self._members.self_id,
             ready=self._members.ready(),
-            cluster_id=self._replica.read(lambda directory: directory.cluster_id),
+            cluster_id=self._leases.cluster_id(),
+            former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
             version=software_version(),
             refused_supernodes=self._members.refused(),
         )
@@ -140,6 +141,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:
         """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
         check_protocol(request.protocol_version, request.version)
+        await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id, request.name)
         deed = commands.RegisterHost(
             host_id=request.host_id,
@@ -163,6 +165,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @refusing
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Any) -> pb.RenewHostLeaseResponse:
         """See the contract. Leaves no entry in the log."""
+        await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=seconds_left(context)

@@ -10,9 +10,10 @@ import secrets
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
-from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeError, Unavailable
+from stampede_rt.errors import HostNotFound, InvalidArgument, LeaseExpired, NotLeader, StampedeError, Unavailable
 from stampede_rt.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.cluster_ids import may_go_over, new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS
 from stampede_rt_supernode.core.commands import (
     BeginTenure,
@@ -77,8 +78,10 @@ class LeaseKeeper:
         self._peers_followed = (0, 0)
         # The last mark of time, and when this leader saw it first, or began to lead.
         self._last_mark = self._marked_nanos = 0
-        # The id that the founder gave the cluster; left empty, the first leader makes one.
-        self.founding_cluster_id = ""
+        # The id that the founder gave the cluster, and whether this one takes the place of a restored one.
+        self.founding_cluster_id, self.takes_over = "", False
+        # Whether the cluster ends with its processes: its id says so, if the first leader makes it.
+        self.in_memory = False
 
     async def run(self) -> None:
         """Tick until cancelled."""
@@ -111,10 +114,11 @@ class LeaseKeeper:
         deed = BeginTenure(
             tenure=status.tenure,
             supernode_id=status.self_id,
-            new_cluster_id=self.founding_cluster_id or secrets.token_hex(16),
+            new_cluster_id=self.founding_cluster_id or new_cluster_id(in_memory=self.in_memory),
             new_lease_ttl_nanos=self._founding_ttl_nanos,
             # Front-ends tell clusters apart by it: they must not take one that comes back for the restored one.
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
+            takes_over=self.takes_over,
         )
         begun = await self._submission.submit(deed, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
@@ -175,6 +179,29 @@ class LeaseKeeper:
         peers = directory.tables.peers
         state = (self._replica.restored, peers.changes.end_position)
         return None if state == self._peers_followed else list(peers.live()), state
+
+    def cluster_id(self) -> str:
+        """Which cluster this is, or is about to be, once its founder has begun to lead."""
+        return self.founding_cluster_id or self._replica.read(lambda directory: directory.cluster_id)
+
+    async def check_cluster(self, cluster_id: str, *, seconds: float) -> None:
+        """Raises InvalidArgument if a host of that cluster must not be one of this: the other one may still serve.
+
+        While this one is being founded, by restoring that one perhaps, it waits; then raises Unavailable (NO_QUORUM).
+        """
+        deadline = asyncio.get_running_loop().time() + seconds
+        while (held := self._replica.read(lambda directory: directory.cluster_id)) not in ("", self.cluster_id()):
+            if asyncio.get_running_loop().time() > deadline:
+                raise Unavailable(f"cluster {held} is just being restored; try again in a moment", reason="NO_QUORUM")
+            await asyncio.sleep(TICK_SECONDS)
+        own, former = self.cluster_id(), self._replica.read(lambda directory: directory.former_cluster_ids)
+        if not may_go_over(cluster_id, own, former):
+            raise InvalidArgument(
+                f"this supernode is of cluster {own}, and the host of cluster {cluster_id}, which may still serve; if "
+                "that one is gone for good, stop the host, remove the file cluster-id from its data folder, and start "
+                "it again (or restore with `stampede supernode init --restore --take-over`)",
+                metadata={"cluster_id": own},
+            )
 
     async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
         """Prolong the lease of a host; returns its TTL in nanoseconds and the tenure.

@@ -1,0 +1,102 @@
+"""Hosts of one cluster before the supernodes of another one, and founders who were given different lists."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.v1 import directory_service_pb2 as pb
+from tests.unit.supernode.processes import (
+    Supernode,
+    attempts,
+    called,
+    free_ports,
+    open_channel,
+    register,
+    resolve,
+    running_cluster,
+)
+from tests.unit.supernode.test_coming_and_going import cluster_id, command, prepared
+
+pytestmark = pytest.mark.timeout(120)
+
+
+async def renewed(one: Supernode, number: int, former: str) -> None:
+    """Renew a host's lease; tried again while the supernode just begins to lead."""
+    request = pb.RenewHostLeaseRequest(host_id=number.to_bytes(16, "big"), boot_incarnation=1, cluster_id=former)
+    async for _ in attempts():
+        with contextlib.suppress(Unavailable):
+            await called(one.stub.RenewHostLease(request, timeout=20, wait_for_ready=True), one)
+            return
+
+
+@pytest.mark.parametrize("takes_over", [False, True])
+async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_was_told_to(
+    tmp_path: Path, takes_over: bool
+) -> None:
+    ports, backup = free_ports(2), tmp_path / "backup"
+    former = await prepared("init", "a", ports[0], tmp_path)
+    running = [former]
+    try:
+        await former.start()
+        await register(former, 1)
+        await open_channel(former, "cam/kept")
+        former_id = await cluster_id(former)
+        code, printed = await command("snapshot", "--member", former.address, "--out", str(backup))
+        assert code == 0, printed
+        words = ["--restore", str(backup), *(["--take-over"] if takes_over else [])]
+        restored = await prepared("init", "r", ports[1], tmp_path, *words)
+        running.append(restored)
+        await restored.start()
+        await resolve(restored, "cam/kept")
+        if takes_over:
+            await renewed(restored, 1, former_id)
+            await register(restored, 1, cluster_id=former_id)
+            await restored.end(signal.SIGTERM)
+            await restored.start()
+            await renewed(restored, 1, former_id)
+            return
+        for refused in (renewed(restored, 1, former_id), register(restored, 1, cluster_id=former_id)):
+            with pytest.raises(InvalidArgument, match="which may still serve; if that one is gone for good"):
+                await refused
+        own = await cluster_id(restored)
+        assert own != former_id
+        await register(restored, 2, cluster_id=own)
+        await renewed(former, 1, former_id)
+    finally:
+        for one in running:
+            await one.close()
+
+
+async def test_founders_with_different_lists_found_nothing_and_say_so(tmp_path: Path) -> None:
+    ports = free_ports(5)
+    listed = [f"s{number}=127.0.0.1:{port}" for number, port in enumerate(ports, start=1)]
+
+    def founder(number: int, members: list[str]) -> list[str]:
+        name, address = f"s{number}", f"127.0.0.1:{ports[number - 1]}"
+        data_dir = str(tmp_path / name)
+        return ["--listen", address, "--id", name, "--members", ",".join(members), "--data-dir", data_dir]
+
+    alone = Supernode("s1", f"127.0.0.1:{ports[0]}", founder(1, listed[:3]))
+    try:
+        await alone.start()
+        code, printed = await command(*founder(3, listed))
+        assert (code, "give all the same --members" in printed) == (1, True), printed
+    finally:
+        await alone.close()
+
+
+async def test_the_members_of_a_listed_cluster_may_be_given_another_list_once_it_is_founded(tmp_path: Path) -> None:
+    async with running_cluster(tmp_path) as cluster:
+        leader = await cluster.leader()
+        await register(leader, 1)
+        one, _ = cluster.others(leader)
+        await one.end(signal.SIGTERM)
+        place = one._arguments.index("--members") + 1
+        one._arguments[place] = ",".join(reversed(one._arguments[place].split(","))) + ",s9=127.0.0.1:1"
+        await one.start()
+        await open_channel(one, "cam/1")
