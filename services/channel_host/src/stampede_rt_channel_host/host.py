@@ -66,6 +66,7 @@ class ChannelHost:
         self._dial = dial
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
         apart = Supernodes(frontends, dial_apart, peer_name=identity.name, zone=identity.zone, explain=explain)
+        self._known_by_lease = apart.known
         self._lease = LeaseThread(lambda serving: self._make_registration(apart, clock, serving))
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim())
         self.store = ChannelStore(
@@ -131,6 +132,7 @@ class ChannelHost:
         self._gatekeeper.target = target
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
+        self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before anything else is asked
         self._start(self._lease.keep(), "lease")
         self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")

@@ -115,6 +115,15 @@ class Supernodes:
         finally:
             call.cancel()
 
+    def known(self) -> tuple[str, ...]:
+        """The addresses of the supernodes, the one to ask first in front. Callable on any thread."""
+        return tuple(self._targets)
+
+    def learn(self, targets: Sequence[str]) -> None:
+        """Take over what another way to the directory has found, unless this one has found some itself."""
+        if not self._targets:
+            self._targets = list(targets)
+
     async def bind(self, deadline_s: float) -> None:
         """Ask the front-ends, one after the other, for the supernodes. Raises Unavailable, VersionMismatch, ..."""
         failure: StampedeError = Unavailable("no front-end was asked in time")
