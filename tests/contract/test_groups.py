@@ -258,6 +258,73 @@ async def test_a_match_pairs_the_nearest_and_names_who_has_none(surface: Surface
     assert matches.unmatched == 1
 
 
+@pytest.mark.parametrize("per_is_left", [True, False])
+async def test_a_unique_match_gives_each_item_once_to_the_nearest_also_after_a_break(
+    surface: Surface, per_is_left: bool
+) -> None:
+    left, right = (await two_channels(surface))[:: 1 if per_is_left else -1]
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    async with group.match(left, "10ms", unique=True, partial=True) as matches:
+        for time in (10, 14, 40):
+            await left.put(b"l", time=base + time * MS)
+        for time in (5, 13, 60):
+            await right.put(b"r", time=base + time * MS)
+        pairs = [[item.time - base for item in one.values()] for one in await take(matches, 2)]
+        assert pairs == [[10 * MS, 5 * MS], [14 * MS, 13 * MS]]
+        matches._stream.cancel()
+        await left.put(b"l", time=base + 100 * MS)
+        (alone,) = await take(matches, 1)
+        assert [channel.name for channel in alone.missing] == [right.name]
+        matches._stream.cancel()
+        await left.put(b"l", time=base + 55 * MS)
+        await right.put(b"r", time=base + 200 * MS)
+        await left.put(b"l", time=base + 200 * MS)
+        (pair,) = await take(matches, 1)
+        assert [item.time - base for item in pair.values()] == [55 * MS, 60 * MS]
+        assert matches.dropped == 0
+
+
+@pytest.mark.parametrize("per_is_left", [True, False])
+async def test_items_that_come_out_of_order_by_the_lateness_are_matched_and_not_dropped(
+    surface: Surface, per_is_left: bool
+) -> None:
+    left, right = (await two_channels(surface))[:: 1 if per_is_left else -1]
+    group, base = await surface.group(group_name(), [left, right]), st.now() - 20 * SECOND
+    async with group.match(left, "5ms", lateness="100ms") as matches:
+        for time in (0, 20, 80, 10, 300):
+            await left.put(b"l", time=base + time * MS)
+        for time in (4, 24, 90, 1, 9, 84, 300):
+            await right.put(b"r", time=base + time * MS)
+        pairs = [[item.time - base for item in one.values()] for one in await take(matches, 4)]
+        assert pairs == [[0, MS], [10 * MS, 9 * MS], [20 * MS, 24 * MS], [80 * MS, 84 * MS]]
+        assert matches.dropped == 0
+
+
+async def test_a_negative_lateness_is_refused(surface: Surface) -> None:
+    group, left, _, _ = await in_step(surface)
+    with pytest.raises(st.InvalidArgument, match="lateness"):
+        async with group.match(left, "5ms", lateness="-1s"):
+            pass
+    with pytest.raises(st.InvalidArgument, match="lateness"):
+        async with group.subscribe(lateness="-1s"):
+            pass
+
+
+async def test_a_cut_event_waits_for_items_that_are_no_later_than_its_lateness(surface: Surface) -> None:
+    group, left, right, base = await in_step(surface)
+    async with group.subscribe("10s", lateness="100ms") as cuts:
+        for channel, times in ((left, (0, 50, 20, 120)), (right, (0, 50, 30))):
+            for time in times:
+                await channel.put(b"%d" % time, time=base + time * MS)
+        for time in (150, 300):
+            for channel in (right, left):
+                await channel.put(b"%d" % time, time=base + time * MS)
+        brought = await event_at(cuts, base + 50 * MS)
+        assert brought[left.name][:2] == [b"0", b"20"]
+        assert brought[right.name][:2] == [b"0", b"30"]
+        assert brought["late"] == []
+
+
 async def test_the_status_says_who_holds_the_cut(surface: Surface) -> None:
     group, left, right, base = await in_step(surface)
     await left.put(b"l", time=base)

@@ -127,3 +127,28 @@ def test_a_group_is_opened_again_with_its_members_and_its_events_say_that_all_wa
     for gone in (group.newest, group[left].newest, group.refresh):
         with pytest.raises(st.GroupNotFound, match="anew/pair"):
             gone()
+
+
+def test_a_match_says_that_all_was_lost_though_nobody_puts_and_begun_anew_gives_new_sets(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    left, right = rt.channel("anew/one"), rt.channel("anew/two")
+    group = rt.group("anew/matched", [left, right])
+    matches = group.match(per=left, tolerance="10ms")
+    base = st.now()
+    assert put_pairs(base, left, right) == next(matches).time
+    restart(cluster)
+    with pytest.raises(st.IncarnationLost, match="anew/matched"):
+        next(matches)
+    with group.match(per=left, tolerance="10ms") as anew:
+        earlier = base - 10**9  # time may begin anew, too, as in a replay
+        assert put_pairs(earlier, left, right) == next(anew).time
+
+
+def put_pairs(time: int, *channels: st.Channel) -> int:
+    """A pair, and what shows that nothing nearer comes; its time."""
+    for channel in channels:
+        channel.put(b"pair", time=time)
+    for channel in channels:
+        channel.put(b"later", time=time + 10**8)
+    return time

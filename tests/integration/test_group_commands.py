@@ -111,10 +111,15 @@ def test_cuts_and_matches_are_printed_as_they_come(
     producer.start()
     try:
         cut = json.loads(run("watch", "live", "-n", "1", "-o", "jsonl")[1])
-        match = json.loads(run("match", "live", "--per", "rig/left", "--tolerance", "1ms", "-n", "1", "-o", "jsonl")[1])
+        words = ["match", "live", "--per", "rig/left", "--tolerance", "1ms", "-n", "1", "-o", "jsonl"]
+        match = json.loads(run(*words)[1])
+        unique = json.loads(run(*words, "--unique", "--lateness", "20ms")[1])
+        waited = json.loads(run("watch", "live", "-n", "1", "-o", "jsonl", "--lateness", "20ms")[1])
+        assert run(*words, "--lateness=-1s")[0] != 0
     finally:
         stop.set()
         producer.join()
     assert cut["incomplete"] == []
-    assert match["missing"] == []
+    assert waited["incomplete"] == []
+    assert match["missing"] == unique["missing"] == []
     assert match["items"]["rig/left"]["payload"] == match["items"]["rig/right"]["payload"]

@@ -96,7 +96,7 @@ async def test_matches_wait_for_credit_and_take_what_all_their_items_take(
     call: Any = host.groups.SubscribeMatches()
     await call.write(pb.SubscribeMatchesRequest(open=begun))
     async with asyncio.timeout(WAIT_SECONDS):
-        assert (await call.read()).HasField("resume_after")
+        assert (await call.read()).HasField("cursor")
         for number in range(10):
             await left.put(t + 10 * number)
             await right.put(t + 10 * number)

@@ -266,7 +266,7 @@ async def test_matches_pair_the_nearest_items(host: Host) -> None:
         per_channel_id=left.channel_id,
         epoch=1,
         tolerance_nanos=3,
-        after=item_pb2.ItemPosition(time_unix_nano=t),
+        after=pb.MatchCursor(after=item_pb2.ItemPosition(time_unix_nano=t)),
     )
     call = host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40),)))
     await right.put(t + 9, t + 12, t + 40)

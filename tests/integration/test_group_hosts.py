@@ -148,7 +148,7 @@ async def test_matches_reach_over_hosts(pair: Pair) -> None:
         per_channel_id=pair.left.channel_id,
         epoch=1,
         tolerance_nanos=3,
-        after=item_pb2.ItemPosition(time_unix_nano=t),
+        after=pb.MatchCursor(after=item_pb2.ItemPosition(time_unix_nano=t)),
     )
     call = pair.left.host.groups.SubscribeMatches(iter((pb.SubscribeMatchesRequest(open=begun, credit_bytes=2**40),)))
     found: list[pb.ItemMatch] = []

@@ -123,7 +123,7 @@ async def test_matches_go_on_where_they_began_though_none_had_come_yet(host: Hos
     group = host.directory.add_group("pair", [left, right])
     await left.put(t)
     begun = matching(left, group)
-    place = (await begun.read()).resume_after
+    place = (await begun.read()).cursor
     begun.cancel()
     await left.put(t + 5)
     resumed = matching(left, group, after=place)

@@ -27,11 +27,12 @@ TAUGHT = {
     "time-model.md": [
         "COLLECTED", "NEVER", "NOT_YET", "LOST", "IncarnationLost",
         "max_age=", "max_items=", "max_bytes=", "consumers=", "max_age_unconsumed=", '"reject"', '"block"',
-        "configure(", "advance(",
+        "configure(", "advance(", "newest(after=", "NOW + ",
     ],
     "groups.md": [
         "reference=", 'bound="end"', "idle_after=", "HIDDEN", "complete=True", ".newest(", ".get(", ".subscribe(",
-        ".late[", ".incomplete", ".match(", "partial=True", ".missing", ".unmatched", "cross_section(", 'over="span"',
+        ".late[", ".incomplete", ".match(", "unique=True", "lateness=", "partial=True",
+        ".missing", ".unmatched", "cross_section(", 'over="span"',
         ".status()", ".waiting_on", ".add(", ".remove(", ".delete()",
     ],
     "queues.md": [

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from stampede_rt.timeline import MetaTime, ResolvedInterval
 from stampede_rt_channel_host.core.channel import Query
 from tests.oracle.channel import Item, OracleChannel
+from tests.oracle.pairs import paired
 from tests.oracle.reading import OracleReader, _remaining
 
 
@@ -180,12 +181,29 @@ class OracleGroup:
         cuts = {one: self.cut_of(one) for one in self.counting(clock)}
         return sorted(one for one, own in cuts.items() if own is None or (self.cut is not None and own <= self.cut))
 
-    def due(self, cut: int, since: int, max_wait: int, clock: int) -> tuple[bool, tuple[bytes, ...]]:
+    def due(self, cut: int, since: int, max_wait: int, lateness: int, clock: int) -> tuple[bool, tuple[bytes, ...]]:
         """Whether an event for a cut that was reached at some time is due, and which members are behind."""
-        marks = {one: self.mark_of(one) for one in sorted(self.members)}
-        behind = tuple(one for one, mark in marks.items() if mark is None or mark < cut)
-        waits = clock < since + max_wait and any(not self.is_idle(one, clock) for one in behind)
+        behind = tuple(one for one in sorted(self.members) if not self._is_at(one, cut, lateness))
+        waits = clock < since + max_wait + lateness and any(not self.is_idle(one, clock) for one in behind)
         return not waits, behind
+
+    def _is_at(self, channel_id: bytes, cut: int, lateness: int) -> bool:
+        """Nothing before the cut is to come any more that is not later than it may be."""
+        heard = self.heard(channel_id)
+        if heard is None:
+            return False
+        newest, advance = heard.said.newest, heard.said.advance
+        return (newest is not None and newest >= cut + lateness) or (advance is not None and advance >= cut)
+
+    def between(self, low: int | None, high: int, lateness: int, clock: int) -> int | None:
+        """The latest instant after `low` and before `high` at which all are that are waited for."""
+        awake = [one for one in sorted(self.members) if not self.is_idle(one, clock)]
+        tried = [one.said for one in (self.heard(each) for each in awake) if one is not None]
+        marks = [said.newest - lateness for said in tried if said.newest is not None]
+        marks += [said.advance for said in tried if said.advance is not None]
+        fit = [mark for mark in marks if mark < high and all(self._is_at(one, mark, lateness) for one in awake)]
+        latest = max(fit, default=None)
+        return None if latest is None or (low is not None and latest <= low) else latest
 
 
 class _Shown(OracleChannel):
@@ -327,34 +345,66 @@ class OracleFollower:
 
 @dataclass
 class OracleMatcher:
-    """Each item of one channel in time order, with the nearest of every other member."""
+    """Each item of one channel in time order, with the nearest of every other member.
+
+    If `last` is not None no item of another member comes twice: it has the last partner of each.
+    """
 
     per: OracleChannel
     others: Mapping[bytes, OracleChannel]
     tolerance: int
     place: tuple[int, int]
+    lateness: int = 0
+    last: dict[bytes, tuple[int, int]] | None = None
     unmatched: int = 0
 
-    def take(self) -> list[tuple[Item, dict[bytes, Item]]]:
-        taken = []
+    def take(self, items_max: int) -> list[tuple[Item, dict[bytes, Item]]]:
+        """With `last`, what waits for a nearer item counts as settled, too: `items_max` says how much is."""
+        taken: list[tuple[Item, dict[bytes, Item]]] = []
         for item in sorted(self.per.held):
             if (item.time, item.seq) <= self.place:
                 continue
-            if not all(_has_passed(other, item.time + self.tolerance) for other in self.others.values()):
+            if len(taken) >= items_max or not self._have_passed(item.time, self.tolerance):
                 break
             self.place = item.time, item.seq
-            found = {one: self._nearest(channel, item.time) for one, channel in self.others.items()}
+            found = {one: self._partner(one, channel, item) for one, channel in self.others.items()}
             matched = {one: near for one, near in found.items() if near is not None}
             self.unmatched += len(matched) < len(found)
             taken.append((item, matched))
         return taken
 
+    @property
+    def stalls(self) -> bool:
+        """The next item could be settled: the whole chain of ever nearer items behind it has been passed."""
+        waiting = [item for item in sorted(self.per.held) if (item.time, item.seq) > self.place]
+        far = self.tolerance * (2 * len(waiting) + 2)
+        if not waiting:
+            return False
+        return self._have_passed(waiting[0].time, far) and self._passed(self.per, waiting[0].time + far)
+
+    def _have_passed(self, time: int, tolerance: int) -> bool:
+        others = all(self._passed(other, time + tolerance) for other in self.others.values())
+        return others and self._passed(self.per, time)
+
+    def _partner(self, name: bytes, channel: OracleChannel, item: Item) -> Item | None:
+        if self.last is None:
+            return self._nearest(channel, item.time)
+        own = [(one.time, one.seq) for one in self.per.held if (one.time, one.seq) >= (item.time, item.seq)]
+        last = self.last.get(name, (-(2**64), 0))
+        others = {(one.time, one.seq): one for one in channel.held if (one.time, one.seq) > last}
+        place = paired(own, others, self.tolerance).get((item.time, item.seq))
+        if place is None:
+            return None
+        self.last[name] = place
+        return others[place]
+
+    def _passed(self, channel: OracleChannel, instant: int) -> bool:
+        """It had an item at or after the instant, or one that is by more than the lateness after it; or it promised
+        that none comes up to the instant."""
+        promised = channel.advanced_to is not None and channel.advanced_to > instant
+        least = instant + self.lateness + 1 if self.lateness else instant
+        return promised or any(one.time >= least for one in channel.log.values())
+
     def _nearest(self, channel: OracleChannel, time: int) -> Item | None:
         near = [one for one in channel.held if abs(one.time - time) <= self.tolerance]
         return min(near, key=lambda one: (abs(one.time - time), one.time, one.seq), default=None)
-
-
-def _has_passed(channel: OracleChannel, instant: int) -> bool:
-    """It had an item at or after the instant, or promised that none comes up to it."""
-    promised = channel.advanced_to is not None and channel.advanced_to > instant
-    return promised or any(one.time >= instant for one in channel.log.values())

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt_channel_host.core.group import (
+    OWN,
     Boundary,
     CutFollower,
     EventDecider,
@@ -52,6 +53,7 @@ class Events:
     followers: dict[bytes, Follower]
     decided: int | None
     max_wait: int
+    lateness: int
     pending: list[tuple[int, int]] = field(default_factory=list)  # cuts that are not decided yet, and since when
 
 
@@ -66,6 +68,9 @@ class Match:
     begun: int
     told: int
     taken: int = 0
+
+    def has_passed(self, name: bytes, instant: int) -> bool:
+        return self.followed[name].times(1).has_passed(instant, self.oracle.lateness)
 
 
 @dataclass
@@ -82,9 +87,9 @@ class Listeners:
         OracleReader(pair.oracle, self.world.clock)
         return pair
 
-    def subscribe_cuts(self, group: int, host: int, max_wait: int) -> None:
+    def subscribe_cuts(self, group: int, host: int, max_wait: int, lateness: int) -> None:
         cut = self.world.hosts[host].cuts[group].cut
-        made = Events(group, host, EventDecider(cut, max_wait), {}, cut, max_wait)
+        made = Events(group, host, EventDecider(cut, max_wait, lateness), {}, cut, max_wait, lateness)
         for channel_id in self.world.definitions[group].members:
             made.followers[channel_id] = self._follower(channel_id, cut)
         self.events.append(made)
@@ -111,13 +116,19 @@ class Listeners:
             boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)
             due = []
             for cut, since in one.pending:
-                is_due, behind = host.oracles[one.group].due(cut, since, one.max_wait, clock)
+                is_due, behind = host.oracles[one.group].due(cut, since, one.max_wait, one.lateness, clock)
                 if not is_due:
                     break
                 due.append((cut, behind))
-            assert boundary == (Boundary(*due[-1]) if due else None)
             one.pending = one.pending[len(due) :]
-            assert one.decider.wake_at() == (one.pending[0][1] + one.max_wait if one.pending else None)
+            if one.lateness and one.pending:
+                last = due[-1][0] if due else one.decided
+                between = host.oracles[one.group].between(last, one.pending[0][0], one.lateness, clock)
+                if between is not None:
+                    _, behind = host.oracles[one.group].due(between, clock, one.max_wait, one.lateness, clock)
+                    due.append((between, behind))
+            assert boundary == (Boundary(*due[-1]) if due else None)
+            assert one.decider.wake_at() == (one.pending[0][1] + one.max_wait + one.lateness if one.pending else None)
             if boundary is not None:
                 one.decided = boundary.cut
                 self._take_parts(one, boundary.cut, limit_bytes, meddle)
@@ -155,7 +166,7 @@ class Listeners:
         one.hears_again, one.uncounted = False, set()
         assert one.core.cut == cut
 
-    def match(self, tolerance: int) -> None:
+    def match(self, tolerance: int, lateness: int, *, unique: bool) -> None:
         a, b, c = (self.world.pair(one) for one in CHANNELS)
         clock = self.world.clock
         OracleReader(a.oracle, clock)
@@ -163,10 +174,11 @@ class Listeners:
         far.add((one.time, one.seq) for one in c.oracle.log.values())
         tracks: dict[bytes, Track] = {b"b": OwnTrack(b.core), b"c": far}
         place = (a.oracle.newest, len(a.oracle.log)) if a.oracle.newest is not None else BEFORE_ALL
-        oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, place)
-        followed = {b"b": OwnTimes(b.core, clock), b"c": OwnTimes(c.core, clock)}
-        made = Match(Matcher(a.core, tracks, tolerance, clock), oracle, far, followed, len(a.oracle.log), 0)
-        self.matches.append(made)
+        oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, place, lateness)
+        oracle.last = {} if unique else None
+        followed = {name: OwnTimes(one.core, clock) for name, one in ((OWN, a), (b"b", b), (b"c", c))}
+        core = Matcher(a.core, tracks, tolerance, clock, partners={} if unique else None)
+        self.matches.append(Match(core, oracle, far, followed, len(a.oracle.log), 0))
 
     def take_matches(self) -> None:
         a, b, c = (self.world.pair(one) for one in CHANNELS)
@@ -179,8 +191,9 @@ class Listeners:
             for own in one.followed.values():
                 own.observe(clock)
             kept, c.oracle.held = c.oracle.held, list(c.oracle.log.values())  # places stay with those they were told
-            taken = one.core.take(lambda name, at: one.followed[name].times(1).has_passed(at), clock, 1000)  # noqa: B023
-            wanted = one.oracle.take()
+            taken = one.core.take(one.has_passed, clock, 1000)
+            wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
+            assert not one.oracle.stalls
             c.oracle.held = kept
             one.taken += len(taken)
             assert [
@@ -216,7 +229,7 @@ class Listeners:
         self.matches = [] if channel_ids else self.matches
         for events in self.events:
             if events.decider_host == host:
-                decider = EventDecider(events.decided, events.max_wait)
+                decider = EventDecider(events.decided, events.max_wait, events.lateness)
                 events.decider_host, events.decider, events.pending = heir, decider, []
             for channel_id in set(channel_ids) & events.followers.keys():
                 cursor, pair = events.followers[channel_id].cursor, self.world.pair(channel_id)

@@ -156,7 +156,9 @@ def deliver(dice: Dice, story: Story) -> None:
 
 def subscribe_cuts(dice: Dice, story: Story) -> None:
     if len(story.listeners.events) < 2:
-        story.listeners.subscribe_cuts(story.a_group(dice), dice.pick(story.world.up), dice.pick((6, 0, 15)))
+        story.listeners.subscribe_cuts(
+            story.a_group(dice), dice.pick(story.world.up), dice.pick((6, 0, 15)), dice.pick((0, 0, 4))
+        )
 
 
 def take_events(dice: Dice, story: Story) -> None:
@@ -171,7 +173,7 @@ def take_events(dice: Dice, story: Story) -> None:
 
 def match(dice: Dice, story: Story) -> None:
     if len(story.listeners.matches) < 2:
-        story.listeners.match(dice.pick((2, 0, 5)))
+        story.listeners.match(dice.pick((2, 0, 5)), dice.pick((0, 0, 3)), unique=bool(dice.below(2)))
 
 
 def take_matches(dice: Dice, story: Story) -> None:

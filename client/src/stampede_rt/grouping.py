@@ -235,6 +235,14 @@ def parse_tolerance(tolerance: DurationLike) -> int:
     return nanos
 
 
+def parse_lateness(lateness: DurationLike) -> int:
+    """Nanoseconds. Raises InvalidArgument."""
+    nanos = parse_duration(lateness, "lateness")
+    if nanos < 0:
+        raise InvalidArgument(f'lateness is {lateness!r}; it is a time to wait: give "0s" or more')
+    return nanos
+
+
 def parse_max_wait(max_wait: DurationLike) -> int:
     """Nanoseconds, 0 or more. Raises InvalidArgument."""
     nanos = parse_duration(max_wait, "max_wait")

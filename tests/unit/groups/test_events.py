@@ -32,6 +32,20 @@ def test_after_max_wait_the_event_comes_and_names_who_was_not_there() -> None:
     assert decider.due([member(b"a", 50), member(b"b", None)], 107) == Boundary(50, (b"b",))
 
 
+def test_with_a_lateness_every_member_has_to_be_so_much_farther_or_advanced_to_the_cut() -> None:
+    decider = EventDecider(0, WAIT, 20)
+    decider.note(50, now=7)
+    assert decider.wake_at() == 127
+    assert decider.due([member(b"a", 70), member(b"b", None)], 126) is None
+    assert decider.due([member(b"a", 70), member(b"b", 69)], 126) == Boundary(49), "the cut has jumped over it"
+    assert decider.due([member(b"a", 70), member(b"b", 69)], 126) is None
+    advanced = Member(b"b", Heard(ChannelTimes(1, 1, 40, advance=50), 0, None), 50, is_idle=False)
+    assert decider.due([member(b"a", 70), advanced], 126) == Boundary(50)
+    decider.note(60, now=8)
+    assert decider.due([member(b"a", 80), member(b"b", 1)], 127) is None
+    assert decider.due([member(b"a", 80), member(b"b", 1)], 128) == Boundary(60, (b"b",))
+
+
 def test_an_idle_member_is_not_waited_for() -> None:
     decider = EventDecider(0, WAIT)
     decider.note(50, now=0)

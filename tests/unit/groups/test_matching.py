@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from stampede_rt.model import Policy
 from stampede_rt_channel_host.core.channel import Channel, Position
-from stampede_rt_channel_host.core.group import FarTrack, Matcher, OwnTimes, OwnTrack
-from stampede_rt_channel_host.core.group.matching import TRACK_ITEMS_MAX
+from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.group.pairing import STEPS_MAX
+from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
 from tests.unit.groups.channels import INCARNATION, NOW, channel, put
 
 RIGHT = b"right"
@@ -130,3 +131,82 @@ def test_an_item_that_two_members_have_nothing_for_counts_once() -> None:
     matcher = Matcher(channel(10), {RIGHT: FarTrack(), b"rear": FarTrack()}, 3, NOW, after=Position(-1, 0))
     (one,) = matcher.take(lambda channel_id, instant: True, NOW, 100)
     assert (one.missing, matcher.unmatched) == ((b"rear", RIGHT), 1)
+
+
+def unique(left: Channel, right: Channel, tolerance: int) -> Matcher:
+    return Matcher(left, {RIGHT: OwnTrack(right)}, tolerance, NOW, after=Position(-1, 0), partners={})
+
+
+def matched(matcher: Matcher, left: Channel, right: Channel) -> list[tuple[int, int | None]]:
+    """What a match takes that waits for its own channel, too."""
+    times = {OWN: OwnTimes(left, NOW).times(1), RIGHT: OwnTimes(right, NOW).times(1)}
+    taken = matcher.take(lambda name, instant: times[name].has_passed(instant), NOW, 100)
+    return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]
+
+
+def test_of_two_items_with_the_same_nearest_the_nearer_gets_it_if_each_goes_into_one_match_only() -> None:
+    left, right = channel(10, 14, 40), channel(5, 13, 60)
+    assert matched(everything(left, right, 6), left, right) == [(10, 13), (14, 13), (40, None)]
+    assert matched(unique(left, right, 6), left, right) == [(10, 5), (14, 13), (40, None)]
+
+
+def test_the_later_one_gives_way_if_it_finds_a_nearer_one_itself() -> None:
+    left, right = channel(0, 9, 40), channel(5, 9, 60)
+    assert matched(unique(left, right, 5), left, right) == [(0, 5), (9, 9), (40, None)]
+
+
+def test_a_unique_match_waits_until_no_later_item_can_be_nearer_to_its_partner() -> None:
+    left, right = channel(10), channel(5, 15, 60)
+    assert matched(unique(left, right, 6), left, right) == [(10, 5)], "no later item can be nearer to an earlier one"
+    left, right = channel(10), channel(15, 60)
+    matcher = unique(left, right, 6)
+    assert matched(matcher, left, right) == []
+    left.advance(19, NOW)
+    assert matched(matcher, left, right) == [], "one may come at 19"
+    left.advance(20, NOW)
+    assert matched(matcher, left, right) == [(10, 15)]
+
+
+def test_a_chain_of_ever_nearer_items_is_followed_for_a_bounded_number_of_steps() -> None:
+    gaps, ends = [*range(2 * STEPS_MAX + 9, 0, -1)], [0]
+    for gap in gaps:
+        ends.append(ends[-1] + gap)
+    left, right = channel(*ends[::2], NOW - 1), channel(*ends[1::2], NOW - 1, policy=Policy(max_items=1000))
+    asked: list[int] = []
+    matcher = unique(left, right, gaps[0])
+    (first,) = matcher.take(lambda name, instant: asked.append(instant) is None, NOW, 1)
+    assert first.matched[RIGHT].time == ends[1]
+    assert len(asked) < 3 * STEPS_MAX
+
+
+def test_a_place_says_which_partners_are_taken_so_that_another_gives_none_of_them_again() -> None:
+    left, right = channel(10, 14, 40), channel(12, 60)
+    matcher = unique(left, right, 3)
+    (first,) = matcher.take(lambda name, instant: True, NOW, 1)
+    assert first.matched[RIGHT].time == 12
+    resumed = Matcher(
+        left, {RIGHT: OwnTrack(right)}, 3, NOW, matcher.place, matcher.next_seq, partners=matcher.partners
+    )
+    assert matched(resumed, left, right) == [(14, None), (40, None)]
+
+
+def test_what_comes_late_is_waited_for_and_matched_as_the_nearest() -> None:
+    left, right = channel(10, 20, 35), channel(8, 35)
+    matcher, late = everything(left, right, 5), everything(left, right, 5)
+    own = {OWN: left, RIGHT: right}
+
+    def has_passed(name: bytes, instant: int) -> bool:
+        return OwnTimes(own[name], NOW).times(1).has_passed(instant, 20)
+
+    assert late.take(has_passed, NOW, 100) == []
+    assert len(matcher.take(lambda name, instant: instant < 30, NOW, 100)) == 2
+    for time in (9, 19):
+        put(right, time)
+    put(left, 15)
+    matcher.take(lambda name, instant: True, NOW, 100)
+    assert matcher.dropped == 1
+    for channel_of in (left, right):
+        put(channel_of, 46)
+    taken = late.take(has_passed, NOW, 100)
+    assert [(one.item.slice.first_time, one.matched[RIGHT].time) for one in taken] == [(10, 9), (15, 19), (20, 19)]
+    assert late.dropped == 0

@@ -9,7 +9,7 @@ from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
 from stampede_rt_bench.matching.sets import FoundSet, Replay
 from stampede_rt_channel_host.core.channel import Channel, Offer
-from stampede_rt_channel_host.core.group import Matched, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.group import OWN, Matched, Matcher, OwnTimes, OwnTrack
 
 ITEMS_MAX = 1000
 
@@ -32,7 +32,7 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
 
 def _take(matcher: Matcher, times: Mapping[str, OwnTimes], now: int) -> list[Matched]:
     def has_passed(member: bytes, instant: int) -> bool:
-        return times[member.decode()].times(1).has_passed(instant)
+        return times[REFERENCE if member == OWN else member.decode()].times(1).has_passed(instant)
 
     return matcher.take(has_passed, now, ITEMS_MAX)
 

@@ -53,11 +53,20 @@ class CutSubscription(OfOneProcess):
     it is open. Raises GroupNotFound once the group is deleted, IncarnationLost if all its hosts were lost.
     """
 
-    def __init__(self, group: Group, max_wait_nanos: int, reconnect: DurationLike | None, *, payloads: bool) -> None:
+    def __init__(
+        self,
+        group: Group,
+        max_wait_nanos: int,
+        lateness_nanos: int,
+        reconnect: DurationLike | None,
+        *,
+        payloads: bool,
+    ) -> None:
         what = f"the subscription to group {group.name!r}"
         self._reconnecting = Reconnecting(group._session, what, reconnect)
         self._group = group
         self._max_wait_nanos = max_wait_nanos
+        self._lateness_nanos = lateness_nanos
         self._payloads = payloads
         self._talks: list[_Talk] = []  # the first decides
         self._beginning: list[_Talk] = []  # the same while they are being opened
@@ -189,6 +198,7 @@ class CutSubscription(OfOneProcess):
             after=self._cursor,
             without_payloads=not self._payloads,
             spec_version=self._group.info.spec_version,
+            lateness_nanos=self._lateness_nanos,
         )
 
     def _keep_members_only(self) -> None:

@@ -32,6 +32,7 @@ from stampede_rt.grouping import (
     Named,
     NewestItems,
     is_named_by,
+    parse_lateness,
     parse_max_wait,
     parse_members,
     parse_tolerance,
@@ -196,20 +197,28 @@ class Group(Reference):
         return int(response.floor.cut_unix_nano)
 
     def subscribe(
-        self, max_wait: DurationLike = "1s", *, payloads: bool = True, reconnect: DurationLike | None = None
+        self,
+        max_wait: DurationLike = "1s",
+        *,
+        lateness: DurationLike = "0s",
+        payloads: bool = True,
+        reconnect: DurationLike | None = None,
     ) -> CutSubscription:
         """Events that say what became visible, in step over all channels: an iterator and context manager.
 
         An event comes when the cut has advanced and every member has caught up with it, or `max_wait` later. A slow
-        reader gets merged events.
+        reader gets merged events. Items that come out of order by up to `lateness` are waited for, so that they come
+        with the others and not as late ones; it delays every event by as much.
         """
-        return CutSubscription(self, parse_max_wait(max_wait), reconnect, payloads=payloads)
+        return CutSubscription(self, parse_max_wait(max_wait), parse_lateness(lateness), reconnect, payloads=payloads)
 
     def match(
         self,
         per: Named | str,
         tolerance: DurationLike,
         *,
+        unique: bool = False,
+        lateness: DurationLike = "0s",
         partial: bool = False,
         payloads: bool = True,
         reconnect: DurationLike | None = None,
@@ -218,10 +227,19 @@ class Group(Reference):
 
         A match comes as soon as every other member has passed its time + tolerance. Items without a partner are
         counted (`unmatched`); with `partial` they come, too, and `missing` names who has none for them.
+
+        With `unique` each item of another member comes in one match at the most: the nearest pair is made first. Items
+        that come out of order by up to `lateness` are waited for, which delays every match by as much.
         """
-        member = self._member(per)
         return MatchSubscription(
-            self, member, parse_tolerance(tolerance), reconnect, partial=partial, payloads=payloads
+            self,
+            self._member(per),
+            parse_tolerance(tolerance),
+            reconnect,
+            lateness_nanos=parse_lateness(lateness),
+            unique=unique,
+            partial=partial,
+            payloads=payloads,
         )
 
     async def status(self) -> GroupStatus[Channel]:

@@ -23,7 +23,6 @@ from stampede_rt.timeline import DurationLike, Match, parse_interval
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, together
 from stampede_rt.transports.grpc_sync import Conversation
 from stampede_rt.v1 import group_service_pb2 as group_pb
-from stampede_rt.v1 import item_pb2
 
 if TYPE_CHECKING:
     from stampede_rt._sync.group import Group
@@ -36,7 +35,8 @@ class MatchSubscription(OfOneProcess):
     that some member had nothing for, `dropped` those that retention took before they could be matched or before a slow
     reader asked for them, or that came after their place had been settled. Goes on by itself when a host is lost:
     `losses` counts how often the host of the matched channel was lost with what it held, `reconnects` how often it came
-    back after its connection broke; `connected` says whether it is open.
+    back after its connection broke; `connected` says whether it is open. Raises GroupNotFound once the group is
+    deleted, IncarnationLost if all its hosts were lost.
     """
 
     def __init__(
@@ -46,6 +46,8 @@ class MatchSubscription(OfOneProcess):
         tolerance_nanos: int,
         reconnect: DurationLike | None,
         *,
+        lateness_nanos: int,
+        unique: bool,
         partial: bool,
         payloads: bool,
     ) -> None:
@@ -53,14 +55,15 @@ class MatchSubscription(OfOneProcess):
         self._group = group
         self._per = per
         self._tolerance_nanos = tolerance_nanos
+        self._lateness_nanos = lateness_nanos
+        self._unique = unique
         self._partial = partial
         self._payloads = payloads
         self._stream: Conversation[group_pb.SubscribeMatchesResponse] | None = None
         self._responses: Any = None
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with what it takes of the window
         self._window = CreditWindow()
-        self._after: item_pb2.ItemPosition | None = None
-        self._after_next_seq: int | None = None
+        self._after: group_pb.MatchCursor | None = None
         self._unmatched_before = self._dropped_before = 0  # of streams that ended; the host counts anew on each
         self._closed = False
         self.unmatched = 0
@@ -156,8 +159,9 @@ class MatchSubscription(OfOneProcess):
             epoch=epoch,
             tolerance_nanos=self._tolerance_nanos,
             after=self._after,
-            after_next_seq=self._after_next_seq,
             without_payloads=not self._payloads,
+            unique=self._unique,
+            lateness_nanos=self._lateness_nanos,
         )
 
     def _grant(self) -> None:
@@ -205,9 +209,9 @@ class MatchSubscription(OfOneProcess):
                 self._ready.append((matched, _charge(message)))
             else:
                 self._window.drop(_charge(message))
-        if self._after is not None and self._after.incarnation != response.resume_after.incarnation:
+        if self._after is not None and self._after.after.incarnation != response.cursor.after.incarnation:
             self.losses += 1
-        self._after, self._after_next_seq = response.resume_after, response.resume_next_seq
+        self._after = response.cursor
         self.unmatched = self._unmatched_before + response.unmatched
         self.dropped = self._dropped_before + response.dropped
 

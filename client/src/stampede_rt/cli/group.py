@@ -52,6 +52,7 @@ def add_verbs(subparsers: Any) -> None:
         verb.add_argument("group")
         if name == "watch":
             verb.add_argument("--max-wait", default="1s", metavar="DURATION", help="for members that lag; default 1s")
+            verb.add_argument("--lateness", default="0s", metavar="DURATION", help="how long late items are waited for")
             verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N cuts")
     get = add_verb(verbs, "get", "what each channel shows in an interval", run_get)
     get.add_argument("group")
@@ -63,6 +64,8 @@ def add_verbs(subparsers: Any) -> None:
     match.add_argument("group")
     match.add_argument("--per", required=True, metavar="CHANNEL", help="whose items each get a match")
     match.add_argument("--tolerance", required=True, metavar="DURATION", help='how far apart at the most, "10ms"')
+    match.add_argument("--unique", action="store_true", help="each item in one match at the most, nearest pairs first")
+    match.add_argument("--lateness", default="0s", metavar="DURATION", help="how long late items are waited for")
     match.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N matches")
     for name, what in (("add", "make a channel a member"), ("remove", "make a channel leave")):
         change = add_verb(verbs, name, what, run_change, output=False)
@@ -182,12 +185,16 @@ def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form:
 
 def run_watch(arguments: argparse.Namespace) -> int:
     """Print cut events as they come."""
-    with connected(arguments) as rt, rt.group(arguments.group).subscribe(arguments.max_wait) as cuts:
+    with connected(arguments) as rt, _cuts(rt.group(arguments.group), arguments) as cuts:
         for count, cut in enumerate(cuts, 1):
             print(_cut_text(cut) if arguments.output == "table" else json.dumps(_cut_row(cut)), flush=True)
             if count == arguments.count:
                 break
     return 0
+
+
+def _cuts(group: Group, arguments: argparse.Namespace) -> Any:
+    return group.subscribe(arguments.max_wait, lateness=arguments.lateness)
 
 
 def _cut_text(cut: Cut[Channel]) -> str:
@@ -219,7 +226,9 @@ def run_match(arguments: argparse.Namespace) -> int:
 
 
 def _matches(group: Group, arguments: argparse.Namespace) -> Any:
-    return group.match(arguments.per, arguments.tolerance, partial=True)
+    return group.match(
+        arguments.per, arguments.tolerance, unique=arguments.unique, lateness=arguments.lateness, partial=True
+    )
 
 
 def _match_text(matched: Matched[Channel]) -> str:

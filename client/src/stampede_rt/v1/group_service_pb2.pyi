@@ -84,20 +84,22 @@ class SubscribeCutsRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[SubscribeCutsOpen, _Mapping]] = ..., boundary: _Optional[_Union[CutBoundary, _Mapping]] = ..., credit: _Optional[int] = ...) -> None: ...
 
 class SubscribeCutsOpen(_message.Message):
-    __slots__ = ("group_id", "decides", "max_wait_nanos", "after", "without_payloads", "spec_version")
+    __slots__ = ("group_id", "decides", "max_wait_nanos", "after", "without_payloads", "spec_version", "lateness_nanos")
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     DECIDES_FIELD_NUMBER: _ClassVar[int]
     MAX_WAIT_NANOS_FIELD_NUMBER: _ClassVar[int]
     AFTER_FIELD_NUMBER: _ClassVar[int]
     WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
     SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
+    LATENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     group_id: bytes
     decides: bool
     max_wait_nanos: int
     after: CutCursor
     without_payloads: bool
     spec_version: int
-    def __init__(self, group_id: _Optional[bytes] = ..., decides: bool = ..., max_wait_nanos: _Optional[int] = ..., after: _Optional[_Union[CutCursor, _Mapping]] = ..., without_payloads: bool = ..., spec_version: _Optional[int] = ...) -> None: ...
+    lateness_nanos: int
+    def __init__(self, group_id: _Optional[bytes] = ..., decides: bool = ..., max_wait_nanos: _Optional[int] = ..., after: _Optional[_Union[CutCursor, _Mapping]] = ..., without_payloads: bool = ..., spec_version: _Optional[int] = ..., lateness_nanos: _Optional[int] = ...) -> None: ...
 
 class CutCursor(_message.Message):
     __slots__ = ("incarnation", "cut_unix_nano", "channels")
@@ -174,36 +176,48 @@ class SubscribeMatchesRequest(_message.Message):
     def __init__(self, open: _Optional[_Union[SubscribeMatchesOpen, _Mapping]] = ..., credit_bytes: _Optional[int] = ...) -> None: ...
 
 class SubscribeMatchesOpen(_message.Message):
-    __slots__ = ("group_id", "per_channel_id", "epoch", "tolerance_nanos", "after", "without_payloads", "after_next_seq")
+    __slots__ = ("group_id", "per_channel_id", "epoch", "tolerance_nanos", "after", "without_payloads", "unique", "lateness_nanos")
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     PER_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     TOLERANCE_NANOS_FIELD_NUMBER: _ClassVar[int]
     AFTER_FIELD_NUMBER: _ClassVar[int]
     WITHOUT_PAYLOADS_FIELD_NUMBER: _ClassVar[int]
-    AFTER_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    UNIQUE_FIELD_NUMBER: _ClassVar[int]
+    LATENESS_NANOS_FIELD_NUMBER: _ClassVar[int]
     group_id: bytes
     per_channel_id: bytes
     epoch: int
     tolerance_nanos: int
-    after: _item_pb2.ItemPosition
+    after: MatchCursor
     without_payloads: bool
-    after_next_seq: int
-    def __init__(self, group_id: _Optional[bytes] = ..., per_channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., tolerance_nanos: _Optional[int] = ..., after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., without_payloads: bool = ..., after_next_seq: _Optional[int] = ...) -> None: ...
+    unique: bool
+    lateness_nanos: int
+    def __init__(self, group_id: _Optional[bytes] = ..., per_channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., tolerance_nanos: _Optional[int] = ..., after: _Optional[_Union[MatchCursor, _Mapping]] = ..., without_payloads: bool = ..., unique: bool = ..., lateness_nanos: _Optional[int] = ...) -> None: ...
+
+class MatchCursor(_message.Message):
+    __slots__ = ("after", "next_seq", "group_incarnation", "partners")
+    AFTER_FIELD_NUMBER: _ClassVar[int]
+    NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    GROUP_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    PARTNERS_FIELD_NUMBER: _ClassVar[int]
+    after: _item_pb2.ItemPosition
+    next_seq: int
+    group_incarnation: int
+    partners: _containers.RepeatedCompositeFieldContainer[MatchedItem]
+    def __init__(self, after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., next_seq: _Optional[int] = ..., group_incarnation: _Optional[int] = ..., partners: _Optional[_Iterable[_Union[MatchedItem, _Mapping]]] = ...) -> None: ...
 
 class SubscribeMatchesResponse(_message.Message):
-    __slots__ = ("matches", "unmatched", "dropped", "resume_after", "resume_next_seq")
+    __slots__ = ("matches", "unmatched", "dropped", "cursor")
     MATCHES_FIELD_NUMBER: _ClassVar[int]
     UNMATCHED_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
-    RESUME_AFTER_FIELD_NUMBER: _ClassVar[int]
-    RESUME_NEXT_SEQ_FIELD_NUMBER: _ClassVar[int]
+    CURSOR_FIELD_NUMBER: _ClassVar[int]
     matches: _containers.RepeatedCompositeFieldContainer[ItemMatch]
     unmatched: int
     dropped: int
-    resume_after: _item_pb2.ItemPosition
-    resume_next_seq: int
-    def __init__(self, matches: _Optional[_Iterable[_Union[ItemMatch, _Mapping]]] = ..., unmatched: _Optional[int] = ..., dropped: _Optional[int] = ..., resume_after: _Optional[_Union[_item_pb2.ItemPosition, _Mapping]] = ..., resume_next_seq: _Optional[int] = ...) -> None: ...
+    cursor: MatchCursor
+    def __init__(self, matches: _Optional[_Iterable[_Union[ItemMatch, _Mapping]]] = ..., unmatched: _Optional[int] = ..., dropped: _Optional[int] = ..., cursor: _Optional[_Union[MatchCursor, _Mapping]] = ...) -> None: ...
 
 class ItemMatch(_message.Message):
     __slots__ = ("item", "matched", "unmatched_channel_ids")

@@ -67,6 +67,8 @@ class CutEvents:
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
         begun = request.open
+        if begun.lateness_nanos < 0:
+            raise InvalidArgument(f"lateness_nanos is {begun.lateness_nanos}; it is a time to wait: give 0 or more")
         self._credit.grant(request.credit)
         self._groups.check_serving()
         group = await self._groups.find(begun.group_id, begun.spec_version)
@@ -166,7 +168,7 @@ class CutEvents:
 
     async def _serve(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
         max_wait = begun.max_wait_nanos if begun.HasField("max_wait_nanos") else MAX_WAIT_NANOS_DEFAULT
-        decider = EventDecider(self._cut, max_wait) if begun.decides else None
+        decider = EventDecider(self._cut, max_wait, begun.lateness_nanos) if begun.decides else None
         while not self._is_over(decider):
             self._follow(group)
             boundary = self._decided(group, decider) if decider is not None else self._handed(group)

@@ -37,9 +37,9 @@ class FarMember:
         self._cursor: channel_service_pb2.SubscriptionCursor | None = None
         self._times = ChannelTimes(0, 0)
 
-    def has_passed(self, instant: int) -> bool:
+    def has_passed(self, instant: int, lateness_nanos: int) -> bool:
         """By what came on this very subscription: what came before it is on the track."""
-        return self._times.has_passed(instant)
+        return self._times.has_passed(instant, lateness_nanos)
 
     async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
         """Follow it at its owner; where that fails, again, wherever the directory says it is then."""

@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt.v1 import item_pb2
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.group import Matched, Matcher, OwnTrack, Track
+from stampede_rt_channel_host.core.group import OWN, Matched, Matcher, OwnTrack, Track
 from stampede_rt_channel_host.groups.far_member import FarMember
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
@@ -51,10 +52,13 @@ class MatchStream:
         self._credit.grant(opening.credit_bytes)
         if not request.HasField("tolerance_nanos") or request.tolerance_nanos < 0:
             raise InvalidArgument("tolerance_nanos is required and 0 or more: the greatest distance of matched times")
+        if request.lateness_nanos < 0:
+            raise InvalidArgument(f"lateness_nanos is {request.lateness_nanos}; it is a time to wait: give 0 or more")
         group = await self._groups.find(request.group_id)
         self._groups.channels.find(request.per_channel_id, request.epoch)  # before it is waited for
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
+        _check_life(group, request.after.group_incarnation)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
         group.watchers[self._waiter] = hosted.followers[self._waiter] = None
         reading = self._stream.spawn(self._read())
@@ -79,16 +83,14 @@ class MatchStream:
 
     async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesOpen) -> None:
         now = self._groups.channels.now()
-        after = position_of(request.after) if request.HasField("after") else None
-        next_seq = request.after_next_seq if request.HasField("after_next_seq") else None
-        matcher = Matcher(hosted.channel, {}, request.tolerance_nanos, now, after=after, next_seq=next_seq)
+        matcher = _matcher(hosted, request, now)
         arrangement = 0
         counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
         while counted is None or not self._credit.is_over:
             if arrangement != group.arrangement:
                 arrangement = group.arrangement
                 matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
-            found = self._take(matcher, group)
+            found = self._take(matcher, group, request)
             holds = counted is not None or all(far.is_followed for far, _ in self._far.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
             wanted = counted is None or self._credit.left > 0  # without credit nothing is taken or said
@@ -99,8 +101,7 @@ class MatchStream:
             about = pb.SubscribeMatchesResponse(
                 unmatched=matcher.unmatched,
                 dropped=matcher.dropped,
-                resume_after=position_to(matcher.place),
-                resume_next_seq=matcher.next_seq,
+                cursor=_cursor(matcher, group),
             )
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 
@@ -130,13 +131,14 @@ class MatchStream:
             far.epoch, far.target = record.epoch, group.targets.get(record.host_id, far.target)
         return far
 
-    def _take(self, matcher: Matcher, group: HostedGroup) -> list[Matched]:
+    def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[Matched]:
         """What is settled, as credit allows, about a message of it."""
         now, left = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
         found: list[Matched] = []
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
-            return self._has_passed(group, channel_id, instant, now)
+            asked = request.per_channel_id if channel_id == OWN else channel_id
+            return self._has_passed(group, asked, instant, request.lateness_nanos, now)
 
         while left > 0 and len(found) < MATCHES_PER_MESSAGE_MAX:
             one = matcher.take(has_passed, now, 1)
@@ -149,14 +151,14 @@ class MatchStream:
             left -= charge
         return found
 
-    def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, now: int) -> bool:
+    def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, lateness_nanos: int, now: int) -> bool:
         """Whether a member has; one that is idle is not waited for."""
         member = group.cut.member(channel_id, now)
         if member.is_idle:
             return True
         if channel_id in self._far:
-            return self._far[channel_id][0].has_passed(instant)
-        return member.heard is not None and member.heard.times.has_passed(instant)
+            return self._far[channel_id][0].has_passed(instant, lateness_nanos)
+        return member.heard is not None and member.heard.times.has_passed(instant, lateness_nanos)
 
     async def _send(
         self,
@@ -175,3 +177,38 @@ class MatchStream:
             for channel_id, partner in one.matched.items():
                 if partner.item is not None:
                     self._near[channel_id].count_delivered(partner.item.slice.payload_bytes)
+
+
+def _check_life(group: HostedGroup, incarnation: int) -> None:
+    """Raises IncarnationLost if the group has begun anew since; 0: not known."""
+    if incarnation not in (0, group.record.incarnation):
+        raise IncarnationLost(
+            f"the place comes from another incarnation of group {group.record.name}, which began anew since all hosts "
+            "of its members were lost with what they held; match from now on"
+        )
+
+
+def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) -> Matcher:
+    after = request.after
+    partners = {one.channel_id: (one.position.time_unix_nano, one.position.seq) for one in after.partners}
+    return Matcher(
+        hosted.channel,
+        {},
+        request.tolerance_nanos,
+        now,
+        after=position_of(after.after) if request.HasField("after") else None,
+        next_seq=after.next_seq or None,
+        partners=partners if request.unique else None,
+    )
+
+
+def _cursor(matcher: Matcher, group: HostedGroup) -> pb.MatchCursor:
+    cursor = pb.MatchCursor(
+        after=position_to(matcher.place),
+        next_seq=matcher.next_seq,
+        group_incarnation=group.record.incarnation,
+    )
+    for channel_id, (time, seq) in matcher.partners.items():
+        position = item_pb2.ItemPosition(time_unix_nano=time, seq=seq)
+        cursor.partners.add(channel_id=channel_id, position=position)
+    return cursor

@@ -19,14 +19,16 @@ Nothing here reads a clock, waits, or knows the wire. The shell around it, at ea
 from stampede_rt_channel_host.core.group.cut import MAX_LEAD_NANOS_DEFAULT, GroupCut, GroupDefinition, Member
 from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT, Boundary, EventDecider
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, Step
-from stampede_rt_channel_host.core.group.matching import FarTrack, Matched, Matcher, Nearest, OwnTrack, Track
+from stampede_rt_channel_host.core.group.matching import OWN, Matched, Matcher
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, OwnTimes, TimesBoard
+from stampede_rt_channel_host.core.group.tracks import FarTrack, Nearest, OwnTrack, Track
 from stampede_rt_channel_host.core.group.visible import GroupView, Horizon
 
 __all__ = [
     "MAX_LEAD_NANOS_DEFAULT",
     "MAX_WAIT_NANOS_DEFAULT",
+    "OWN",
     "Boundary",
     "ChannelTimes",
     "CutFollower",

@@ -5,7 +5,9 @@ come as far, or when they were waited for long enough. What is due at once becom
 merged ones.
 
 A member has come as far when its newest item or an advance has: what a duration says is no promise. So with a bound of
-"end", where the cut lies ahead of items, an event waits for the next ones; a small max_wait has it at once.
+"end", where the cut lies ahead of items, an event waits for the next ones; a small max_wait has it at once. With a
+lateness the newest item has to be by so much past the cut: what comes out of order by no more is in the event; and an
+event may reach up to where all have come so far.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from stampede_rt.timeline import clamp
 from stampede_rt_channel_host.core.group.cut import Member
 
 MAX_WAIT_NANOS_DEFAULT = 1_000_000_000
@@ -30,10 +33,13 @@ class Boundary(NamedTuple):
 class EventDecider:
     """Of one subscription. After each change of cut and members, and at `wake_at`: `note`, then `due`."""
 
-    def __init__(self, cut: int | None, max_wait_nanos: int = MAX_WAIT_NANOS_DEFAULT) -> None:
-        """Events from `cut` on; None: nothing is visible yet."""
+    def __init__(
+        self, cut: int | None, max_wait_nanos: int = MAX_WAIT_NANOS_DEFAULT, lateness_nanos: int = 0
+    ) -> None:  # fmt: skip
+        """Events from `cut` on; None: nothing is visible yet. A cut waits for both times at the most."""
         self._decided = cut
-        self._max_wait_nanos = max_wait_nanos
+        self._max_wait_nanos = max_wait_nanos + lateness_nanos
+        self._lateness_nanos = lateness_nanos
         self._pending: deque[tuple[int, int]] = deque()  # cuts without an event, ascending, and when each was reached
 
     def note(self, cut: int | None, now: int) -> None:
@@ -57,10 +63,11 @@ class EventDecider:
         decided: int | None = None
         while self._pending and self._is_due(*self._pending[0], present, now):
             decided = self._pending.popleft()[0]
+        decided = self._between(decided, present)
         if decided is None:
             return None
         self._decided = decided
-        return Boundary(decided, tuple(one.channel_id for one in present if _is_behind(one, decided)))
+        return Boundary(decided, tuple(one.channel_id for one in present if self._is_behind(one, decided)))
 
     def wake_at(self) -> int | None:
         """When the first cut has waited long enough; None: none waits."""
@@ -69,8 +76,25 @@ class EventDecider:
     def _is_due(self, cut: int, reached: int, members: list[Member], now: int) -> bool:
         if now >= reached + self._max_wait_nanos:
             return True
-        return not any(_is_behind(member, cut) and not member.is_idle for member in members)
+        return not any(self._is_behind(member, cut) and not member.is_idle for member in members)
 
+    def _between(self, decided: int | None, members: list[Member]) -> int | None:
+        """With a lateness: where all members have come, short of the next cut. It may be far, as after a jump."""
+        last = self._decided if decided is None else decided
+        come = [self._come(one) for one in members if not one.is_idle]
+        known = [one for one in come if one is not None]
+        if not self._lateness_nanos or not self._pending or not known or len(known) < len(come):
+            return decided
+        return min(known) if last is None or min(known) > last else decided
 
-def _is_behind(member: Member, cut: int) -> bool:
-    return member.mark is None or member.mark < cut
+    def _is_behind(self, member: Member, cut: int) -> bool:
+        come = self._come(member)
+        return come is None or come < cut
+
+    def _come(self, member: Member) -> int | None:
+        """Up to where all items of a member have come; None: unknown."""
+        if member.heard is None:
+            return None
+        newest, advance = member.heard.times.newest, member.heard.times.advance
+        known = [] if newest is None else [clamp(newest - self._lateness_nanos)]
+        return max(known if advance is None else [*known, advance], default=None)

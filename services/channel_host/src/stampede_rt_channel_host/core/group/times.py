@@ -33,9 +33,10 @@ class ChannelTimes(NamedTuple):
         """The later of newest and advance."""
         return _later(self.newest, self.advance)
 
-    def has_passed(self, instant: int) -> bool:
-        """No item that comes in order can be at or before `instant` any more, other than into the newest bucket."""
-        by_item = self.newest is not None and self.newest >= instant
+    def has_passed(self, instant: int, lateness_nanos: int = 0) -> bool:
+        """No item can be at or before `instant` any more, if none is further behind the newest than `lateness_nanos`.
+        0: they come in order, other than into the newest bucket. What an advance has excluded never comes."""
+        by_item = self.newest is not None and self.newest - lateness_nanos >= instant + bool(lateness_nanos)
         return by_item or (self.advance is not None and self.advance > instant)
 
     def merged(self, told: ChannelTimes) -> ChannelTimes:

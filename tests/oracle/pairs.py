@@ -1,0 +1,18 @@
+"""Pairs by the book: of all pairs the nearest first, each item once, none across another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+Place = tuple[int, int]
+
+
+def paired(own: Iterable[Place], other: Iterable[Place], tolerance: int) -> dict[Place, Place]:
+    """All pairs of items (time, seq) at most `tolerance` apart; of equally near ones that with the earlier items."""
+    possible = [(abs(one[0] - two[0]), one, two) for one in own for two in other if abs(one[0] - two[0]) <= tolerance]
+    made: dict[Place, Place] = {}
+    possible.sort(key=lambda pair: (pair[0], pair[1:]))
+    for _, one, two in possible:
+        if all(one != former and two != near and (one < former) == (two < near) for former, near in made.items()):
+            made[one] = two
+    return made
