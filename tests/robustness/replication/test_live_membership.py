@@ -10,7 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_supernode.replication import Ambiguous, ChangeRefused, ChangeUnderWay, NotLeading, Unavailable
+from stampede_rt_supernode.replication import (
+    Ambiguous,
+    ChangeRefused,
+    ChangeUnderWay,
+    NotLeading,
+    ReplicatedLog,
+    Unavailable,
+    member_changes,
+)
 from tests.robustness.replication.live_cluster import LiveCluster, LiveMember, running, until
 
 
@@ -122,6 +130,42 @@ async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path)
         with pytest.raises(Ambiguous, match="goes on"):
             await leader.add_member(second.member, timeout=0.1)
         under_way.cancel()
+
+
+async def test_a_newcomer_that_is_stuck_holds_up_no_removal_and_makes_room_for_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 0.3)
+    async with LiveCluster(3, tmp_path) as cluster:
+        stuck, other = await cluster.volunteer(), await cluster.volunteer()
+        await stuck.stop()
+        leader = running(await cluster.leader())
+        under_way = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
+        await until(lambda: stuck.member.member_id in leader._replica.roster.peers)  # type: ignore[attr-defined]
+        removed = next(one for one in await cluster.followers() if one not in (stuck, other))
+        await leader.remove_member(removed.member.member_id, timeout=5.0)
+        assert not under_way.done()
+        await let_in(leader, other)
+        with pytest.raises(ChangeUnderWay, match="took nothing of the log"):
+            await under_way
+        # It is started again and again: the next one need not even wait.
+        monkeypatch.setattr(member_changes, "GIVES_WAY_SECONDS", 3600.0)
+        again = asyncio.create_task(leader.add_member(stuck.member, timeout=60.0))
+        await until(lambda: stuck.member.member_id in leader._replica.roster.peers)  # type: ignore[attr-defined]
+        await let_in(leader, await cluster.volunteer())
+        with pytest.raises(ChangeUnderWay):
+            await again
+
+
+async def let_in(leader: ReplicatedLog, newcomer: LiveMember) -> None:
+    """As a newcomer does: ask again while others come."""
+    async with asyncio.timeout(20):
+        while True:
+            try:
+                await leader.add_member(newcomer.member, timeout=10.0)
+                return
+            except ChangeUnderWay:
+                await asyncio.sleep(0.02)
 
 
 async def test_changes_without_effect_are_no_error_and_senseless_ones_are(tmp_path: Path) -> None:

@@ -78,6 +78,9 @@ async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_pat
         code, printed = await command("remove", "a", "--member", newcomer.address)
         assert (code, "there remain b" in printed) == (0, True), printed
         await status_has(newcomer.address, "1 of 1 serve")
+        assert await founder.ended() == 1
+        code, printed = await command(*founder._arguments)
+        assert (code, "is of no use any more: PERMISSION_DENIED: 'a' was removed" in printed) == (1, True), printed
         await newcomer.end(signal.SIGKILL)
         await newcomer.start()
         await status_has(newcomer.address, "1 of 1 serve")

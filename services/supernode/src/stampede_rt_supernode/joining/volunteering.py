@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import random
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from stampede_rt_supernode.replication import ReplicatedLog
 logger = logging.getLogger(__name__)
 
 ATTEMPT_SECONDS = 30.0
-PAUSE_SECONDS = 0.5
+PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
 _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
 
 
@@ -30,20 +31,24 @@ async def volunteer(
 ) -> None:
     """Ask one member after the other, and whom they name as the leader. Raises StampedeError if they refuse."""
     addresses = list(founding.members.values())
+    pause_seconds, told = PAUSE_SECONDS, ""
     while not _is_member(log):
         try:
             await _ask(addresses[0], founding, dial, zone=zone)
         except NotLeader as error:
-            leader = error.metadata.get("leader_endpoint", "")
+            leader, pause_seconds = error.metadata.get("leader_endpoint", ""), PAUSE_SECONDS
             addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
         except _HOPELESS as error:
             raise StampedeError(
                 f"this supernode cannot join: {error.message}; then empty {data_dir}, and join again"
             ) from error
         except StampedeError as error:
-            logger.info("waiting to be let in", extra={"asked": addresses[0], "cause": error.message})
+            if told != error.message:
+                told = error.message
+                logger.info("waiting to be let in", extra={"asked": addresses[0], "cause": told})
             addresses = _next(addresses)
-        await asyncio.sleep(PAUSE_SECONDS)
+            pause_seconds = min(2 * pause_seconds, PAUSE_SECONDS_MAX)
+        await asyncio.sleep(pause_seconds * random.uniform(0.5, 1.0))
     write_founding(data_dir, replace(founding, token="", started=True))
     logger.info("joined", extra={"supernode": founding.supernode_id})
 

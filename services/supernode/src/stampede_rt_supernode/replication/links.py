@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import random
+import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -21,6 +22,7 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
 from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.reports import SparseReports
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
 logger = logging.getLogger(__name__)
@@ -66,7 +68,9 @@ class Link:
         deliver: Callable[[NetworkEvent], None],
         on_refused: Callable[[str], None],
         introduce: Introduce,
+        reports: SparseReports,
     ) -> None:
+        self._reports = reports
         self.member = self._member = member
         self._on_refused = on_refused
         self._introduce = introduce
@@ -79,8 +83,6 @@ class Link:
         self._overflow = False
         # Loop time of the first request that no answer has followed.
         self._unanswered_since: float | None = None
-        # Why the link is down, as last said; empty since it was up.
-        self._reported = ""
         # Whom the peer has named as members last, on this stream.
         self._told: tuple[Member, ...] = ()
         # True when an empty request shall ask for an answer.
@@ -111,9 +113,8 @@ class Link:
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:
-        """Say once why there is no link, not twice a second."""
-        if reason != self._reported:
-            self._reported = reason
+        """Say once why there is no link, not twice a second, nor each time that somebody starts the member again."""
+        if self._reports.is_due((self._member.member_id, reason), time.monotonic()):
             level = logging.INFO if UNKNOWN in reason else logging.WARNING
             logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
 
@@ -143,7 +144,6 @@ class Link:
 
     async def _pump(self, call: Any) -> None:
         self._open = True
-        self._reported = ""
         self._deliver(Connected(self._member.member_id))
         tasks = [asyncio.ensure_future(each) for each in (self._listen(call), self._write(call), self._watch())]
         try:
@@ -236,6 +236,7 @@ class Links:
         self._bridge = bridge
         self._on_fatal = on_fatal
         self._links: dict[str, Link] = {}
+        self._reports = SparseReports()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
@@ -274,20 +275,23 @@ class Links:
                 task.cancel()
         for member_id, member in peers.items():
             if member_id not in self._links:
-                link = Link(member, self._settings, self._dial, self._deliver, self._on_refused, self._introduce)
+                link = self._link(member, self._deliver, self._introduce)
                 self._links[member_id] = link
                 task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member_id}")
                 task.add_done_callback(self._on_end)
                 self._tasks[member_id] = task
 
+    def _link(self, member: Member, deliver: Callable[[NetworkEvent], None], introduce: Introduce) -> Link:
+        return Link(member, self._settings, self._dial, deliver, self._on_refused, introduce, self._reports)
+
     def _on_refused(self, why: str) -> None:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
-        took_store = not (self.has_lost_store or self.has_old_store)
+        was_refused = self.is_refused
         self.removed = self.removed or REMOVED in why
         self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why
         self.has_old_store = self.has_old_store or OLDER_STORE in why
-        if took_store and (self.has_lost_store or self.has_old_store):
+        if self.is_refused and not was_refused:
             self.on_store_refused(why)
 
     def release(self, messages: Sequence[Outgoing]) -> None:

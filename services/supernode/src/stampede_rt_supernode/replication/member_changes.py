@@ -26,6 +26,8 @@ ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | 
 
 # A newcomer that makes no progress for so long is given up, so that others can come.
 STALLED_SECONDS = 30.0
+# One that makes none for so long makes room for another newcomer that waits; one that was given up before, at once.
+GIVES_WAY_SECONDS = 5.0
 HAND_OVER_SECONDS = 1.0
 
 
@@ -55,7 +57,8 @@ class _Addition:
     round_end: int
     round_began: float
     progress_at: float
-    held: int = 0
+    # How far it has acknowledged the log, and how much of a snapshot it was sent.
+    progress: tuple[int, int] = (0, 0)
 
 
 @dataclass(slots=True)
@@ -80,7 +83,8 @@ class _Leaving:
 class MemberChanges:
     """All changes of one replica. Tick thread only; `node` is a Membership.
 
-    Invariant: at most one of `_addition` and `_committing` is set, and only while this node leads.
+    At most one configuration is on its way, and at most one newcomer catches up; a removal does not wait for it.
+    Invariant: both only while this node leads.
     """
 
     def __init__(
@@ -98,6 +102,8 @@ class MemberChanges:
         self._round_seconds = round_seconds
         self._alive_seconds = alive_seconds
         self._addition: _Addition | None = None
+        # The newcomer that was given up last; empty once that one makes progress.
+        self._given_up_id = ""
         self._committing: _Committing | None = None
         self._leaving: _Leaving | None = None
 
@@ -117,11 +123,16 @@ class MemberChanges:
             self._finish([change], NotLeading("this replica does not lead"))
         elif self._joins(change):
             return
-        elif self._addition is not None or self._committing is not None or not self._node.may_change_members():
+        elif self._committing is not None or not self._node.may_change_members():
             self._finish([change], ChangeUnderWay("another member is just coming or going, or the leader is new"))
         elif change.is_removal:
             self._remove(change)
+        elif self._addition is not None and not self._gives_way(self._addition):
+            name = self._addition.member.member_id
+            self._finish([change], ChangeUnderWay(f"{name} is just coming, and others wait until it is in"))
         else:
+            if self._addition is not None:
+                self._give_up(self._addition)
             self._introduce(change)
 
     def hand_over(self, wish: HandOver) -> None:
@@ -188,12 +199,15 @@ class MemberChanges:
 
     def _catch_up(self, addition: _Addition) -> None:
         now, held = self._clock(), self._node.held_by(addition.member.member_id)
-        if held > addition.held:
-            addition.held, addition.progress_at = held, now
+        progress = (held, self._node.keeper.sent_bytes(addition.member.member_id))
+        if progress != addition.progress:
+            addition.progress, addition.progress_at = progress, now
+            if self._given_up_id == addition.member.member_id:
+                self._given_up_id = ""
         elif now - addition.progress_at > STALLED_SECONDS:
             self._give_up(addition)
             return
-        if held < addition.round_end:
+        if held < addition.round_end or self._committing is not None:
             return
         if now - addition.round_began > self._round_seconds:
             addition.round_end, addition.round_began = self._node.log_end(), now
@@ -205,14 +219,20 @@ class MemberChanges:
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 
+    def _gives_way(self, addition: _Addition) -> bool:
+        """Whether a newcomer is stuck, so that another one may come first."""
+        stuck_seconds = self._clock() - addition.progress_at
+        return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id == self._given_up_id
+
     def _give_up(self, addition: _Addition) -> None:
-        self._addition = None
+        """It may try again, and has spent no token."""
+        self._addition, self._given_up_id = None, addition.member.member_id
         self._node.set_learner(None)
         text = (
             f"{addition.member.member_id} at {addition.member.address} took nothing of the log for "
-            f"{STALLED_SECONDS:.0f} s; see that it runs, that this address leads to it, and try again"
+            f"{self._clock() - addition.progress_at:.0f} s; see that it runs, and that this address leads to it"
         )
-        self._finish(addition.callers, ChangeRefused(text))
+        self._finish(addition.callers, ChangeUnderWay(text))
 
     def _remove(self, change: MemberChange) -> None:
         configuration, member_id = self._node.configuration(), change.member.member_id

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from typing import Any
 
 import grpc
@@ -21,6 +22,7 @@ from stampede_rt_supernode.replication.known_stores import KnownStores
 from stampede_rt_supernode.replication.links import REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.mailroom import Introduced, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.replica import InboxFull, Replica
+from stampede_rt_supernode.replication.reports import SparseReports
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 
 HELLO_SECONDS = 5.0
@@ -44,6 +46,7 @@ class RaftServicer:
         self._refused: dict[str, str] = {}
         # Member id -> what reads its present stream. At most one each.
         self._readers: dict[str, asyncio.Task[None]] = {}
+        self._reports = SparseReports()
         self._closed = False
 
     def add_to_server(self, server: grpc.aio.Server) -> None:
@@ -124,8 +127,9 @@ class RaftServicer:
         """Remember, and say once, that a member may not come back with the store that it has."""
         if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
             self._refused.pop(hello.member_id, None)
-        elif self._refused.get(hello.member_id) != refusal.why:
-            self._refused[hello.member_id] = refusal.why
+            return
+        self._refused[hello.member_id] = refusal.why
+        if self._reports.is_due((hello.member_id, refusal.why), time.monotonic()):
             logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
 
     async def _receive(self, member_id: str, context: Any) -> None:

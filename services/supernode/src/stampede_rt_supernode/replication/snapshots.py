@@ -209,6 +209,11 @@ class SnapshotKeeper:
         self._received = self._receiver.take_in(data.chunk if isinstance(data, Piece) else data)
         return self._received is not None
 
+    def sent_bytes(self, member_id: str) -> int:
+        """How much a member was sent of the snapshot that it is being sent; 0 if it is sent none."""
+        sending = self._sending.get(member_id)
+        return sending.sent_bytes if sending is not None else 0
+
     def cancelTransmisstion(self, id: Any) -> None:
         """Start from the beginning with this node next time."""
         self._sending.pop(id.id, None)

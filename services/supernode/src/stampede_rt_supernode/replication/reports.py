@@ -1,0 +1,26 @@
+"""What was logged lately, so that the log does not say the same over and over. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+AGAIN_SECONDS = 600.0
+REPORTS_MAX = 256
+
+
+class SparseReports:
+    """Each report is due once in AGAIN_SECONDS. Of more than REPORTS_MAX, the oldest is forgotten."""
+
+    def __init__(self) -> None:
+        self._said_at: dict[Hashable, float] = {}
+
+    def is_due(self, report: Hashable, now: float) -> bool:
+        """Whether to say it at `now` (seconds); then it counts as said."""
+        said_at = self._said_at.get(report)
+        if said_at is not None and now - said_at < AGAIN_SECONDS:
+            return False
+        self._said_at.pop(report, None)
+        self._said_at[report] = now
+        if len(self._said_at) > REPORTS_MAX:
+            del self._said_at[next(iter(self._said_at))]
+        return True
