@@ -77,7 +77,9 @@ def test_every_command_works(cluster: LocalCluster, command: str) -> None:
     prepare(cluster)
     arguments = [sys.executable, "-m", "stampede_rt.cli", *shlex.split(command)[1:]]
     done = subprocess.run(arguments, env=environment(cluster), capture_output=True, text=True, timeout=40, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    # On a slow machine retention may have taken items of earlier tests: a get says so beside its answer.
+    assert done.stderr == "" or done.stderr.startswith("stampede: COLLECTED: max_age (10 s)")
     assert done.stdout
 
 
