@@ -28,9 +28,12 @@ from stampede_rt_bench.tables import Table
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.core.channel import Offer
 from stampede_rt_channel_host.core.group import CutFollower
+from stampede_rt_channel_host.core.queue import Enqueue, Queue, QueueLimits, Taker
+from stampede_rt_channel_host.queues.frames import take_response
 from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
 
 ITEMS, LATE_ITEMS, BUCKET_ITEMS = 500_000, 300_000, 50_000
+BLOCKED_GETS, CALLS, CHANNELS, QUEUED_ITEMS = 10_000, 1000, 20_000, 100_000
 RUN_ITEMS = 200
 PAGE_ITEMS = 100
 READ_ITEMS = 20_000
@@ -204,6 +207,64 @@ async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
     return f"{items:,} items that are owed to a consumer go by count", work
 
 
+async def deletion(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    calls = [rig.channels.Get() for _ in range(BLOCKED_GETS // CALLS)]
+    for call in calls:
+        for call_id in range(1, CALLS + 1):
+            await call.write(channel.get_request(call_id, interval=channel.future(), wait_nanos=-1))
+    await channel.until(lambda status: status.waiting_gets == BLOCKED_GETS)
+
+    async def work() -> None:
+        about = {"channel_id": channel.channel_id, "epoch": channel.epoch}
+        await rig.gate.DropChannel(gate_pb.DropChannelRequest(request_id=b"0123456789abcdef", **about))  # type: ignore[arg-type]
+        for call in calls:
+            for _ in range(CALLS):
+                assert (await call.read()).HasField("error")
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            while len(hosted.channel.look(rig.now())[0].index):
+                await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+
+    return f"a channel of {items:,} items with {BLOCKED_GETS:,} blocked gets is deleted", work
+
+
+async def listing(rig: Rig, channels: int) -> tuple[str, Work]:
+    for number in range(channels):
+        await rig.open(f"c/{number:06}", channel_pb2.ChannelSpec())
+
+    async def work() -> None:
+        page = await rig.gate.ListHostedChannels(gate_pb.ListHostedChannelsRequest())
+        assert len(page.channels) == min(channels, 1000)
+
+    return f"a page of 1000 of {channels:,} channels", work
+
+
+async def batches(rig: Rig, items: int) -> tuple[str, Work]:
+    """The core alone, as its shell moves it: `tick` when it is due."""
+    queue = Queue(QueueLimits(max_items=items, max_bytes=2**40), incarnation=1)
+    takers = [Taker(taker_id, None) for taker_id in range(1, 101)]
+    for _ in range(items):
+        queue.enqueue(Enqueue([1], lambda first_seq, places, stamped: b"x" * 24), rig.now())
+
+    async def work() -> None:
+        for taker in takers:
+            queue.grant(taker, items // len(takers), rig.now())
+            await asyncio.sleep(0)
+        taken = 0
+        while taken < items:
+            for taker, batch in queue.take_dealt():
+                queue.sending(taker)
+                take_response(batch, (), rig.now())
+                taken += sum(one.hi - one.lo for one in batch.slices)
+                await asyncio.sleep(0)
+                queue.sent(taker, rig.now())
+            queue.tick(rig.now())
+            await asyncio.sleep(0)
+
+    return f"{items:,} single queued items are dealt to 100 takers", work
+
+
 CASES: dict[str, tuple[Case, int]] = {
     "get": (large_get, ITEMS),
     "subscribe": (subscription, ITEMS),
@@ -212,6 +273,9 @@ CASES: dict[str, tuple[Case, int]] = {
     "page": (page, BUCKET_ITEMS),
     "reach": (reach, BUCKET_ITEMS),
     "consumption": (consumption, ITEMS),
+    "delete": (deletion, ITEMS),
+    "list": (listing, CHANNELS),
+    "batches": (batches, QUEUED_ITEMS),
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from stampede_rt_channel_host.core.queue import Enqueue, QueueLimits
 from stampede_rt_channel_host.core.queue.dealing import ITEMS_DEALT_MAX
 from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE
 from tests.unit.queues.cores import Core
 
 
@@ -73,3 +74,17 @@ def test_what_a_smaller_limit_leaves_too_much_is_dropped_by_many_calls_while_the
     assert core.queue.take_finished() == [run]
     assert run.outcome is not None
     assert run.outcome.parts
+
+
+def test_a_queue_that_goes_lets_go_of_its_items_in_pieces() -> None:
+    core = Core(max_items=20_000)
+    for _ in range(20):
+        core.put(*[1] * 500)
+    core.taker(1, 2000)
+    core.dealt()
+    held = 10_000
+    for _ in core.queue.emptying():
+        (now_held,) = core.counted("held")
+        assert held - EMPTIED_PER_PIECE <= now_held <= held
+        held = now_held
+    assert core.counted("held", "leased") == (0, 0)

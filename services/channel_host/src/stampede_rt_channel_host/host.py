@@ -112,6 +112,7 @@ class ChannelHost:
             memory,
             now=self.store.now,
             lease_held=self._lease.lease_held,
+            turns=self.store.turns,
             on_departures=lambda hosted: mover.departures(hosted),
         )
         mover = DeadLetterMover(directory, self._dial, may_move=queues.holds, on_defect=on_defect)

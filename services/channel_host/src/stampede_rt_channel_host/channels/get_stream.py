@@ -182,6 +182,7 @@ class GetStream:
             assert begun.pending is not None, "only blocking gets are held back"
             now = self._store.now()
             try:
+                self._store.find(begun.plan.channel_id, begun.plan.epoch)
                 self._go_on(begun, first_of(begun.hosted.channel.polling(begun.pending, now)), now)
             except StampedeError as error:
                 self._refuse(begun.call_id, error)

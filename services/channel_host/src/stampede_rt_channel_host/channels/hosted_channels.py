@@ -16,7 +16,7 @@ from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import LEASE_NANOS, Channel, Coming
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, Channel, Coming, Pieces
 
 SUBSCRIPTIONS_MAX = 4096
 _orders = itertools.count()
@@ -101,17 +101,21 @@ class HostedChannel:
         self._announce(now)
         self.puts.changed(now)
 
-    def end(self, error: StampedeError) -> None:
-        """Whoever waits for the channel or listens to it hears `error`."""
-        self.gets.end_all(error)
-        self.puts.end_all(error)
-        for listener in [*self.listeners, *self.followers]:
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """Whoever waits for the channel or listens to it hears `error`, in pieces."""
+        for listener in [*self.listeners, *self.followers]:  # which only are interrupted, or take note
             listener.end(error)
+        self.puts.end_all(error)  # at once, before any of them can be sent again
+        yield from self.gets.ending(error)
 
-    def let_go(self) -> None:
-        """The channel is not held here any more: its memory counts no longer."""
+    def leaving(self, error: StampedeError) -> Pieces[None]:
+        """As `ending`, for good: the channel is not held here any more, and its memory counts no longer."""
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
+        self._on_touched = _ignore
+        yield from self.ending(error)
+        yield  # those who were interrupted have let go of it
+        yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:
         """Free what time has outdated, a bounded part; True if more is left to do at once."""
@@ -146,3 +150,7 @@ class HostedChannel:
             follower.wake()
         for listener in self.listeners:
             listener.wake()
+
+
+def _ignore(hosted: HostedChannel) -> None:
+    """Nobody wants to know any more."""

@@ -5,6 +5,10 @@ from __future__ import annotations
 import logging
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from itertools import islice
+from typing import Any
+
+from sortedcontainers import SortedList
 
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
 from stampede_rt.v1 import channel_pb2
@@ -18,13 +22,15 @@ from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.core.channel import Limits
+from stampede_rt_channel_host.core.channel import Limits, Pieces
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_runtime.clock import HostClock
 
 logger = logging.getLogger(__name__)
 
 CHANNELS_MAX = 100_000
+CHANNELS_PER_PIECE = 256
+_ID_END = b"\xff" * 17  # above every id
 DROPS_REMEMBERED_MAX = 1024
 QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
 
@@ -51,6 +57,7 @@ class ChannelStore:
         self._clock = clock
         self._time = HostTime(clock.boottime_nanos(), clock.time_unix_nano())
         self._channels: dict[bytes, HostedChannel] = {}
+        self._names: Any = SortedList()  # of them, each with its id
         self._asking = Asking()
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
@@ -143,13 +150,19 @@ class ChannelStore:
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
-        """Whoever waits for a channel or listens to it hears `error`."""
-        for hosted in self.all():
-            hosted.end(error)
+        """Whoever waits for a channel or listens to it hears `error`; of many, the last ones a moment later."""
+        self.turns.begin(self._ending(self.all(), error))
 
-    def by_name(self) -> list[HostedChannel]:
-        """All channels that were bound here, in the order of names."""
-        return sorted(self._channels.values(), key=lambda hosted: hosted.record.name)
+    def _ending(self, channels: Iterable[HostedChannel], error: StampedeError) -> Pieces[None]:
+        for at, hosted in enumerate(channels):
+            yield from hosted.ending(error)
+            if at % CHANNELS_PER_PIECE == CHANNELS_PER_PIECE - 1:
+                yield
+
+    def named_after(self, name: str, count: int) -> list[HostedChannel]:
+        """The next `count` channels behind a name, in the order of names."""
+        behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
+        return [self._channels[channel_id] for _, channel_id in islice(behind, count)]
 
     def status(self, hosted: HostedChannel) -> channel_pb2.ChannelStatus:
         """A channel's counters and bounds, at this moment."""
@@ -212,14 +225,15 @@ class ChannelStore:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
         hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch)
         self._channels[record.channel_id] = hosted
+        self._names.add((record.name, record.channel_id))
         return hosted
 
     def _forget(self, channel_id: bytes, error: StampedeError) -> None:
         hosted = self._channels.pop(channel_id, None)
         if hosted is not None:
-            hosted.end(error)
-            hosted.let_go()
+            self._names.remove((hosted.record.name, channel_id))
             self.sweep.forget(hosted)
+            self.turns.begin(hosted.leaving(error))
 
 
 def _check_spec(held: channel_pb2.ChannelSpec, change: channel_pb2.ChannelSpec) -> None:

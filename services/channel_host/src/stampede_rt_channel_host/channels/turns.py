@@ -16,11 +16,20 @@ class Turns:
 
     def __init__(self) -> None:
         self._turn = asyncio.Lock()
+        self._begun: set[asyncio.Task[None]] = set()  # kept here, since the loop holds its tasks weakly
 
     async def do(self, pieces: Pieces[Result]) -> Result:
         """The result. The first piece, which nearly always is all, is done at once."""
         found = first_of(pieces)
         return await self.finish(found.rest) if isinstance(found, Unfinished) else found
+
+    def begin(self, pieces: Pieces[None]) -> None:
+        """Do the first piece at once, and the others in turn, which nobody waits for."""
+        found = first_of(pieces)
+        if isinstance(found, Unfinished):
+            task = asyncio.create_task(self.finish(found.rest), name="long work")
+            self._begun.add(task)
+            task.add_done_callback(self._begun.discard)
 
     async def finish(self, pieces: Pieces[Result]) -> Result:
         """The result, once all pieces that are left are done. Raises what they raise; cancelled, it closes them."""

@@ -32,6 +32,7 @@ Outcome = Answer | Unfinished[Answer | WakeAt] | Unfinished[Answer] | StampedeEr
 """A long answer is begun where the get is released, and finished by whoever hears of it."""
 
 WAITING_GETS_MAX = 20_000
+GETS_PER_PIECE = 64
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 _TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come sooner than it seems
 
@@ -160,10 +161,13 @@ class WaitingGets:
             if get in self._waiting:  # an outcome may have cancelled others
                 self._look(get, now)
 
-    def end_all(self, error: StampedeError) -> None:
-        """The channel is not served any more."""
-        for get in list(self._waiting):
-            get.finish(error)
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """Those that wait now hear, in pieces, that the channel is not served any more."""
+        for at, get in enumerate(list(self._waiting), 1):
+            if get in self._waiting:  # else it was released since the piece before
+                get.finish(error)
+            if at % GETS_PER_PIECE == 0:
+                yield
 
     def _look(self, get: WaitingGet, now: int) -> None:
         self.looked_at += 1

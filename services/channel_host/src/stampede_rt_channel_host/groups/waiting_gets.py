@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGets
 from stampede_rt_channel_host.core.channel import BEFORE_ALL, Answer, Coming, Pending, Pieces, Unfinished, WakeAt
 from stampede_rt_channel_host.core.group import GroupView
@@ -28,13 +29,19 @@ class PendingAt(Pending):
 class GroupGets:
     """A `Listener` of the group and the channel as long as somebody waits, and a `Source` of answers.
 
-    `check` raises if the channel is no member any more.
+    `check` raises if the channel is no member any more; `turns` are for long work.
     """
 
     def __init__(
-        self, group: HostedGroup, hosted: HostedChannel, now: Callable[[], int], check: Callable[[], object]
+        self,
+        group: HostedGroup,
+        hosted: HostedChannel,
+        now: Callable[[], int],
+        check: Callable[[], object],
+        turns: Turns,
     ) -> None:
         self._group = group
+        self._turns = turns
         self._hosted = hosted
         self._now = now
         self._check = check
@@ -43,11 +50,16 @@ class GroupGets:
 
     @classmethod
     def of(
-        cls, group: HostedGroup, hosted: HostedChannel, now: Callable[[], int], check: Callable[[], object]
+        cls,
+        group: HostedGroup,
+        hosted: HostedChannel,
+        now: Callable[[], int],
+        check: Callable[[], object],
+        turns: Turns,
     ) -> GroupGets:
         """Those that wait already, or nobody yet."""
         waiting = group.gets.get(hosted)
-        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check)
+        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, turns)
 
     async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
         """Block until the get, which was just polled, is released, or its time is over; below 0: without limit. The
@@ -97,7 +109,7 @@ class GroupGets:
     def end(self, error: StampedeError) -> None:
         """The group or the channel is not served any more."""
         self._leave()
-        self.gets.end_all(error)
+        self._turns.begin(self.gets.ending(error))
 
     def _leave(self) -> None:
         if self._group.gets.get(self._hosted) is self:

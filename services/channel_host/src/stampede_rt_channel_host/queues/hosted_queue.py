@@ -11,6 +11,7 @@ from typing import Protocol
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import (
     Batch,
@@ -177,14 +178,16 @@ class HostedQueue:
             _finish(done)
         self._follow_up()
 
-    def forget(self, error: StampedeError) -> None:
-        """As `end`, for good."""
+    def leaving(self, error: StampedeError) -> Pieces[None]:
+        """As `end`, for good: the queue is not held here any more. Lets go of its items, in pieces."""
         self._is_forgotten = True
         self.end(error)
         if self._timer is not None:
             self._timer.cancel()
         self._deadlines.disarm(self)
         self._charge.set(0)
+        yield  # streams that were interrupted have let go of it
+        yield from self.queue.emptying()
 
     def _follow_up(self) -> None:
         """After every call of the core: hand on what came of it, and see when something is due."""

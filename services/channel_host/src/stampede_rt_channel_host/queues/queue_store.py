@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt.v1 import directory_pb2, queue_pb2
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
@@ -28,8 +29,8 @@ class QueueStore:
     """A stream begins with `use`, which may ask the directory; every later request on it goes through `find`. Is
     `Watched`.
 
-    `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `on_departures` hears of
-    queues with items for their dead-letter queue.
+    `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `turns` are for
+    long work. `on_departures` hears of queues with items for their dead-letter queue.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class QueueStore:
         *,
         now: Callable[[], int],
         lease_held: Callable[[], bool],
+        turns: Turns,
         on_departures: Callable[[HostedQueue], None],
     ) -> None:
         self.now = now
@@ -47,6 +49,7 @@ class QueueStore:
         self._directory = directory
         self._memory = memory
         self._lease_held = lease_held
+        self._turns = turns
         self._on_departures = on_departures
         self._queues: dict[bytes, HostedQueue] = {}
         self._asking = Asking()
@@ -195,4 +198,4 @@ class QueueStore:
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:
         hosted = self._queues.pop(queue_id, None)
         if hosted is not None:
-            hosted.forget(error)
+            self._turns.begin(hosted.leaving(error))

@@ -10,7 +10,7 @@ from stampede_rt.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consumed, ConsumerPlace
-from stampede_rt_channel_host.core.channel.holdings import Cut, Holdings
+from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
@@ -287,6 +287,13 @@ class Channel:
         self._settle(self._tick(now))
         self._held.tell_gone(entries_max)
         return self._held.free(entries_max) or self._retention.has_more
+
+    def emptying(self) -> Pieces[None]:
+        """Let go of all items, in pieces: the channel is not used any more, and is no good afterwards."""
+        self._held.tell(None)
+        self._held.outdate(self._held.front_of_items(self._held.items), COUNT, self._clock or 0)
+        while self._held.free(pieces.STEPS_PER_PIECE):
+            yield
 
     def next_deadline(self, now: int) -> int | None:
         """When `collect` is next useful: now, if memory is left to free; else when time takes items; None: never."""

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from itertools import islice
 
 from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dealing import Dealing
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
@@ -26,6 +27,7 @@ from stampede_rt_channel_host.core.queue.values import (
 
 CHECKED_PER_CALL_MAX = 1024
 """How many items one call looks at again after other limits were set."""
+EMPTIED_PER_PIECE = 256
 DUE_PER_CALL_MAX = 256
 """How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
 
@@ -169,6 +171,16 @@ class Queue:
         self._unchecked = deque(self._shelf.touched)
         self._check_again()
         self._follow_up(clock)
+
+    def emptying(self) -> Pieces[None]:
+        """Let go of all items, in pieces: the queue is not used any more, and is no good afterwards."""
+        while self._shelf.items:
+            for item in [*islice(self._shelf.touched.values(), EMPTIED_PER_PIECE)]:
+                self._leasing.expel(item)
+            yield
+            for _ in range(EMPTIED_PER_PIECE):
+                self._shelf.drop_oldest()
+            yield
 
     def tick(self, now: int) -> None:
         """Look after leases that have ended, items that are not held back any more, and waits that are over."""

@@ -1,0 +1,39 @@
+"""A page of a host's channels with their status, gathered in pieces: a host may have a hundred thousand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from stampede_rt.v1 import channel_pb2
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.core.channel import Pieces
+
+NAMES_PER_PIECE = 256
+STATUSES_PER_PIECE = 32
+"""A status takes about as long as eight names."""
+
+
+class Page(NamedTuple):
+    """Channels in the order of their names; `has_more`: others come behind them."""
+
+    channels: list[channel_pb2.ChannelStatus]
+    has_more: bool
+
+
+def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, size: int) -> Pieces[Page]:
+    """At most `size` channels with names that match, behind the name `after`, each as of when it is looked at."""
+    shown: list[channel_pb2.ChannelStatus] = []
+    while found := store.named_after(after, NAMES_PER_PIECE):
+        for hosted in found:
+            after = hosted.record.name
+            if not matches(after):
+                continue
+            if len(shown) == size:
+                return Page(shown, has_more=True)
+            yield from hosted.channel.catching_up(store.now())
+            shown.append(store.status(hosted))
+            if len(shown) % STATUSES_PER_PIECE == 0:
+                yield
+        yield
+    return Page(shown, has_more=False)
