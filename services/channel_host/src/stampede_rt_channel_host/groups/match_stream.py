@@ -24,6 +24,8 @@ from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
 
 MATCHES_PER_MESSAGE_MAX = 64
+UNIQUE_PER_MESSAGE_MAX = 8
+"""Each may take up to a millisecond to be found, before anybody else has a turn."""
 
 
 class MatchStream:
@@ -140,7 +142,8 @@ class MatchStream:
             asked = request.per_channel_id if channel_id == OWN else channel_id
             return self._has_passed(group, asked, instant, request.lateness_nanos, now)
 
-        while left > 0 and len(found) < MATCHES_PER_MESSAGE_MAX:
+        most = UNIQUE_PER_MESSAGE_MAX if request.unique else MATCHES_PER_MESSAGE_MAX
+        while left > 0 and len(found) < most:
             one = matcher.take(has_passed, now, 1)
             if not one:
                 break

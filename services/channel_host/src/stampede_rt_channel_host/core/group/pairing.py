@@ -13,7 +13,7 @@ from stampede_rt.timeline import clamp
 from stampede_rt_channel_host.core.channel.index import LAST_PLACE, Place
 from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 
-STEPS_MAX = 64
+STEPS_MAX = 16
 
 HasPassed = Callable[[int], bool]
 
@@ -39,37 +39,29 @@ class Pairing:
         self._own_has_passed = own_has_passed
         self._other_has_passed = other_has_passed
         self._now = now
-        self._steps_left = STEPS_MAX
 
     def partner(self, place: Place, tolerance: int) -> Nearest | None:
         """What the first own item left gets; `other` has passed its time + tolerance. Raises Undecided."""
-        end, other_end = LAST_PLACE, LAST_PLACE
-        while True:
-            near = self._other.nearest(place[0], tolerance, self._now, self._after, other_end)
-            if near is None:
-                return None
-            end, paired = self._mutual(place, near, end, other_end)
-            if end == place:
-                return paired
-            other_end = paired.time, paired.seq
-
-    def _mutual(self, first: Place, near: Nearest, end: Place, other_end: Place) -> tuple[Place, Nearest]:
-        """A pair below the ends of which each is the other's nearest, found by going from one to its nearest; or, when
-        that takes too long, the pair that it began with."""
-        one, begun = first, near
-        while self._steps_left > 0:
-            self._steps_left -= 1
-            rival = self._rival(first, one, near, end)
-            if rival == one:
-                return one, near
+        end, other_end = (
+            LAST_PLACE,
+            LAST_PLACE,
+        )  # of what is not paired: a pair hides all that is behind one of its items
+        chain = [(place, tolerance)]  # each is nearer than the one before it to what that one would get
+        for _ in range(STEPS_MAX):
+            one, reach = chain[-1]
+            near = self._other.nearest(one[0], reach, self._now, self._after, other_end) if one < end else None
+            rival = one if near is None else self._rival(place, one, near, end)
+            if near is None or rival == one:
+                chain.pop()
+                if not chain:
+                    return near
+                end, other_end = (end, other_end) if near is None else (one, (near.time, near.seq))
+                continue
             distance = abs(near.time - rival[0])
             if not self._other_has_passed(clamp(rival[0] + distance - 1)):
                 raise Undecided
-            nearer = self._other.nearest(rival[0], distance, self._now, self._after, other_end)
-            if nearer is None or nearer[:2] == near[:2]:
-                return rival, near
-            one, near = rival, nearer
-        return first, begun
+            chain.append((rival, distance))
+        return self._other.nearest(place[0], tolerance, self._now, self._after, other_end)
 
     def _rival(self, first: Place, one: Place, near: Nearest, end: Place) -> Place:
         """The own item that is nearest to `near`; `one` is as near as told."""
