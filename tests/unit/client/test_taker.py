@@ -29,14 +29,18 @@ INFO = QueueInfo(
 class Stream:
     """A Take stream: keeps what is said, and answers what the test gives it."""
 
-    def __init__(self) -> None:
+    def __init__(self, opens: bool = True, error: st.StampedeError | None = None) -> None:
+        self.opens = opens
+        self.error = error
         self.said: list[pb.TakeRequest] = []
         self.answers: asyncio.Queue[pb.TakeResponse | st.StampedeError | None] = asyncio.Queue()
         self.heard = asyncio.Event()
 
     async def say(self, request: pb.TakeRequest) -> None:
         self.said.append(request)
-        if request.HasField("open"):
+        if self.error is not None:
+            self.answers.put_nowait(self.error)
+        elif self.opens and request.HasField("open"):
             self.deliver()
         self.heard.set()
 
@@ -86,6 +90,8 @@ class Host:
         self.ports = self
         self.queues = self
         self.streams: asyncio.Queue[Stream] = asyncio.Queue()
+        self.opens = True
+        self.error: st.StampedeError | None = None
         self.given_back: list[int] = []
         self.extended: list[int] = []
         self.settled = asyncio.Event()
@@ -97,7 +103,7 @@ class Host:
         return self
 
     def converse(self, method: Any) -> Stream:
-        stream = Stream()
+        stream = Stream(self.opens, self.error)
         self.streams.put_nowait(stream)
         return stream
 
@@ -289,6 +295,43 @@ async def test_a_stream_that_breaks_is_replaced_under_those_who_wait() -> None:
     assert stream.credit == 1
     stream.deliver(4)
     assert await seq_of(get) == 4
+
+
+async def until_at_rest(taker: Taker) -> None:
+    async with asyncio.timeout(LIMIT_S):
+        while taker._worker is not None:  # noqa: ASYNC110 - nothing announces that it rests
+            await asyncio.sleep(0)
+
+
+async def test_no_stream_is_opened_for_those_who_left_while_none_could_be() -> None:
+    """Each cancelled get of a handle at a lost host left a stream and a task behind, once there was another host."""
+    host = Host()
+    host.error = st.Unavailable("connection refused")
+    taker = taker_at(host)
+    get = asyncio.ensure_future(taker.get(FOR_EVER))
+    await host.next_stream()
+    get.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await get
+    host.error = None
+    await until_at_rest(taker)
+    assert host.attached == []
+
+
+async def test_a_stream_that_opens_after_its_handle_was_closed_is_drained(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stampede_rt._async.taker.END_TIMEOUT_S", 0.0)
+    host = Host()
+    host.opens = False
+    taker = taker_at(host)
+    get = asyncio.ensure_future(taker.get(FOR_EVER))
+    stream = await host.next_stream()
+    await taker.end()
+    assert await get is None
+    stream.deliver()
+    await until_said(stream, lambda request: request.drain)
+    stream.deliver(4, drained=True)
+    await until_at_rest(taker)
+    assert host.given_back == [4]
 
 
 async def test_a_queue_that_is_gone_is_told_to_all_who_wait() -> None:

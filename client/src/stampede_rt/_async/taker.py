@@ -196,7 +196,11 @@ class Taker:
             stream.cancel()
 
     async def _take_at(self, binding: Binding) -> None:
-        """Take over one stream until it ends. What ends it before anything was heard is raised."""
+        """Take over one stream, if it is still wanted, until it ends. What ends it before it was heard is raised."""
+        with self._mutex:
+            self._credit = self._wanted()
+            if not self._credit:  # whoever waited left while it could not be opened
+                return
         port = self._session.ports.to(binding.target)
         stream: Conversation[queue_pb.TakeResponse] = port.converse(port.queues.Take)
         heard = False
@@ -206,8 +210,6 @@ class Taker:
             taker_id=self._taker_id,
             taker_name=self._name,
         )
-        with self._mutex:
-            self._credit = self._wanted()
         try:
             await stream.say(queue_pb.TakeRequest(open=opening, credit=self._credit))
             async for response in stream:  # the first one says that the stream is open
@@ -227,7 +229,13 @@ class Taker:
         with self._mutex:
             self._stream = stream
             self._opened.set()
-        await self._ask()
+            unwanted = not self._wanted() and not self._draining
+            self._draining = self._draining or unwanted
+        if not unwanted:
+            await self._ask()
+            return
+        with suppress(Unavailable):  # whoever would drain it may have stopped waiting until it is open
+            await stream.say(queue_pb.TakeRequest(drain=True))
 
     def _ended(self) -> None:
         with self._mutex:
