@@ -1,0 +1,96 @@
+"""How an operation is tried again: after what may pass, until its time is over, and what is told then."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt._async import attempts
+from stampede_rt._async.attempts import attempt
+from stampede_rt.binding import Binding
+
+BINDING = Binding(channel_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
+
+
+class Clock:
+    """Time that passes in sleeps alone."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    async def sleep(self, delay_s: float) -> None:
+        self.now_s += delay_s
+
+
+class Place:
+    """A place that is always found, and keeps how often it turned out to be stale."""
+
+    closed = False
+
+    def __init__(self) -> None:
+        self.forgotten = 0
+
+    async def find(self, deadline_s: float) -> Binding:
+        return BINDING
+
+    def forget(self) -> None:
+        self.forgotten += 1
+
+    def check(self) -> None:
+        return None
+
+    def explain(self, error: st.StampedeError) -> None:
+        return None
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(attempts, "time", clock)
+    monkeypatch.setattr(attempts, "sleep", clock.sleep)
+    return clock
+
+
+class Operation:
+    """Meets one error after the other, the last one again and again; without any left it succeeds."""
+
+    def __init__(self, *errors: st.StampedeError, for_ever: bool = False) -> None:
+        self.errors = list(errors)
+        self.for_ever = for_ever
+
+    async def __call__(self, binding: Binding) -> str:
+        if not self.errors:
+            return "done"
+        raise self.errors[0] if self.for_ever and len(self.errors) == 1 else self.errors.pop(0)
+
+
+async def test_an_operation_whose_host_does_not_answer_in_time_is_tried_again(clock: Clock) -> None:
+    place = Place()
+    operation = Operation(st.DeadlineExceeded("slow"), st.Unavailable("gone"), st.DeadlineExceeded("slow"))
+    assert await attempt(place, operation, 10) == "done"
+    assert place.forgotten == 3
+
+
+async def test_a_last_try_that_was_cut_short_does_not_hide_what_kept_the_others(clock: Clock) -> None:
+    operation = Operation(st.Unavailable("gone"), st.DeadlineExceeded("too little time"), for_ever=True)
+    with pytest.raises(st.Unavailable, match="gone"):
+        await attempt(Place(), operation, 10)
+
+
+async def test_a_host_that_never_answers_is_told_as_one(clock: Clock) -> None:
+    with pytest.raises(st.DeadlineExceeded, match="slow"):
+        await attempt(Place(), Operation(st.DeadlineExceeded("slow"), for_ever=True), 10)
+    assert clock.now_s == pytest.approx(110)
+
+
+@pytest.mark.parametrize("error", [st.ChannelNotFound("none"), st.InvalidArgument("wrong")])
+async def test_what_cannot_pass_is_raised_at_once(clock: Clock, error: Any) -> None:
+    place = Place()
+    with pytest.raises(type(error)):
+        await attempt(place, Operation(error), 10)
+    assert (place.forgotten, clock.now_s) == (0, 100)
