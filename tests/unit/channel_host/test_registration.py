@@ -149,6 +149,22 @@ async def test_a_host_whose_lease_has_ended_registers_again_as_the_same_start_of
             await host.lease_becomes(True)
 
 
+async def test_the_end_of_a_lease_and_the_next_registration_are_both_warnings(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("WARNING", logger="stampede_rt_channel_host")
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            fake.hosts[host.identity.host_id].alive = False
+            await fake.called("RegisterHost", times=2)
+            await fake.called("RenewHostLease", times=2)
+    told = [record.getMessage() for record in caplog.records]
+    assert [line for line in told if line in ("the lease has ended", "registered", "registered again")] == [
+        "the lease has ended",
+        "registered again",
+    ]
+
+
 async def test_a_name_still_held_by_a_predecessor_is_waited_for() -> None:
     async with directory() as fake:
         fake.refuse["RegisterHost"] = HostExists("another live host has the name h1")

@@ -11,10 +11,11 @@ START_SECONDS = 5.0
 
 
 class Note(NamedTuple):
-    """One line of the log. `is_well`: things are better than before."""
+    """One line of the log. `is_well`: things are as they should be. `is_return`: they were not, and this was said."""
 
     text: str
     is_well: bool
+    is_return: bool
     facts: dict[str, str]
 
 
@@ -40,24 +41,25 @@ class Journal:
             if why is not None and is_starting and target not in served:
                 continue
             if served.get(target) is not (why is None):
-                yield _of_one(target, why)
+                yield _of_one(target, why, is_return=target in served and why is None)
             served[target] = why is None
         self._served = served
         yield from self._of_all(roster.any_healthy(), may_tell=len(served) == len(roster.targets()))
 
     def _of_all(self, any_serves: bool, *, may_tell: bool) -> Iterator[Note]:
         if any_serves is not self._any_served and (any_serves or may_tell):
+            is_return = any_serves and self._any_served is not None
             self._any_served = any_serves
-            yield _of_all(any_serves)
+            yield _of_all(any_serves, is_return=is_return)
 
 
-def _of_one(target: str, why: str | None) -> Note:
+def _of_one(target: str, why: str | None, *, is_return: bool) -> Note:
     if why is None:
-        return Note("a supernode can serve", True, {"supernode": target})
-    return Note("a supernode cannot serve", False, {"supernode": target, "why": why})
+        return Note("a supernode can serve", True, is_return, {"supernode": target})
+    return Note("a supernode cannot serve", False, False, {"supernode": target, "why": why})
 
 
-def _of_all(any_serves: bool) -> Note:
+def _of_all(any_serves: bool, *, is_return: bool) -> Note:
     if any_serves:
-        return Note("the directory can serve: callers can connect", True, {})
-    return Note("no supernode can serve this front-end: nobody can connect by it until one can", False, {})
+        return Note("the directory can serve: callers can connect", True, is_return, {})
+    return Note("no supernode can serve this front-end: nobody can connect by it until one can", False, False, {})

@@ -107,9 +107,13 @@ class Prober:
         return answer.ready and accepted
 
     def _tell(self) -> None:
-        """Log, once each, what has changed since the last probe: who can serve, and whether anybody can."""
+        """Log, once each, what has changed since the last probe: who can serve, and whether anybody can.
+
+        What takes a warning back is as loud as the warning was.
+        """
         for change in self._journal.changes(self._roster, asyncio.get_running_loop().time()):
-            logger.log(logging.INFO if change.is_well else logging.WARNING, change.text, extra=change.facts)
+            is_quiet = change.is_well and not change.is_return
+            logger.log(logging.INFO if is_quiet else logging.WARNING, change.text, extra=change.facts)
 
     async def _better(self, target: str, error: StampedeError) -> StampedeError:
         if self._explain is None or not isinstance(error, Unavailable):

@@ -62,6 +62,7 @@ class Registration:
         self._lease = LeaseKeeper()
         self._told_held = False  # what on_lease heard last
         self._unrenewed_since_s: float | None = None  # when renewals began to fail, if they do
+        self._has_ended = False  # the lease, without a registration since
         self._target = ""
         self._has_left = False
         self._fence: asyncio.TimerHandle | None = None
@@ -147,6 +148,7 @@ class Registration:
             logger.warning("the lease has ended", extra={"host": self._identity.name, "why": str(error)})
             self._lease.give_up()
             self._check_fence()
+            self._has_ended = True
             await self._register()
 
     async def _renew(self) -> None:
@@ -183,7 +185,13 @@ class Registration:
         await asyncio.to_thread(self._home.note, response.cluster_id)
         await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
-        logger.info("registered", extra={"host": one.name, "channels": len(response.channels)})
+        self._note_registered(len(response.channels))
+
+    def _note_registered(self, channels: int) -> None:
+        """What takes the warning of an ended lease back is as loud as that."""
+        level, text = (logging.WARNING, "registered again") if self._has_ended else (logging.INFO, "registered")
+        logger.log(level, text, extra={"host": self._identity.name, "channels": channels})
+        self._has_ended = False
 
     def _grant(self, sent: int, ttl_nanos: int) -> None:
         if self._has_left:
