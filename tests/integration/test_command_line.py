@@ -264,6 +264,7 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
         (["get", "cli/wrong", "5"], 2, "two times"),
         (["get", "cli/wrong", "yesterday", "now"], 2, "is not a time"),
         (["get", "cli/wrong", "--last", "10"], 2, "ns, us, ms"),
+        (["get", "cli/wrong", "--last=-5s"], 2, "leave the minus out"),
         (["put", "cli/wrong", "x", "--time", str(2**62)], 1, "ahead"),
         (["get", "cli/wrong", "--limit", "0"], 2, "1 or more"),
         (["ls", "--colour"], 2, "stampede ls --help"),

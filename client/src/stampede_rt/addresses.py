@@ -11,6 +11,8 @@ ADDRESSES_MAX = 16
 
 def parse_addresses(url: str) -> tuple[str, ...]:
     """The gRPC targets of `"host:port,host:port"`; a port left out is 7580. `unix:/path` stays as it is."""
+    if not isinstance(url, str):
+        raise InvalidArgument(f'the address is {url!r}; give it as text, as in "localhost:7580"')
     parts = [part.strip() for part in url.removeprefix("stampede://").split(",") if part.strip()]
     if not 1 <= len(parts) <= ADDRESSES_MAX:
         raise InvalidArgument(f'the address is {url!r}; write 1 to {ADDRESSES_MAX} of them, as in "localhost:7580"')

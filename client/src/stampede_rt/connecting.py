@@ -52,7 +52,7 @@ def parse_target(
     return Target(
         frontends=frontends,
         secret=secret,
-        name=parse_name(name, "peer") if name else "",
+        name="" if name is None else parse_name(name, "peer"),
         zone=zone or os.environ.get("STAMPEDE_ZONE", ""),
         tls=TlsReader(files) if files else None,
     )

@@ -44,6 +44,16 @@ def test_a_wrong_address_is_named(url: str) -> None:
         parse_addresses(url)
 
 
+def test_an_address_that_is_no_text_is_named() -> None:
+    with pytest.raises(InvalidArgument, match="7580; give it as text"):
+        parse_addresses(7580)  # type: ignore[arg-type]
+
+
+def test_a_name_that_is_empty_is_refused_and_not_left_out() -> None:
+    with pytest.raises(InvalidName, match="not allowed; use"):
+        parse_target("rig", name="", secret=None, zone=None)
+
+
 @pytest.mark.parametrize("name", ["a", "A", "LSL/EEG_Amp-1", "cam/left", "0-9._/-", "a" * 128])
 def test_names_within_the_grammar_are_taken(name: str) -> None:
     assert parse_name(name) == name

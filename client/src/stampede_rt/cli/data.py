@@ -25,7 +25,7 @@ from stampede_rt.cli.output import item_line, item_row
 from stampede_rt.cli.terminal import check_raw_output, escaped
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.model import Item, Items, Reason
-from stampede_rt.timeline import MIN_INSTANT, NEWEST, NOW, OLDEST, format_instant
+from stampede_rt.timeline import MIN_INSTANT, NEWEST, OLDEST, format_instant, last
 
 if TYPE_CHECKING:
     from stampede_rt import Channel
@@ -153,7 +153,7 @@ def _interval(arguments: argparse.Namespace) -> tuple[Any, Any]:
     if arguments.interval and (arguments.last or arguments.all or arguments.before is not None):
         raise InvalidArgument("give either times, or one of --last, --at, --before, --all")
     if arguments.last:
-        return NOW - arguments.last, NOW
+        return last(arguments.last)
     if arguments.before is not None:
         return MIN_INSTANT, arguments.before
     if arguments.all:
