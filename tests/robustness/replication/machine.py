@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 
@@ -69,6 +70,7 @@ class ListMachine:
     def __init__(self, history: History | None = None) -> None:
         self.entries: list[tuple[int, bytes]] = []
         self._history = history or History()
+        self._digest = b""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Append, and answer with the position."""
@@ -76,7 +78,15 @@ class ListMachine:
             raise PromiseBroken(f"position {index} was applied after {self.entries[-1][0]}")
         self._history.applied(index, command)
         self.entries.append((index, command))
+        self._chain(index, command)
         return b"%d" % index
+
+    def _chain(self, index: int, command: bytes) -> None:
+        self._digest = hashlib.blake2b(self._digest + b"%d" % index + command, digest_size=16).digest()
+
+    def digest(self) -> tuple[int, bytes]:
+        """The last position, and a digest of all commands."""
+        return (self.entries[-1][0] if self.entries else 0), self._digest
 
     def snapshot(self) -> bytes:
         """All commands."""
@@ -93,8 +103,30 @@ class ListMachine:
         entries = [(index, text.encode()) for index, text in json.loads(snapshot)]
 
         def restore() -> None:
-            self.entries = entries[:]
+            self.entries, self._digest = entries[:], b""
             for index, command in entries:
                 self._history.applied(index, command)
+                self._chain(index, command)
 
         return restore
+
+
+FORK = b"what only newer releases know"
+
+
+class Ignorant(ListMachine):
+    """One that does not know the command FORK, and refuses it."""
+
+    _refused_at = 0
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """As every other one, but for FORK."""
+        if command != FORK:
+            return super().apply(index, command)
+        self._refused_at = index
+        return b"refused"
+
+    def digest(self) -> tuple[int, bytes]:
+        """A refusal changes nothing, and counts as applied."""
+        index, digest = super().digest()
+        return max(index, self._refused_at), digest

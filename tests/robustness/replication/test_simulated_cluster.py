@@ -15,7 +15,7 @@ from stampede_rt_supernode.replication.proposals import Outcome
 from stampede_rt_supernode.replication.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
-from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.machine import FORK, PromiseBroken
 from tests.robustness.replication.simulate import PRODUCTION, run
 from tests.robustness.replication.world import SimMember, Weather, World
 
@@ -134,6 +134,31 @@ def test_a_member_whose_disk_was_put_back_is_found_out_and_nothing_is_lost(leade
     assert isinstance(after[0], bytes)
     world.run_until(world.now + 2.0)
     world.history.check_end([leader.machine, away.machine])
+
+
+@pytest.mark.parametrize("with_snapshot", [False, True])
+def test_a_member_that_comes_to_another_state_finds_out_and_never_leads(with_snapshot: bool) -> None:
+    world = World(5, size=3, weather=Weather(), snapshot_every=5 if with_snapshot else PRODUCTION)
+    for member in world.members.values():
+        member.start()
+    leader = leading(world)
+    forked, third = (member for member in world.members.values() if member is not leader)
+    forked.crash()
+    forked.forks = True
+    world.restart(forked)
+    world.run_until(world.now + 3.0)
+    for command in [b"before", FORK, *(b"after-%d" % number for number in range(12))]:
+        outcomes = world.propose(leader, command, timeout=10.0)
+        assert world.run_until(world.now + 10.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+    assert forked.replica is not None
+    at = world.history.acknowledged[FORK]
+    assert world.run_until(world.now + 2.0, lambda: forked.replica.status().diverged_at > 0)  # type: ignore[union-attr]
+    assert forked.replica.status().diverged_at >= at
+    # Its log is sound, so that it counts: with it, the third member leads at once, and never the other way round.
+    leader.crash()
+    assert world.run_until(world.now + 10.0, lambda: third.replica.status().is_leader)  # type: ignore[union-attr]
+    assert isinstance(world.propose(third, b"served", timeout=5.0), list)
+    assert world.run_until(world.now + 5.0, lambda: b"served" in world.history.acknowledged)
 
 
 def under_load(world: World, *, per_second: float) -> Callable[[], None]:

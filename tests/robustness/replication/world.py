@@ -30,7 +30,7 @@ from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica, Roster
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.disk import Crash, Disk, DiskStore
-from tests.robustness.replication.machine import History, ListMachine, PromiseBroken
+from tests.robustness.replication.machine import History, Ignorant, ListMachine, PromiseBroken
 
 T = TypeVar("T")
 
@@ -103,6 +103,8 @@ class SimMember:
             kept_log_bytes_max=world.kept_log_bytes,
         )
         self.disk = Disk(crash_at_commit=self._dice_for_disk)
+        # Whether it does not know the command `FORK`, as a member of an older release.
+        self.forks = False
         self.machine = ListMachine(world.history)
         self.replica: Replica | None = None
         self.frozen_until = 0.0
@@ -112,7 +114,7 @@ class SimMember:
 
     def start(self) -> None:
         """Come up from the disk, with every connection still to be made."""
-        self.machine = ListMachine(self.world.history)
+        self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
         try:
             self.replica = self._open()
         except Crash:
@@ -180,6 +182,8 @@ class SimMember:
             self.crash()
             return
         status = replica.status()
+        if status.diverged_at and not self.forks:
+            raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
         self._plan(0.0 if again else self.world.timing.tick_seconds)

@@ -36,6 +36,7 @@ class MemoryLog:
         self.leader_id: str | None = SELF.member_id
         self.other = OTHER
         self.quorum = True
+        self.diverged_at = 0
         # What every change of the members ends with; None: it succeeds.
         self.change_fails: Exception | None = None
         self.snapshot_fails: Exception | None = None
@@ -92,6 +93,7 @@ class MemoryLog:
             tenure=self.tenure if leads else 0,
             term=self.tenure,
             applied_index=self.index,
+            diverged_at=self.diverged_at,
             members=[SELF, self.other],
         )
 

@@ -16,7 +16,19 @@ STORE_ADVICE = (
     "start it with the folder as it was last, or, if that is lost, let it go (stampede supernode remove) and "
     "have it join under a new id (runbook: replace one)"
 )
+# In what a supernode says of itself whose state is not the leader's.
+DIVERGED = "differs from the leader's"
+REPLACE_ADVICE = (
+    "let it go (stampede supernode remove), empty its folder, and have it join under a new id (runbook: replace one)"
+)
 FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "peer", "this caller"
+
+
+def refusal(why: str) -> tuple[str, str]:
+    """The state of a supernode that others refuse, or that refuses to serve, for `why`; and what to do."""
+    if DIVERGED in why:
+        return "diverged", f"{why}; {REPLACE_ADVICE}"
+    return "store refused", f"{why}; {STORE_ADVICE}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -111,7 +123,7 @@ def _state(one: Observation) -> tuple[str, str]:
     if not one.is_member:
         return "no member", "the supernodes do not list it: it was removed, or never joined; leave it out"
     if one.refused_because:
-        return "store refused", f"{one.refused_because}; {STORE_ADVICE}"
+        return refusal(one.refused_because)
     if one.failure and one.kind == CALLER:
         return "not valid", one.failure
     if one.failure:

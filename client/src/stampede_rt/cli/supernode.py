@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.backup_file import write_backup
-from stampede_rt.cli.diagnosis import STORE_ADVICE
+from stampede_rt.cli.diagnosis import refusal
 from stampede_rt.cli.members import Cluster, is_there, no_member, reached
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import StampedeError, Unavailable
@@ -89,7 +89,7 @@ def _run_status(arguments: argparse.Namespace) -> int:
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
         print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}.")
         for name, why in sorted(refused.items()):
-            print(f"{name} is refused: {why}; {STORE_ADVICE}.")
+            print(f"{name} is refused: {refusal(why)[1]}.")
         if serving < len(rows):
             print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED
@@ -108,7 +108,7 @@ def _row(
     return {
         "supernode": record.supernode_id,
         "address": record.endpoint.target,
-        "state": "store refused" if record.supernode_id in refused else _state(record, pong),
+        "state": refusal(refused[record.supernode_id])[0] if record.supernode_id in refused else _state(record, pong),
         "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
         "version": pong.version if pong is not None else None,
     }

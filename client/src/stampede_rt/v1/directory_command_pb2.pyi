@@ -558,7 +558,7 @@ class RememberedOperation(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
-    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids")
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest")
     FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
@@ -573,6 +573,7 @@ class DirectorySnapshot(_message.Message):
     PEERS_FIELD_NUMBER: _ClassVar[int]
     TIME_MARKS_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
     format_version: int
     applied_index: int
     tenure: int
@@ -587,4 +588,5 @@ class DirectorySnapshot(_message.Message):
     peers: _containers.RepeatedCompositeFieldContainer[PeerEntry]
     time_marks: _containers.RepeatedScalarFieldContainer[int]
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    digest: bytes
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ...) -> None: ...

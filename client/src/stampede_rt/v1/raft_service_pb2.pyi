@@ -117,7 +117,7 @@ class RaftLogEntry(_message.Message):
     def __init__(self, log_index: _Optional[int] = ..., term: _Optional[int] = ..., command: _Optional[bytes] = ...) -> None: ...
 
 class RaftAppendEntries(_message.Message):
-    __slots__ = ("term", "commit_index", "round", "previous_log_index", "previous_log_term", "entries", "installing_snapshot", "chunk")
+    __slots__ = ("term", "commit_index", "round", "previous_log_index", "previous_log_term", "entries", "installing_snapshot", "chunk", "digest_index", "digest")
     TERM_FIELD_NUMBER: _ClassVar[int]
     COMMIT_INDEX_FIELD_NUMBER: _ClassVar[int]
     ROUND_FIELD_NUMBER: _ClassVar[int]
@@ -126,6 +126,8 @@ class RaftAppendEntries(_message.Message):
     ENTRIES_FIELD_NUMBER: _ClassVar[int]
     INSTALLING_SNAPSHOT_FIELD_NUMBER: _ClassVar[int]
     CHUNK_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_INDEX_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
     term: int
     commit_index: int
     round: int
@@ -134,7 +136,9 @@ class RaftAppendEntries(_message.Message):
     entries: _containers.RepeatedCompositeFieldContainer[RaftLogEntry]
     installing_snapshot: bool
     chunk: RaftSnapshotChunk
-    def __init__(self, term: _Optional[int] = ..., commit_index: _Optional[int] = ..., round: _Optional[int] = ..., previous_log_index: _Optional[int] = ..., previous_log_term: _Optional[int] = ..., entries: _Optional[_Iterable[_Union[RaftLogEntry, _Mapping]]] = ..., installing_snapshot: bool = ..., chunk: _Optional[_Union[RaftSnapshotChunk, _Mapping]] = ...) -> None: ...
+    digest_index: int
+    digest: bytes
+    def __init__(self, term: _Optional[int] = ..., commit_index: _Optional[int] = ..., round: _Optional[int] = ..., previous_log_index: _Optional[int] = ..., previous_log_term: _Optional[int] = ..., entries: _Optional[_Iterable[_Union[RaftLogEntry, _Mapping]]] = ..., installing_snapshot: bool = ..., chunk: _Optional[_Union[RaftSnapshotChunk, _Mapping]] = ..., digest_index: _Optional[int] = ..., digest: _Optional[bytes] = ...) -> None: ...
 
 class RaftSnapshotChunk(_message.Message):
     __slots__ = ("last_log_index", "offset_bytes", "total_bytes", "sha256", "data")

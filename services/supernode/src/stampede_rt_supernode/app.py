@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import logging
 import sys
 from collections.abc import AsyncIterator, Coroutine, Sequence
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.joining.founding import Founding, note_started, read_founding
 from stampede_rt_supernode.joining.join_tokens import JoinTokens
-from stampede_rt_supernode.joining.members import Members
+from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
 from stampede_rt_supernode.joining.volunteering import volunteer
@@ -46,6 +47,8 @@ from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
 from stampede_rt_supernode.settings import SupernodeSettings
 
+logger = logging.getLogger(__name__)
+
 HEALTH_SECONDS = 0.1
 HAND_OVER_SECONDS = 1.2
 
@@ -67,6 +70,7 @@ async def serve(settings: SupernodeSettings) -> None:
             parts.leases.run(),
             parts.probe.run(),
             _follow_leader(server, parts.members),
+            _watch_state(server, parts),
             _watch_removal(server, log, keeps=settings.data_dir is not None),
             _watch_founding(server, parts, founding),
         ]
@@ -200,6 +204,23 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
                 f"as of a backup or a machine that was restored; start it with the folder as it was last, or {anew}"
             )
         await asyncio.sleep(HEALTH_SECONDS)
+
+
+async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
+    """End all watches, and say why, once the state differs from the leader's. The log is sound: it goes on counting."""
+    told = False
+    while not server.stopping.is_set():
+        await asyncio.sleep(HEALTH_SECONDS)
+        if told or not parts.log.status().diverged_at:
+            continue
+        told = True
+        parts.watches.close()
+        name = parts.members.self_id
+        logger.error(
+            "%s; it serves nobody any more: let it go (stampede supernode remove %s), empty its folder, and let it "
+            "join under a new id",
+            *(why_diverged(parts.log.status()), name),
+        )
 
 
 async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Founding) -> None:

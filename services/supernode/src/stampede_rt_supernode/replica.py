@@ -37,12 +37,19 @@ class DirectoryReplica:
         """Apply the command at log position `index`; what cannot be read is refused, alike on every replica."""
         with self._lock:
             try:
-                result = encode_result(self._directory.apply(index, decode_command(command)))
+                result = self._directory.apply(index, decode_command(command))
             except StampedeError as error:
                 self._directory.skip(index)
-                result = encode_result(Refused.because(error))
+                result = Refused.because(error)
+            encoded = encode_result(result)
+            if not isinstance(result, Refused):
+                self._directory.note_done(index, encoded)
         self._listener()
-        return result
+        return encoded
+
+    def digest(self) -> tuple[int, bytes]:
+        """The last log position applied, and a digest of all that was done up to there; on the log's thread."""
+        return self._directory.applied_index, self._directory.digest
 
     def begin_snapshot(self) -> Callable[[], bytes]:
         """The whole state, as of the last applied command, to be encoded by any thread; one at a time.

@@ -310,7 +310,7 @@ def result_message(result: Result) -> pb.DirectoryResult:
 
 def encode_result(result: Result) -> bytes:
     """The bytes that `apply` returns."""
-    return result_message(result).SerializeToString()
+    return result_message(result).SerializeToString(deterministic=True)
 
 
 def read_result(message: pb.DirectoryResult) -> Result:

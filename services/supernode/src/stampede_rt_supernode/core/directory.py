@@ -7,6 +7,7 @@ their values come stamped in the commands. A command that makes no sense is refu
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from hashlib import blake2b
 from typing import Any
 
 from stampede_rt.errors import StampedeError, Unavailable
@@ -80,6 +81,7 @@ from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
 FORMER_MAX = 16
+DIGEST_BYTES = 16
 
 _CHECKS: Mapping[type[Deed], Callable[[Any], None]] = {
     OpenChannel: check_open,
@@ -147,10 +149,14 @@ class Directory:
         answers: Iterable[Answer] = (),
         time_marks: Iterable[int] = (),
         former_cluster_ids: Iterable[str] = (),
+        digest: bytes = b"",
     ) -> None:
         self.tenure = tenure
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
+        # Of everything that was done: replicas that differ in it differ in their states. Empty: not known, as after a
+        # snapshot without one.
+        self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
         # The clusters whose place this one has taken.
         self.former_cluster_ids = tuple(former_cluster_ids)
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
@@ -171,6 +177,12 @@ class Directory:
             return Refused.because(error)
         finally:
             self.tables.note_index(index)
+
+    def note_done(self, index: int, result: bytes) -> None:
+        """What was done at a position gave `result`; not called for refusals, which releases may word differently."""
+        if self.digest:
+            done = self.digest + index.to_bytes(8, "big") + result
+            self.digest = blake2b(done, digest_size=DIGEST_BYTES).digest()
 
     def skip(self, index: int) -> None:
         """Log position `index` held nothing that this replica could read."""

@@ -10,6 +10,14 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Member, ReplicatedLog, ReplicationStatus
 
 
+def why_diverged(status: ReplicationStatus) -> str:
+    """In one sentence."""
+    return (
+        f"the state of {status.self_id!r} differs from the leader's at log position {status.diverged_at}, as after a "
+        "release that did not know all commands, or damaged memory"
+    )
+
+
 class Members:
     """Local knowledge; never waits. `advertise`: where callers reach this supernode; `zone`: where it is."""
 
@@ -30,11 +38,14 @@ class Members:
     def ready(self) -> bool:
         """Whether this supernode can serve: it knows a leader, and that the cluster is founded."""
         founded = self._replica.read(lambda directory: directory.tenure > 0)
-        return founded and self._log.status().leader_id is not None
+        status = self._log.status()
+        return founded and status.leader_id is not None and not status.diverged_at
 
     def refused(self) -> Mapping[str, str]:
-        """Members whose stores this one refuses, and why."""
-        return self._log.status().refused
+        """Members whose stores this one refuses, and itself, if its state differs from the leader's; and why."""
+        status = self._log.status()
+        own = {status.self_id: why_diverged(status)} if status.diverged_at else {}
+        return {**status.refused, **own}
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
         """Every member, in the order of ids, and the term of the consensus."""

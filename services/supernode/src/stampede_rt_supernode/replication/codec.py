@@ -22,6 +22,7 @@ Message = dict[str, Any]
 
 INT_MAX = 2**63 - 1
 SNAPSHOT_BYTES_MAX = 1 << 30
+DIGEST_BYTES_MAX = 64
 
 
 class MalformedMessage(ValueError):
@@ -110,6 +111,7 @@ def _encode_append(message: Message) -> pb.RaftMessage:
     body = pb.RaftAppendEntries(
         term=message["term"], commit_index=message["commit_index"], round=message.get("round", 0)
     )
+    body.digest_index, body.digest = message.get("digest", (0, b""))
     if "serialized" in message:
         body.installing_snapshot = True
         if message["serialized"] is not None:
@@ -128,6 +130,8 @@ def _decode_append(body: pb.RaftAppendEntries) -> Message:
         "commit_index": _number(body.commit_index),
         "round": _number(body.round),
     }
+    if body.digest:
+        message["digest"] = _number(body.digest_index), body.digest[:DIGEST_BYTES_MAX]
     if body.installing_snapshot:
         message["serialized"] = _checked_chunk(body.chunk) if body.HasField("chunk") else None
         return message

@@ -60,7 +60,8 @@ class RaftRules(Following, Leading):
 
     def _on_timeout_now(self, node: Any, message: Message) -> None:
         """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
-        if message["term"] == self._SyncObj__raftCurrentTerm and node == self._SyncObj__raftLeader and self.is_voter():
+        may_lead = self.is_voter() and not self.digests.diverged_at
+        if message["term"] == self._SyncObj__raftCurrentTerm and node == self._SyncObj__raftLeader and may_lead:
             self._SyncObj__raftElectionDeadline = float("-inf")
 
     def _on_vote_request(self, node: Any, message: Message) -> None:
@@ -107,8 +108,8 @@ class TrialElections(RaftRules):
         due = self._SyncObj__raftElectionDeadline < self.clock()
         if not due or self._SyncObj__raftState == LEADER:
             return
-        if not self.is_voter():
-            # Nobody may vote for a node that is not in yet, or was removed.
+        if not self.is_voter() or self.digests.diverged_at:
+            # Nobody may vote for a node that is not in yet, or was removed; and a state that differs must not lead.
             self._put_off_election()
             self._lose_leader()
             return

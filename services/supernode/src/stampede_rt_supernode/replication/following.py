@@ -20,6 +20,8 @@ class Following(Membership):
             return
         self._follow(node, message["term"])
         self._SyncObj__leaderCommitIndex = message["commit_index"]
+        if "digest" in message:
+            self.digests.told(*message["digest"])
         if "serialized" in message:
             self._on_snapshot_piece(node, message)
         else:
@@ -102,6 +104,7 @@ class Following(Membership):
             self.follow_log()
             self._SyncObj__raftLastApplied = last.log_index
             self._raise_commit_index(last.log_index)
+            self.digests.note(*self.state_machine.digest())
             self._give_up_waiting(last.log_index)
 
     def _give_up_waiting(self, log_index: int) -> None:

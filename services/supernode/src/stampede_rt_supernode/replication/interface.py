@@ -21,6 +21,12 @@ class StateMachine(Protocol):
         Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal.
         """
 
+    def digest(self) -> tuple[int, bytes]:
+        """The last position applied, and a digest of what was done up to there: the same wherever the state is.
+
+        Cheap: it is asked for with every command and every message. Empty: not known.
+        """
+
     def begin_snapshot(self) -> Callable[[], bytes]:
         """Copy the whole state as of the last applied command, and return what encodes it.
 
@@ -50,7 +56,8 @@ class ReplicationStatus:
     be committed or not yet. `removed`: another member has said that this one was removed, for good;
     `has_lost_store`: that it was here before with another store; `has_old_store`: that its store lacks what it has
     promised; `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
-    take the store with which another member came last.
+    take the store with which another member came last. `diverged_at`:
+    where this one's state was found to differ from the leader's; 0: nowhere.
     """
 
     self_id: str
@@ -64,6 +71,7 @@ class ReplicationStatus:
     has_lost_store: bool = False
     has_old_store: bool = False
     other_cluster: str = ""
+    diverged_at: int = 0
     refused: Mapping[str, str] = field(default_factory=dict)
 
 

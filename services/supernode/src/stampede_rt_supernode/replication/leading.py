@@ -60,6 +60,7 @@ class Leading(Membership):
             "type": "append_entries",
             "term": self._SyncObj__raftCurrentTerm,
             "commit_index": self._SyncObj__raftCommitIndex,
+            "digest": self.state_machine.digest(),
         }
         while (piece := self.keeper.getTransmissionData(node)) is not None:
             self.mailroom.send(node, {**header, "serialized": piece})
@@ -83,6 +84,7 @@ class Leading(Membership):
                     "type": "append_entries",
                     "term": self._SyncObj__raftCurrentTerm,
                     "commit_index": self._SyncObj__raftCommitIndex,
+                    "digest": self.state_machine.digest(),
                     "entries": entries,
                     "prevLogIdx": next_index - 1,
                     "prevLogTerm": previous.term,

@@ -8,6 +8,7 @@ from typing import Any
 
 from stampede_rt_supernode.replication.aside import RunAside, run_at_once
 from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.digests import Digests
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.journal import Journal
@@ -48,7 +49,7 @@ def build_node(
     # The library's constructor already calls back, so what its methods need is attached before it runs.
     node = node_class.__new__(node_class)
     node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
-    node.unknown_outcome = UNKNOWN_OUTCOME
+    node.unknown_outcome, node.digests = UNKNOWN_OUTCOME, Digests()
     node.self_member, node.make_node, node.peers, node._told = settings.self_member, node_type, peers, dict(peers)
     node.keeper = SnapshotKeeper(
         journal, state_machine, has_room, run_aside=run_aside, chunk_bytes=settings.snapshot_piece_bytes

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from stampede_rt_supernode.replication.digests import Digests
 from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.journal import Journal
 from stampede_rt_supernode.replication.library import COMMAND, FOLLOWER, LEADER
@@ -28,6 +29,7 @@ class BytesNode:
     _SyncObj__raftLog: Journal
     _SyncObj__raftLeader: Any
     state_machine: StateMachine
+    digests: Digests
 
     def on_stream_opened(self, node: Any) -> None:
         """A member has opened a new stream; the library itself would not care."""
@@ -42,7 +44,9 @@ class BytesNode:
         # The library unpickles here and picks a method by number.
         if command[0] != COMMAND:
             return None
-        return self.state_machine.apply(self._SyncObj__raftLastApplied + 1, command[1:])
+        result = self.state_machine.apply(self._SyncObj__raftLastApplied + 1, command[1:])
+        self.digests.note(*self.state_machine.digest())
+        return result
 
 
 class NodeState(BytesNode):
@@ -91,6 +95,7 @@ class NodeState(BytesNode):
         if last is not None:
             self._SyncObj__raftLastApplied = last.log_index
             self._raise_commit_index(last.log_index)
+            self.digests.note(*self.state_machine.digest())
 
     def _SyncObj__onNodeDisconnected(self, node: Any) -> None:  # noqa: N802
         super()._SyncObj__onNodeDisconnected(node)  # type: ignore[misc]

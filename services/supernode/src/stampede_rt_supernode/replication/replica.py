@@ -294,6 +294,7 @@ class Replica:
             term=term,
             applied_index=node.raftLastApplied,
             members=members,
+            diverged_at=node.digests.diverged_at,
         )
 
     def _publish_roster(self) -> None:

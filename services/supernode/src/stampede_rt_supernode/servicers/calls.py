@@ -67,6 +67,7 @@ class DirectoryCalls:
 
     async def read(self, context: Any, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
         """The answer of `question`, as in `DirectoryReplica.read`. Raises Unavailable with reason NO_QUORUM."""
+        self._submission.check_state()
         if not stale_ok:
             await self._submission.confirm(seconds=seconds_left(context))
         return self._replica.read(question)

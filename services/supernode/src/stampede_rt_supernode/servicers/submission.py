@@ -11,6 +11,7 @@ from typing import TypeVar
 from stampede_rt import errors
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.core.commands import Command, Deed, Refused, Result, Success
+from stampede_rt_supernode.joining.members import why_diverged
 from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, Unavailable
 
 ATTEMPT_SECONDS_MAX = 2.0
@@ -60,7 +61,15 @@ class Submission:
         """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
         return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds)
 
+    def check_state(self) -> None:
+        """Raises Unavailable with reason SHUTTING_DOWN if this supernode's state is not the leader's."""
+        status = self._log.status()
+        if status.diverged_at:
+            text = f"{why_diverged(status)}; it serves nobody until it has joined anew; go to another one"
+            raise errors.Unavailable(text, reason="SHUTTING_DOWN")
+
     async def _persist(self, attempt: Callable[[float], Awaitable[T]], seconds: float) -> T:
+        self.check_state()
         deadline = time.monotonic() + seconds
         backoff, ambiguous = BACKOFF_SECONDS_MIN, False
         while (left := deadline - time.monotonic()) > 0 and not self._closed:
