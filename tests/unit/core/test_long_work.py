@@ -10,6 +10,7 @@ import pytest
 from stampede_rt.model import Policy
 from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.core.channel import Answer, Channel, Coming, Position, Query, Slice, index, pieces
+from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.unit.core.channels import CLOCK, a_channel, put
 
@@ -164,3 +165,23 @@ def test_the_newest_item_of_a_full_bucket_is_found_at_once(looked: Counter) -> N
     assert channel.latest(cursor, CLOCK) is not None
     assert channel.latest(cursor, CLOCK) is None
     assert looked.slices <= 20
+
+
+def test_ageing_of_what_consumers_have_consumed_looks_at_a_bounded_number_of_slices(looked: Counter) -> None:
+    channel = a_channel(max_age_nanos=10**6, max_age_unconsumed_nanos=10**12)
+    channel.consume(1, [], CLOCK)
+    for time in range(ITEMS):
+        put(channel, CLOCK + time)
+    for first in range(1, ITEMS, 4000):
+        channel.consume(1, range(first, first + 4000), CLOCK)
+    later, most, before = CLOCK + 10**7, 0, ITEMS
+    while True:
+        looked.slices = 0
+        more = channel.collect(later)
+        most, held = max(most, looked.slices), channel.look(later)[0].items
+        assert held < before or held == 1
+        before = held
+        if not more:
+            break
+    assert before == 1
+    assert most <= 2 * SLICES_AGED_MAX + 2 * BLOCK_ITEMS + 20

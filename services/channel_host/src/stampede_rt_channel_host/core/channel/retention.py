@@ -20,16 +20,18 @@ from stampede_rt_channel_host.core.channel.seq_set import SeqSet
 
 SLICES_USED_UP_MAX = 1024
 """What one call lets go of by consumption: a consumer that makes up for a long delay stalls nobody."""
+SLICES_AGED_MAX = 1024
+"""Of so many slices one call asks whether all consumers have consumed them, where ageing depends on that."""
 
 
 class Retention:
     """Applies limits to holdings. `consumers` is None where the limits count no consumption: nothing is kept then."""
 
-    __slots__ = ("_held", "consumers", "has_more", "limits")
+    __slots__ = ("_has_more_to_age", "_has_more_used_up", "_held", "consumers", "limits")
 
     def __init__(self, limits: Limits, held: Holdings) -> None:
         self._held = held
-        self.has_more = False
+        self._has_more_to_age = self._has_more_used_up = False
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
@@ -41,12 +43,17 @@ class Retention:
         if not places:
             self.consumers = None
             self._held.tell(None)
-            self.has_more = False
+            self._has_more_to_age = self._has_more_used_up = False
         elif self.consumers is None:
             self.consumers = Consumers(places, _gone(self._held))
             self._held.tell(self.consumers.let_go)
         else:
             self.consumers.resize(places)
+
+    @property
+    def has_more(self) -> bool:
+        """There may be more to collect at once, which the next call does."""
+        return self._has_more_to_age or self._has_more_used_up
 
     def settle(self, clock: int) -> None:
         """What time alone brings about: leases end, buckets grow too old, and what nobody holds back any more goes."""
@@ -75,6 +82,7 @@ class Retention:
         """Collect the buckets that are past the age: whole ones, never the newest. True if there were any."""
         cutoff = self.cutoff(clock)
         held = self._held
+        self._has_more_to_age = False
         if cutoff is None or held.oldest is None or held.oldest > cutoff or held.oldest == held.newest:
             return False
         bound = self._age_bound(cutoff)
@@ -99,16 +107,22 @@ class Retention:
 
     def _prolonged(self, bound: int, cutoff: int) -> int:
         """The first bucket that age leaves if it may take those before `bound`: one that is owed stays until `cutoff`
-        has passed it, and so do all behind it. Looks at what goes and one slice more."""
+        has passed it, and so do all behind it. Looks at what goes and one slice more; at very many in several calls."""
         owed = self._first_owed(self._age_bound(cutoff), bound)
         return bound if owed is None else owed
 
     def _first_owed(self, start: int | None, end: int) -> int | None:
-        """The time of the first item from `start` on, and before `end`, that a live consumer has yet to consume."""
+        """The time of the first item from `start` on, and before `end`, that a live consumer has yet to consume; or, of
+        very many that none has, how far it has looked."""
         assert self.consumers is not None, "limits that ask for it count consumption"
         if not self.consumers.live:
             return None
-        for part in self._held.slices(FIRST_PLACE if start is None else (start, 0), (end, 0)):
+        first: int | None = None
+        for at, part in enumerate(self._held.slices(FIRST_PLACE if start is None else (start, 0), (end, 0))):
+            first = part.first_time if first is None else first
+            if at >= SLICES_AGED_MAX and part.first_time > first:  # a bucket goes as a whole
+                self._has_more_to_age = True
+                return part.first_time
             done = self.consumers.done_with(part)
             if done < part.items:
                 return part.run.times[part.lo + done]
@@ -138,20 +152,19 @@ class Retention:
         return instant if end is None else min(instant, end)
 
     def use_up(self, clock: int) -> bool:
-        """Collect the oldest items that all consumers have consumed, a bounded part; `has_more`: there may be others.
-        True if there were any.
+        """Collect the oldest items that all consumers have consumed, a bounded part. True if there were any.
 
         Looks at what goes and one slice more, and frees what went, so that it costs the same for each item however many
         go together. With no consumer left to hold anything back all go but the newest bucket: by it the next one finds
         in.
         """
-        self.has_more = False
+        self._has_more_used_up = False
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
             return False
         going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest))
         front = held.front(going)
-        self.has_more = going.held_back
+        self._has_more_used_up = going.held_back
         if front.items:
             held.outdate(front, CONSUMPTION, clock)
             held.free(SLICES_USED_UP_MAX)
