@@ -18,6 +18,7 @@ from stampede_rt.cli.arguments import (
 )
 from stampede_rt.cli.output import item_line, item_row, print_rows
 from stampede_rt.cli.terminal import escaped
+from stampede_rt.errors import GroupNotFound
 from stampede_rt.grouping import Cut, GroupInfo, GroupStatus, Matched
 from stampede_rt.model import Item, Reason
 from stampede_rt.timeline import format_duration, format_instant
@@ -110,10 +111,21 @@ def run_create(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _existing(rt: Connection, name: str) -> Group:
+    """A group that must be there. Raises GroupNotFound in the words of the command line."""
+    try:
+        return rt.group(name)
+    except GroupNotFound as error:
+        raise GroupNotFound(
+            f"there is no group {name}; `stampede group ls` lists those there are, `stampede group create {name} "
+            "CHANNEL ...` makes it"
+        ) from error
+
+
 def run_status(arguments: argparse.Namespace) -> int:
     """Tell a group's cut and its members' places."""
     with connected(arguments) as rt:
-        status = rt.group(arguments.group).status()
+        status = _existing(rt, arguments.group).status()
     if arguments.output == "table":
         print(_status_line(status))
     rows = [_member_row(status, channel, arguments.output) for channel in status.members]
@@ -157,7 +169,7 @@ def _said(true: bool, people: bool) -> bool | str:
 def run_newest(arguments: argparse.Namespace) -> int:
     """Print the newest visible item of each channel."""
     with connected(arguments) as rt:
-        found = rt.group(arguments.group).newest()
+        found = _existing(rt, arguments.group).newest()
     items = {channel.name: ([] if item is None else [item]) for channel, item in found.items()}
     reasons = {channel.name: reason for channel, reason in found.reasons.items()}
     return _print_items(items, reasons, arguments.output)
@@ -166,7 +178,7 @@ def run_newest(arguments: argparse.Namespace) -> int:
 def run_get(arguments: argparse.Namespace) -> int:
     """Print what each channel shows in an interval."""
     with connected(arguments) as rt:
-        found = rt.group(arguments.group).get(arguments.start, arguments.end)
+        found = _existing(rt, arguments.group).get(arguments.start, arguments.end)
     reasons = {channel.name: items.reason for channel, items in found.items() if items.reason is not None}
     return _print_items({channel.name: list(items) for channel, items in found.items()}, reasons, arguments.output)
 
@@ -185,7 +197,7 @@ def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form:
 
 def run_watch(arguments: argparse.Namespace) -> int:
     """Print cut events as they come."""
-    with connected(arguments) as rt, _cuts(rt.group(arguments.group), arguments) as cuts:
+    with connected(arguments) as rt, _cuts(_existing(rt, arguments.group), arguments) as cuts:
         for count, cut in enumerate(cuts, 1):
             print(_cut_text(cut) if arguments.output == "table" else json.dumps(_cut_row(cut)), flush=True)
             if count == arguments.count:
@@ -217,7 +229,7 @@ def _cut_row(cut: Cut[Channel]) -> dict[str, Any]:
 
 def run_match(arguments: argparse.Namespace) -> int:
     """Print matches as they come."""
-    with connected(arguments) as rt, _matches(rt.group(arguments.group), arguments) as matches:
+    with connected(arguments) as rt, _matches(_existing(rt, arguments.group), arguments) as matches:
         for count, matched in enumerate(matches, 1):
             print(_match_text(matched) if arguments.output == "table" else json.dumps(_match_row(matched)), flush=True)
             if count == arguments.count:
@@ -258,12 +270,12 @@ def run_change(arguments: argparse.Namespace) -> int:
 
 
 def _group_and_channel(rt: Connection, arguments: argparse.Namespace) -> tuple[Group, Channel]:
-    return rt.group(arguments.group), existing(rt, arguments.channel)
+    return _existing(rt, arguments.group), existing(rt, arguments.channel)
 
 
 def run_delete(arguments: argparse.Namespace) -> int:
     """Forget a group."""
     with connected(arguments) as rt:
-        rt.group(arguments.group).delete()
+        _existing(rt, arguments.group).delete()
     print(f"{arguments.group} is deleted; its channels stay")
     return 0
