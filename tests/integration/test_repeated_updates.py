@@ -15,7 +15,7 @@ import pytest
 import stampede_rt
 import stampede_rt.aio
 from stampede_rt.errors import Unavailable
-from stampede_rt.request_age import METADATA_KEY, request_age_nanos
+from stampede_rt.request_age import METADATA_KEY, age_clock_s, request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2_grpc, gatekeeper_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
@@ -42,6 +42,7 @@ class EverythingAtOnce(
     address = ""
 
     def __init__(self) -> None:
+        self.on_failure: Callable[[], None] = lambda: None
         self.seen: list[tuple[bytes, int]] = []
 
     async def Bind(self, request: Any, context: Any) -> frontend_pb.BindResponse:  # noqa: N802
@@ -84,6 +85,7 @@ class EverythingAtOnce(
     async def _note(self, request: Any, context: Any) -> None:
         self.seen.append((request.request_id, request_age_nanos(context.invocation_metadata())))
         if len(self.seen) <= FAILURES:
+            self.on_failure()
             await abort(context, Unavailable("not now"))
 
     def was_asked_again_for_the_same(self) -> None:
@@ -141,11 +143,28 @@ async def test_a_host_passes_on_how_old_its_callers_request_is() -> None:
         supernodes = Supernodes((servicer.address,), lambda target: dial(target, secret=None), peer_name="h1")
         try:
             request = directory_pb.DeleteChannelRequest(request_id=b"r" * 16, channel_id=b"c" * 16)
-            await supernodes.call("DeleteChannel", request, 10.0, since_s=time.monotonic() - 5.0)
+            await supernodes.call("DeleteChannel", request, 10.0, since_s=age_clock_s() - 5.0)
         finally:
             await supernodes.aclose()
         servicer.was_asked_again_for_the_same()
         assert servicer.seen[0][1] >= 5 * 10**9
+
+
+@pytest.mark.parametrize("update", [configure, delete, configure_in_thread])
+async def test_the_time_that_the_machine_slept_counts_for_the_age(
+    update: Callable[[str], Awaitable[None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boottime, slept_s = time.clock_gettime, 0.0
+
+    def sleep_for_a_minute() -> None:
+        nonlocal slept_s
+        slept_s += 60.0
+
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: boottime(clock) + slept_s)
+    async with everything_at_once() as servicer:
+        servicer.on_failure = sleep_for_a_minute
+        await update(servicer.address)
+        assert servicer.seen[-1][1] >= FAILURES * 60 * 10**9
 
 
 @pytest.mark.parametrize("told", ["-1", "1.5", "", "٣", "9" * 13])

@@ -1,4 +1,4 @@
-"""How long ago an update was first sent: told with every repetition, by the caller's own clock of durations. Pure.
+"""How long ago an update was first sent: told with every repetition, by the caller's own clock of durations.
 
 The directory remembers its answers for a while, by request id, and refuses what may be older
 (directory_service.proto). No two clocks need to agree for that.
@@ -6,6 +6,7 @@ The directory remembers its answers for a while, by request id, and refuses what
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,6 +14,13 @@ from stampede_rt.errors import InvalidArgument
 
 METADATA_KEY = "stampede-request-age-ms"
 _DIGITS_MAX = 12
+# Linux stops CLOCK_MONOTONIC while the machine sleeps. Other systems have one clock, which goes on.
+_BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
+
+
+def age_clock_s() -> float:
+    """What ages are measured by: the time that the machine slept counts, since the directory forgets meanwhile."""
+    return time.monotonic() if _BOOTTIME is None else time.clock_gettime(_BOOTTIME)
 
 
 def age_metadata(age_s: float) -> tuple[tuple[str, str], ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
@@ -25,6 +24,7 @@ from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.model import ChannelStats, Item, OnFull, Policy
 from stampede_rt.policy import parse_policy
 from stampede_rt.reading import RENEW_S, Wait
+from stampede_rt.request_age import age_clock_s
 from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import Port
@@ -155,7 +155,7 @@ class Channel(Reader):
             max_age_unconsumed=max_age_unconsumed,
         )
 
-        identity, since_s = request_id(), time.monotonic()
+        identity, since_s = request_id(), age_clock_s()
 
         async def configure_at(binding: Binding) -> Policy:
             port = self._session.ports.to(binding.target)
@@ -165,7 +165,7 @@ class Channel(Reader):
                 epoch=binding.epoch,
                 spec=policy_to_spec(policy),
             )
-            age_s = time.monotonic() - since_s
+            age_s = age_clock_s() - since_s
             response = await port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S, age_s=age_s)
             return channel_info(response.channel, None).policy
 
@@ -173,14 +173,14 @@ class Channel(Reader):
 
     async def delete(self) -> None:
         """Delete the channel and all its items, for everyone. Works if its host is lost, too."""
-        identity, since_s = request_id(), time.monotonic()
+        identity, since_s = request_id(), age_clock_s()
 
         async def drop_at(binding: Binding) -> None:
             port = self._session.ports.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
                 request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
             )
-            await port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=time.monotonic() - since_s)
+            await port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=age_clock_s() - since_s)
 
         try:
             await self._session.perform(self._state, drop_at, timeout_s=1.0)

@@ -12,6 +12,7 @@ from stampede_rt.binding import order_by_round_trip
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.majority import UNREACHED, why_unserved
 from stampede_rt.peering import ClockOffset
+from stampede_rt.request_age import age_clock_s
 from stampede_rt.retry import Backoff
 from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt.transports.concurrency_async import at_once, in_thread, sleep
@@ -145,11 +146,10 @@ class Supernodes:
         """One call of the directory. Goes to the next supernode if one cannot serve, and to the front-ends after all.
 
         Updates are safe to repeat: they carry a request id, and say how long ago they were first sent: now, or at
-        `since_s` on the monotonic clock. Raises what the directory answers, or Unavailable once `timeout_s` is over.
+        `since_s` by `age_clock_s`. Raises what the directory answers, or Unavailable once `timeout_s` is over.
         """
-        began_s = time.monotonic()
-        backoff = Backoff(began_s + timeout_s)
-        call = _Call(method, request, began_s if since_s is None else since_s)
+        backoff = Backoff(time.monotonic() + timeout_s)
+        call = _Call(method, request, age_clock_s() if since_s is None else since_s)
         failures: dict[str, StampedeError] = {}
         while True:
             try:
@@ -170,15 +170,14 @@ class Supernodes:
         if time.monotonic() > self._measure_again_s:
             await self._measure()
         for target in list(self._targets):
-            now_s = time.monotonic()
-            left_s = deadline_s - now_s
+            left_s = deadline_s - time.monotonic()
             if left_s <= 0:
                 break
             left_s = min(left_s, TRY_TIMEOUT_S) if len(self._targets) > 1 else left_s
             port = self._ports.to(target)
             try:
                 method = getattr(port.directory, call.method)
-                return await port.call(method, call.request, left_s, age_s=now_s - call.since_s)
+                return await port.call(method, call.request, left_s, age_s=age_clock_s() - call.since_s)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
@@ -21,6 +20,7 @@ from stampede_rt.model import OnFull
 from stampede_rt.policy import count_of, parse_name
 from stampede_rt.queueing import Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
 from stampede_rt.reading import Wait
+from stampede_rt.request_age import age_clock_s
 from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_sync import when_dropped
 from stampede_rt.transports.grpc_sync import Port
@@ -204,7 +204,7 @@ class Queue(Taking, Reference):
             max_deliveries=max_deliveries,
             dead_letter_queue_id=dead_letter_id(self._session, dead_letter),
         )
-        identity, since_s = request_id(), time.monotonic()
+        identity, since_s = request_id(), age_clock_s()
 
         def update_at(binding: Binding) -> QueuePolicy:
             request = queue_directory_pb.UpdateQueueRequest(

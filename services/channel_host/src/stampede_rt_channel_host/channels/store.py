@@ -98,7 +98,7 @@ class ChannelStore:
     async def drop(self, channel_id: bytes, epoch: int, request_id: bytes, since_s: float) -> None:
         """Delete the channel in the directory and here; its readers hear CHANNEL_NOT_FOUND. Safe to repeat.
 
-        `since_s`: when the request was made, on the monotonic clock.
+        `since_s`: when the request was made, by `request_age.age_clock_s`.
         """
         if request_id in self._drops:
             return

@@ -34,7 +34,7 @@ class Directory:
     ) -> channel_pb2.ChannelRecord:
         """The channel after the change; fields that `spec` leaves out stay. Safe to repeat with the same request id.
 
-        `since_s`: when that was sent first, on the monotonic clock; None: now.
+        `since_s`: when that was sent first, by `age_clock_s`; None: now.
         """
         request = pb.UpdateChannelRequest(
             request_id=request_id or secrets.token_bytes(16), channel_id=channel_id, epoch=epoch, spec=spec

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-import time
 from fnmatch import translate
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.request_age import request_age_nanos
+from stampede_rt.request_age import age_clock_s, request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc
@@ -103,8 +102,8 @@ def _check_id(channel_id: bytes) -> None:
 
 
 def _first_sent_s(context: Any) -> float:
-    """When the caller made the request, on the monotonic clock. Raises InvalidArgument."""
-    return time.monotonic() - request_age_nanos(context.invocation_metadata()) / 1e9
+    """When the caller made the request, by `age_clock_s`. Raises InvalidArgument."""
+    return age_clock_s() - request_age_nanos(context.invocation_metadata()) / 1e9
 
 
 def _check_request_id(request_id: bytes) -> None:

@@ -14,7 +14,7 @@ import grpc
 
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.majority import why_unserved
-from stampede_rt.request_age import age_metadata
+from stampede_rt.request_age import age_clock_s, age_metadata
 from stampede_rt.retry import Backoff
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
@@ -72,13 +72,11 @@ class Supernodes:
     ) -> Any:
         """One call of `service`. Tries all supernodes, asks the front-ends for others, and tries again.
 
-        Updates carry a request id, and say how long ago they were first sent, now or at `since_s` on the monotonic
-        clock, so repeating them is safe. Raises what the directory answers, or the last failure once `timeout_s` is
-        over.
+        Updates carry a request id, and say how long ago they were first sent, now or at `since_s` by `age_clock_s`, so
+        repeating them is safe. Raises what the directory answers, or the last failure once `timeout_s` is over.
         """
-        began_s = time.monotonic()
-        backoff = Backoff(began_s + timeout_s)
-        call = _Call(method, request, service, began_s if since_s is None else since_s)
+        backoff = Backoff(time.monotonic() + timeout_s)
+        call = _Call(method, request, service, age_clock_s() if since_s is None else since_s)
         failures: dict[str, StampedeError] = {}
         while True:  # ends with the backoff's deadline
             try:
@@ -207,7 +205,7 @@ class Supernodes:
 
     async def _call_one(self, target: str, call: _Call, timeout_s: float) -> Any:
         stub = call.service(self._channel(target))
-        metadata = age_metadata(time.monotonic() - call.since_s)
+        metadata = age_metadata(age_clock_s() - call.since_s)
         return await _call(getattr(stub, call.method), call.request, timeout_s, target, metadata)
 
     def _prefer(self, target: str) -> None:
