@@ -154,6 +154,18 @@ async def test_a_folder_that_is_in_use_is_not_prepared_again_and_a_lost_disk_is_
     assert (code, "under a new id" in printed) == (1, True), printed
 
 
+async def test_a_folder_is_not_started_under_the_id_of_another_supernode(tmp_path: Path) -> None:
+    founder = await prepared("init", "a", free_ports(1)[0], tmp_path)
+    code, printed = await command(*founder._arguments, "--id", "b")
+    assert (code, "is supernode a's, not b's" in printed) == (1, True), printed
+    own = Supernode("a", founder.address, [*founder._arguments, "--id", "a"])
+    try:
+        await own.start()
+    finally:
+        await founder.close()
+        await own.close()
+
+
 async def test_what_a_command_cannot_do_it_says_in_one_line(tmp_path: Path) -> None:
     nobody, folder = f"127.0.0.1:{free_ports(1)[0]}", str(tmp_path / "b")
     join = ("join", "--member", nobody, "--data-dir", folder)

@@ -106,6 +106,11 @@ class SupernodeSettings(ServiceSettings):
         """
         prepared = None if self.data_dir is None else read_founding(self.data_dir)
         if prepared is not None:
+            if self.id not in ("", prepared.supernode_id):
+                raise StampedeError(
+                    f"{self.data_dir} is supernode {prepared.supernode_id}'s, not {self.id}'s: name the folder of "
+                    f"{self.id}, or leave --id out"
+                )
             return prepared
         if self.members:
             members = dict(self._pairs())
