@@ -201,6 +201,7 @@ async def test_nobody_is_removed_without_a_majority_and_status_tells_who_is_not_
             assert (code, states) == (1, {"s1": "no leader", "s2": "d is there", "s3": "down"})
             code, printed = await command("remove", "s3", "--member", one.address)
             assert (code, "start supernodes until 2 of s1, s2, s3 serve" in printed) == (1, True), printed
+            assert "init --restore" in printed
         finally:
             await other.close()
 
