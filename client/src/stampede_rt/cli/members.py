@@ -141,8 +141,8 @@ def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeEr
 def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
     return Unavailable(
         f"nobody leads, and only a leader lets a member go: start supernodes until {len(known) // 2 + 1} of "
-        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are gone for good, restore the cluster from "
-        "one that is left, or from a backup (stampede supernode init --restore)"
+        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are gone for good, restore the cluster "
+        "from one that is left, or from a backup (stampede supernode init --restore)"
     )
 
 
