@@ -10,14 +10,25 @@ from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.core.channel import Pieces
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
 from tests.robustness.replication.machine import PromiseBroken
 
 CHANNELS_TOLD_MAX = 1000
+
+
+class AtOnce(Turns):
+    """Long work without an event loop: all of its pieces at once."""
+
+    def begin(self, pieces: Pieces[None]) -> None:
+        """Do all of it."""
+        for _ in pieces:
+            pass
 
 
 class Ownership:
@@ -69,6 +80,7 @@ class SimHost:
             lease_held=lambda: self.lease.is_held(self.clock.boottime_nanos()),
             memory=MemoryBudget(2**30),
         )
+        self.store.turns = AtOnce()
         self._binding: set[bytes] = set()
         self._run(self._keep)
 

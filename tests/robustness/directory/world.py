@@ -47,6 +47,9 @@ class Submission:
     def __init__(self, member: DirectoryMember) -> None:
         self._member, self._world = member, member.world
 
+    def check_state(self) -> None:
+        """A state that differs ends the run (SimMember)."""
+
     async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0) -> R:
         stamp = self._member.clock.time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=stamp, deed=deed, as_of_index=as_of_index))

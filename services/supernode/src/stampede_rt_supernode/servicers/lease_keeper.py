@@ -189,9 +189,9 @@ class LeaseKeeper:
 
         While this one is being founded, by restoring that one perhaps, it waits; then raises Unavailable (NO_QUORUM).
         """
-        deadline = asyncio.get_running_loop().time() + seconds
+        deadline = self._clock.boottime_nanos() + seconds * 1e9
         while (held := self._replica.read(lambda directory: directory.cluster_id)) not in ("", self.cluster_id()):
-            if asyncio.get_running_loop().time() > deadline:
+            if self._clock.boottime_nanos() > deadline:
                 raise Unavailable(f"cluster {held} is just being restored; try again in a moment", reason="NO_QUORUM")
             await asyncio.sleep(TICK_SECONDS)
         own, former = self.cluster_id(), self._replica.read(lambda directory: directory.former_cluster_ids)
