@@ -10,7 +10,7 @@ PYTHON_DIRS := client services deploy demos benchmarks tests tools
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/test_,directory_properties.py peer_properties.py lease_safety.py)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test explore fuzz check format stubs robustness images bench clean
+.PHONY: help setup demo test explore fuzz mutants check format stubs robustness images bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -37,6 +37,9 @@ explore: setup  ## stories that the suite does not play, drawn anew each time, a
 fuzz: setup  ## calls that are cancelled over a network that is cut, for 10 minutes; STAMPEDE_FUZZ_SEED names the first seed
 	STAMPEDE_FUZZ_STORIES=$${STAMPEDE_FUZZ_STORIES:-15} STAMPEDE_FUZZ_SECONDS=$${STAMPEDE_FUZZ_SECONDS:-20} \
 		$(RUN)/pytest -s --timeout=0 tests/robustness/fuzz
+
+mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
+	$(RUN)/python -m tests.robustness.mutants
 
 check: setup  ## lint, types, import rules, class names, signposts, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)

@@ -10,14 +10,14 @@ from stampede_rt.errors import StampedeError
 from tests.robustness.directory.world import DirectoryWorld
 
 
-async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float) -> Any:
+async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, *, caller: object) -> Any:
     """The answer. Raises what the directory refuses, or the last failure."""
     deadline = world.now + seconds
     for member in _members(world):
         left = deadline - world.now
         if left <= 0:
             break
-        outcome = await world.call(member, method, request, min(left, 1.5))
+        outcome = await world.call(member, method, request, min(left, 1.5), caller=caller)
         if not isinstance(outcome, (StampedeError, type(None))):
             return outcome
         if isinstance(outcome, StampedeError) and not outcome.retryable:

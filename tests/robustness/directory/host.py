@@ -120,7 +120,9 @@ class SimHost:
 
     async def resolve(self, channel_id: bytes) -> Any:
         """As `stampede_rt_channel_host.cluster.directory.Directory.resolve`."""
-        response = await ask(self.world, "ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0)
+        response = await ask(
+            self.world, "ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0, caller=self
+        )
         return response.channel
 
     async def _keep(self) -> None:
@@ -142,7 +144,7 @@ class SimHost:
             boot_incarnation=self.identity.boot_incarnation,
         )
         sent = self.clock.boottime_nanos()
-        entered = await ask(self.world, "RegisterHost", request, 4.0)
+        entered = await ask(self.world, "RegisterHost", request, 4.0, caller=self)
         self.store.registered(entered.channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX)
         self._granted(sent, entered.lease_ttl_nanos)
 
@@ -151,7 +153,7 @@ class SimHost:
             host_id=self.identity.host_id, boot_incarnation=self.identity.boot_incarnation
         )
         sent = self.clock.boottime_nanos()
-        renewed = await ask(self.world, "RenewHostLease", request, 0.7)
+        renewed = await ask(self.world, "RenewHostLease", request, 0.7, caller=self)
         self._granted(sent, renewed.lease_ttl_nanos)
 
     def _granted(self, sent: int, ttl_nanos: int) -> None:

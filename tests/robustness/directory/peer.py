@@ -96,13 +96,13 @@ class SimPeer:
             proof=self._proof,
         )
         sent = self.clock.boottime_nanos()
-        entered = await ask(self.world, "RegisterPeer", request, 4.0)
+        entered = await ask(self.world, "RegisterPeer", request, 4.0, caller=self)
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:
         request = pb.RenewPeerLeaseRequest(peer_id=self._peer_id, boot_incarnation=self.boot)
         sent = self.clock.boottime_nanos()
-        renewed = await ask(self.world, "RenewPeerLease", request, 0.7)
+        renewed = await ask(self.world, "RenewPeerLease", request, 0.7, caller=self)
         self._granted(sent, renewed.lease_ttl_nanos)
 
     async def _leave(self) -> None:
@@ -110,7 +110,7 @@ class SimPeer:
         request = pb.DeregisterPeerRequest(
             request_id=self.world.dice.randbytes(16), peer_id=self._peer_id, boot_incarnation=self.boot
         )
-        await ask(self.world, "DeregisterPeer", request, 4.0)
+        await ask(self.world, "DeregisterPeer", request, 4.0, caller=self)
 
     def _granted(self, sent: int, ttl_nanos: int) -> None:
         self.lease.granted(sent_nanos=sent, ttl_nanos=ttl_nanos)

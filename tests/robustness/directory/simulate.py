@@ -136,6 +136,7 @@ class DirectoryStorm:
             (weather.partitions, self._partition),
             (weather.freezes, self._freeze),
             (weather.link_breaks, lambda: world.break_wire(world.dice.choice(list(world.wires)))),
+            (0.15, self._cut_leader_off),
             (0.3, self._set_wall_clock),
             (0.15, lambda: world.dice.choice(self._hosts).restart()),
             (0.3, self._freeze_host),
@@ -173,6 +174,30 @@ class DirectoryStorm:
     def _freeze_host(self) -> None:
         frozen: Any = self.world.dice.choice([*self._hosts, *self._peers])
         frozen.frozen_until = self.world.now + self.world.dice.uniform(0.2, 5.0)
+
+    def _cut_leader_off(self) -> None:
+        """No other supernode reaches whoever leads. Nor does any host or peer; or some do, and reach nobody else.
+
+        In the second case it may stand still, too, and go on as if no time had passed.
+        """
+        dice, world = self.world.dice, self.world
+        leaders = {name for name, one in world.members.items() if one.replica and one.replica.status().is_leader}
+        pairs = [ends for ends in world.wires if set(ends) & leaders]
+        callers: list[Any] = [*self._hosts, *self._peers]
+        with_it = set() if dice.random() < 0.5 else set(dice.sample(callers, 2))
+        ways = {(one, name) for one in callers for name in world.members if (one in with_it) != (name in leaders)}
+        seconds = dice.uniform(1.5, 6.0)
+        world.block(pairs)
+        world.unreachable |= ways
+        if with_it and dice.random() < 0.7:
+            for name in leaders:
+                world.members[name].frozen_until = world.now + seconds * dice.uniform(0.5, 1.0)
+
+        def heal() -> None:
+            world.unblock(pairs)
+            world.unreachable -= ways
+
+        world.after(seconds, heal)
 
     def _set_wall_clock(self) -> None:
         machine: Any = self.world.dice.choice([*self.world.members.values(), *self._hosts, *self._peers])
@@ -225,6 +250,7 @@ def _calm(storm: DirectoryStorm) -> None:
     world = storm.world
     world.weather = Weather()
     world.unblock(list(world.wires))
+    world.unreachable.clear()
     for member in world.members.values():
         member.frozen_until = 0.0
         world.restart(member)

@@ -73,9 +73,14 @@ class Submission:
             await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
         raise errors.Unavailable("not within the time")
 
+    def _later(self, resume: Resume) -> Resume:
+        """Through the event loop of the process, once the log's thread has come back from its disk."""
+        later = self._world.later(resume)
+        return lambda value: self._member.after_disk(lambda: later(value))
+
     def _propose(self, encoded: bytes, timeout: float, resume: Resume) -> None:
         assert self._member.replica is not None
-        later = self._world.later(resume)
+        later = self._later(resume)
         try:
             self._member.replica.propose(Proposal(encoded, self._world.now + timeout, later))
         except Unavailable as full:
@@ -83,7 +88,7 @@ class Submission:
 
     def _read(self, timeout: float, resume: Resume) -> None:
         assert self._member.replica is not None
-        later = self._world.later(resume)
+        later = self._later(resume)
         try:
             self._member.replica.read(Read(self._world.now + timeout, later))
         except Unavailable:
@@ -179,6 +184,8 @@ class DirectoryWorld(World):
 
     def __init__(self, seed: int, *, size: int, weather: Weather, leases: type[LeaseKeeper] = _Leases) -> None:
         self.leases = leases
+        # Who cannot reach which supernode at present.
+        self.unreachable: set[tuple[object, str]] = set()
         super().__init__(seed, size=size, weather=weather)
         self.members = {
             name: DirectoryMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
@@ -194,16 +201,27 @@ class DirectoryWorld(World):
 
     # -- calls -------------------------------------------------------------------------------------------------
 
-    async def call(self, member: DirectoryMember, method: str, request: Any, timeout: float) -> Any:
+    async def call(
+        self, member: DirectoryMember, method: str, request: Any, timeout: float, *, caller: object = None
+    ) -> Any:
         """One RPC over a bad network: the response, the StampedeError, or None if nothing was heard in time."""
-        return await wait(lambda resume: self._call(member, method, request, timeout, resume))
+        way = (caller, member.member.member_id)
+        return await wait(lambda resume: self._call(member, method, request, timeout, way, resume))
 
-    def _call(self, member: DirectoryMember, method: str, request: Any, timeout: float, resume: Resume) -> None:
+    def _call(
+        self,
+        member: DirectoryMember,
+        method: str,
+        request: Any,
+        timeout: float,
+        way: tuple[object, str],
+        resume: Resume,
+    ) -> None:
         deadline = self.now + timeout
         self.at(deadline, lambda: resume(None))
 
         def answer(outcome: object) -> None:
-            if (delay := self.trip()) is not None:
+            if way not in self.unreachable and (delay := self.trip()) is not None:
                 self.after(delay, lambda: resume(outcome))
 
         def arrive() -> None:
@@ -211,7 +229,7 @@ class DirectoryWorld(World):
                 service = next(one for one in member.services if hasattr(one, method))
                 member.run(lambda: _served(service, method, request, _Context(self, deadline), answer))
 
-        if (delay := self.trip()) is not None:
+        if way not in self.unreachable and (delay := self.trip()) is not None:
             self.after(delay, arrive)
 
     def trip(self) -> float | None:

@@ -1,9 +1,10 @@
-"""A disk that keeps what was committed and nothing else, and may fail in the middle of a commit."""
+"""A disk that takes its time to keep what is committed, and keeps nothing else when the power is lost."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from stampede_rt_supernode.replication.storage import (
     Entry,
@@ -13,49 +14,71 @@ from stampede_rt_supernode.replication.storage import (
     StoredState,
 )
 
+# So many may be on their way at a time: nothing of a step has happened before the step began.
+COMMITS_PER_STEP_MAX = 4
 
-class Crash(BaseException):
-    """The process was killed while it waited for its disk."""
+
+class Commit(NamedTuple):
+    """What was written when, and when the sync of it was over."""
+
+    began: float
+    durable: float
+    state: StoredState
 
 
 @dataclass
 class Disk:
-    """Outlives its replica. `crash_at_commit` says for each commit: None, "before" or "after"."""
+    """Outlives its replica. Between the beginning of a commit and its end it may be there after a crash, or not."""
 
-    crash_at_commit: Callable[[], str | None] = lambda: None
     # A planted fault: commits are acknowledged but kept only from the next but `forgets`-th on.
     forgets: int = 0
-    states: list[StoredState] = field(default_factory=lambda: [StoredState()])
+    commits: list[Commit] = field(default_factory=lambda: [Commit(0.0, 0.0, StoredState())])
     # Of all snapshots, by last log index and number: without a seal they count for nothing.
     pieces: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
+    @property
+    def newest(self) -> StoredState:
+        """As the running process sees it."""
+        return self.commits[-1].state
+
+    def durable(self, now: float) -> StoredState:
+        """What is certainly still there after a crash."""
+        return [one for one in self.commits if one.durable <= now][-1].state
+
+    def lose_power(self, now: float, *, lucky: Callable[[], bool]) -> None:
+        """What was synced stays, and, if it is `lucky`, what was just being written; nothing else."""
+        kept = len([one for one in self.commits if one.durable <= now]) - 1
+        while kept + 1 < len(self.commits) and self.commits[kept + 1].began <= now and lucky():
+            kept += 1
+        del self.commits[kept + 1 :]
+        del self.commits[len(self.commits) - min(self.forgets, len(self.commits) - 1) :]
+
+    def put_back(self, state: StoredState) -> None:
+        """Somebody restores a backup of it."""
+        self.commits = [Commit(0.0, 0.0, state)]
+
     def survive(self) -> StoredState:
-        """What is still there after a crash, as a copy."""
-        kept = max(0, len(self.states) - 1 - self.forgets)
-        self.states = [self.states[kept]]
-        state = self.states[-1]
-        return replace(state, entries=list(state.entries))
+        """What is there, as a copy."""
+        return replace(self.newest, entries=list(self.newest.entries))
 
 
 class DiskStore:
-    """A Store over a Disk, with the meaning of SqliteStore."""
+    """A Store over a Disk, with the meaning of SqliteStore. `write` spends the time of a commit: (begin, end)."""
 
-    def __init__(self, disk: Disk) -> None:
+    def __init__(self, disk: Disk, write: Callable[[], tuple[float, float]] = lambda: (0.0, 0.0)) -> None:
         self._disk = disk
+        self._write = write
 
     def load(self) -> StoredState:
         return self._disk.survive()
 
     def commit(self, changes: StoreChanges) -> None:
-        crash = self._disk.crash_at_commit()
-        if crash == "before":
-            raise Crash
+        began, durable = self._write()
         for piece in changes.pieces:
             self._disk.pieces[piece.last_log_index, piece.number] = piece.data
-        self._disk.states.append(_applied(self._disk.states[-1], changes, self._disk.pieces))
-        del self._disk.states[: -1 - self._disk.forgets]
-        if crash == "after":
-            raise Crash
+        state = _applied(self._disk.newest, changes, self._disk.pieces)
+        self._disk.commits.append(Commit(began, durable, state))
+        del self._disk.commits[: -COMMITS_PER_STEP_MAX - 1 - self._disk.forgets]
 
     def close(self) -> None:
         pass

@@ -34,11 +34,15 @@ def weather_of(dice: random.Random) -> Weather:
         loss=dice.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
         delay_mean=dice.choice([0.001, 0.005, 0.03, 0.15]),
         unruly=dice.choice([0.0, 0.0, 0.05, 0.3]),
+        unruly_seconds=dice.choice([0.5, 0.5, 4.0]),
         crashes=dice.choice([0.0, 0.2, 0.6]),
+        disk_seconds=dice.choice([0.0, 0.0005, 0.005, 0.03]),
         disk_crash=dice.choice([0.0, 0.0, 0.002, 0.01]),
+        disk_hangs=dice.choice([0.0, 0.0, 0.001]),
         partitions=dice.choice([0.0, 0.2, 0.5]),
         freezes=dice.choice([0.0, 0.0, 0.3]),
         link_breaks=dice.choice([0.0, 0.3, 2.0]),
+        full_links=dice.choice([0.0, 0.0, 0.3]),
         changes=dice.choice([0.0, 0.0, 0.5, 2.0]),
     )
 
@@ -54,6 +58,7 @@ class Storm:
         for rate, happen in (
             (weather.crashes, self._crash),
             (weather.partitions, self._partition),
+            (weather.isolations, self._isolate),
             (weather.freezes, self._freeze),
             (weather.link_breaks, self._break_wire),
             (weather.changes, self._change),
@@ -90,11 +95,14 @@ class Storm:
             member.frozen_until = self._world.now + self._world.dice.uniform(0.2, 4.0)
 
     def _break_wire(self) -> None:
-        self._world.break_wire(self._world.dice.choice(list(self._world.wires)))
+        if self._world.wires:
+            self._world.break_wire(self._world.dice.choice(list(self._world.wires)))
 
     def _partition(self) -> None:
         dice, world = self._world.dice, self._world
         names = list(world.members)
+        if len(names) == 1:
+            return
         kind = dice.choice(["split", "one way", "bridge"])
         side = set(dice.sample(names, dice.randint(1, len(names) - 1)))
         if kind == "bridge":
@@ -106,6 +114,14 @@ class Storm:
                 pairs += [(b, a) for a, b in pairs]
         world.block(pairs)
         world.after(dice.uniform(0.3, 5.0), lambda: world.unblock(pairs))
+
+    def _isolate(self) -> None:
+        """Whoever leads is cut off from all others, and goes on to take commands for a while that nobody commits."""
+        world = self._world
+        names = [name for name, one in world.members.items() if one.replica and one.replica.status().is_leader]
+        pairs = [ends for ends in world.wires if set(ends) & set(names)]
+        world.block(pairs)
+        world.after(world.dice.uniform(1.0, 4.0), lambda: world.unblock(pairs))
 
     def _change(self) -> None:
         """Somebody asks whoever seems to lead to let a member come or go, or to hand over."""
@@ -153,9 +169,11 @@ def _revive(world: World) -> None:
 def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
     """One seed: storm, calm, check. Raises PromiseBroken. `rules` and `forgets` plant faults."""
     dice = random.Random(f"weather-{seed}")
-    size, weather, every = dice.choice([3, 3, 3, 5]), weather_of(dice), OFTEN
+    size, weather, every = dice.choice([1, 2, 3, 3, 3, 5]), weather_of(dice), OFTEN
     if seed % 5 == 4:  # as in production: a snapshot is old, and much has happened since
         weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
+    elif seed % 5 == 2:  # leaders come and go, and leave behind what only they hold
+        weather = replace(weather, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, unruly_seconds=4.0)
     kept_log_bytes = (1, 4000, 100_000)[seed % 3]
     world = World(seed, size=size, weather=weather, rules=rules, snapshot_every=every, kept_log_bytes=kept_log_bytes)
     for member in world.members.values():

@@ -41,6 +41,13 @@ class MemberProcess:
         assert self._process is not None
         self._process.send_signal(number)
 
+    async def ended(self) -> int:
+        """Wait until it has ended by itself; its exit code."""
+        assert self._process is not None
+        await self._process.communicate()
+        assert self._process.returncode is not None
+        return self._process.returncode
+
     async def kill(self) -> None:
         """SIGKILL: nothing is flushed, nobody is told."""
         if self._process is not None and self._process.returncode is None:

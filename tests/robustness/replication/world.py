@@ -13,7 +13,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.codec import decode_message
 from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.greetings import introduction, newly_met
-from stampede_rt_supernode.replication.interface import Ambiguous, Member, Unavailable
+from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
 from stampede_rt_supernode.replication.mailroom import (
     Connected,
     Disconnected,
@@ -29,8 +29,10 @@ from stampede_rt_supernode.replication.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.reads import Read
 from stampede_rt_supernode.replication.replica import Replica, Roster
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
-from tests.robustness.replication.disk import Crash, Disk, DiskStore
+from stampede_rt_supernode.replication.storage import StoredState
+from tests.robustness.replication.disk import Disk, DiskStore
 from tests.robustness.replication.machine import History, Ignorant, ListMachine, PromiseBroken
+from tests.robustness.replication.raft_rules import Committed, Said, check_match
 
 T = TypeVar("T")
 
@@ -44,13 +46,20 @@ class Weather:
 
     loss: float = 0.0
     delay_mean: float = 0.002
-    # Share of messages that overtake others or, commands aside, come twice.
+    # Share of messages that overtake others or, commands aside, come twice; how late they may be.
     unruly: float = 0.0
+    unruly_seconds: float = 0.5
     crashes: float = 0.0
+    # How long a commit takes, on average; the share of commits in which the power is lost, or the disk hangs for long.
+    disk_seconds: float = 0.0
     disk_crash: float = 0.0
+    disk_hangs: float = 0.0
     partitions: float = 0.0
+    isolations: float = 0.0
     freezes: float = 0.0
     link_breaks: float = 0.0
+    # Share of the times at which a link has no room for more entries.
+    full_links: float = 0.0
     # Members that are to come or go.
     changes: float = 0.0
     # Snapshots that somebody wants, beside those that the log takes by itself.
@@ -102,7 +111,8 @@ class SimMember:
             snapshot_piece_bytes=200,
             kept_log_bytes_max=world.kept_log_bytes,
         )
-        self.disk = Disk(crash_at_commit=self._dice_for_disk)
+        self.disk = Disk()
+        self.said = Said(member.member_id)
         # Whether it does not know the command `FORK`, as a member of an older release.
         self.forks = False
         self.machine = ListMachine(world.history)
@@ -111,15 +121,23 @@ class SimMember:
         # Whether the disk was put back to an earlier state, and whether another member found that out.
         self.rolled_back = self.refused = False
         self._next_step = float("inf")
+        # How often it was started; for how long the present step has waited for the disk; when the last one ends.
+        self._starts = 0
+        self._waited = self._busy_until = 0.0
+        self._checked = (0, 0)
+
+    @property
+    def now(self) -> float:
+        """What its clock says: in a step that waits for the disk, later than the world's."""
+        return self.world.now + self._waited
 
     def start(self) -> None:
         """Come up from the disk, with every connection still to be made."""
         self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
-        try:
-            self.replica = self._open()
-        except Crash:
-            self.crash()
-            return
+        self._starts += 1
+        self._checked, self._waited = (0, 0), 0.0
+        self.replica = self._open()
+        self._busy_until, self._waited = self.now, 0.0
         self._next_step = float("inf")
         self._plan(0.0)
 
@@ -127,9 +145,9 @@ class SimMember:
         return Replica(
             self.settings,
             self.machine,
-            store=DiskStore(self.disk),
+            store=DiskStore(self.disk, self._write),
             network=self,
-            clock=lambda: self.world.now,
+            clock=lambda: self.now,
             dice=random.Random(self.world.dice.getrandbits(64)),
             wake=lambda: self._plan(0.0),
             rules=self.world.rules,
@@ -140,13 +158,31 @@ class SimMember:
         return LateResult(work, self.world.dice.randint(0, 20))
 
     def crash(self) -> None:
-        """Lose everything but the disk."""
+        """Lose everything but what is on the disk by now."""
         self.replica = None
+        self.disk.lose_power(self.world.now, lucky=lambda: self.world.dice.random() < 0.5)
+        self.said.check_kept(self.disk.newest)
         self.world.on_crash(self)
 
+    def put_back(self, state: StoredState) -> None:
+        """While it is down, somebody restores a backup of its disk."""
+        self.disk.put_back(state)
+        self.said, self.rolled_back = Said(self.member.member_id), True
+
+    def after_disk(self, call: Callable[[], None]) -> None:
+        """Call when the step has come so far, its waiting for the disk included, unless the process ends before."""
+        start = self._starts
+        self.world.after(self._waited, lambda: call() if self.replica and self._starts == start else None)
+
     def release(self, messages: Sequence[Outgoing]) -> None:
-        for to, message in messages:
-            self.world.send(self.member.member_id, to, message)
+        def leave() -> None:
+            for to, message in messages:
+                self.said.note(to, message)
+                self.world.send(self.member.member_id, to, message)
+            # The power might be lost at this very moment.
+            self.said.check_kept(self.disk.durable(self.world.now))
+
+        self.after_disk(leave)
 
     def follow(self, roster: Roster) -> None:
         for ends in self.world.wires:
@@ -154,16 +190,25 @@ class SimMember:
                 self.world.break_wire(ends)
 
     def has_room(self, member_id: str) -> bool:
+        if self.world.dice.random() < self.world.weather.full_links:
+            return False
         wire = self.world.wires[self.member.member_id, member_id]
         return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
 
-    def _dice_for_disk(self) -> str | None:
-        if self.world.dice.random() >= self.world.weather.disk_crash:
-            return None
-        return self.world.dice.choice(["before", "after"])
+    def _write(self) -> tuple[float, float]:
+        """Spend the time of a commit; perhaps the power is lost within it."""
+        weather, dice, start, began = self.world.weather, self.world.dice, self._starts, self.now
+        seconds = dice.expovariate(1 / weather.disk_seconds) if weather.disk_seconds else 0.0
+        if dice.random() < weather.disk_hangs:
+            seconds += dice.uniform(0.2, 4.0)
+        if dice.random() < weather.disk_crash:
+            lost = began + seconds * dice.uniform(0.0, 1.1)
+            self.world.at(lost, lambda: self.crash() if self.replica and self._starts == start else None)
+        self._waited += seconds
+        return began, self.now
 
     def _plan(self, delay: float) -> None:
-        at = max(self.world.now + delay + self.world.dice.random() * 0.001, self.frozen_until)
+        at = max(self.world.now + delay + self.world.dice.random() * 0.001, self.frozen_until, self._busy_until)
         if at < self._next_step:
             self._next_step = at
             replica = self.replica
@@ -173,20 +218,45 @@ class SimMember:
         if replica is None or replica is not self.replica or at != self._next_step:
             return
         self._next_step = float("inf")
-        if self.frozen_until > self.world.now:
+        if max(self.frozen_until, self._busy_until) > self.world.now:
             self._plan(0.0)
             return
-        try:
-            again = replica.step()
-        except Crash:
-            self.crash()
-            return
-        status = replica.status()
+        roster, before = replica.roster, replica.status()
+        again = replica.step()
+        self._busy_until, self._waited = self.now, 0.0
+        self._judge(replica, roster, before)
+        self._plan(0.0 if again else self.world.timing.tick_seconds)
+
+    def _judge(self, replica: Replica, roster: Roster, before: ReplicationStatus) -> None:
+        """Hold what it has committed in this step against the rules of Raft."""
+        status, journal, committed = replica.status(), replica._journal, self.world.committed
+        commit_index, changed_at = journal.getRaftCommitIndex(), journal.configurations.current_index
         if status.diverged_at and not self.forks:
             raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
-        self._plan(0.0 if again else self.world.timing.tick_seconds)
+        # One that has heard nobody for too long commits, and leads no more, in one step.
+        led = status.is_leader or (before.is_leader and before.term == status.term)
+        entry = journal.entry_at(commit_index)
+        if commit_index <= self._checked[0]:
+            pass
+        elif led and entry is not None and entry.term == status.term:
+            disks = {name: one.disk.durable(self.world.now) for name, one in self.world.members.items()}
+            disks[self.member.member_id] = self.disk.newest
+            rosters = [roster.members, replica.roster.members]
+            committed.by_leader(status.term, commit_index, journal, rosters, disks)
+        else:
+            committed.by_follower(self.member.member_id, commit_index, journal)
+        if status.is_leader:
+            for node, match in replica._node._SyncObj__raftMatchIndex.items():
+                other = self.world.members[node.id]
+                if not other.rolled_back:
+                    disk = other.disk.durable(self.world.now)
+                    check_match(status.term, node.id, match, journal.entry_at(match), disk)
+        change = journal.entry_at(changed_at)
+        if changed_at > self._checked[1] and status.is_leader and change is not None and change.term == status.term:
+            committed.configured(status.term, changed_at)
+        self._checked = (max(commit_index, self._checked[0]), changed_at)
 
 
 class World:
@@ -211,6 +281,7 @@ class World:
         self.now = 0.0
         self.timing = RaftTiming(tick_seconds=0.05)
         self.history = History()
+        self.committed = Committed()
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
         roster = [Member(member_id=f"m{number}", address=f"m{number}:1") for number in range(size)]
@@ -268,9 +339,12 @@ class World:
         if wire.bytes_per_second < float("inf"):
             arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
         if self.dice.random() < self.weather.unruly:
-            arrival += self.dice.random() * 0.5
+            arrival += self.dice.random() * self.weather.unruly_seconds
             if not message.HasField("forwarded_command") and self.dice.random() < 0.5:
-                self.at(self.now + self.dice.random(), lambda: self._arrive(sender, to, generation, data))
+                self.at(
+                    self.now + 2 * self.dice.random() * self.weather.unruly_seconds,
+                    lambda: self._arrive(sender, to, generation, data),
+                )
         else:
             arrival = wire.last_arrival = max(arrival, wire.last_arrival)
         self.at(arrival, lambda: self._arrive(sender, to, generation, data))
@@ -398,7 +472,8 @@ class World:
                 assert isinstance(outcome, Ambiguous)
 
         assert member.replica is not None
-        member.replica.propose(Proposal(command, self.now + timeout, done))
+        later = Proposal(command, self.now + timeout, lambda outcome: member.after_disk(lambda: done(outcome)))
+        member.replica.propose(later)
         return outcomes
 
     def change(self, leader: SimMember, member: Member, *, is_removal: bool) -> list[ChangeOutcome]:
@@ -411,7 +486,8 @@ class World:
                 self.removed.add(member.member_id)
 
         assert leader.replica is not None
-        leader.replica.change_members(MemberChange(member, is_removal, done))
+        later = MemberChange(member, is_removal, lambda outcome: leader.after_disk(lambda: done(outcome)))
+        leader.replica.change_members(later)
         return outcomes
 
     def read(self, member: SimMember, *, timeout: float) -> list[int | None]:
@@ -424,5 +500,5 @@ class World:
                 self.history.read(acknowledged_before=before, index=index)
 
         assert member.replica is not None
-        member.replica.read(Read(self.now + timeout, done))
+        member.replica.read(Read(self.now + timeout, lambda index: member.after_disk(lambda: done(index))))
         return outcomes

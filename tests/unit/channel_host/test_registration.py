@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable
+from stampede_rt.v1.directory_service_pb2 import RegisterHostResponse, RenewHostLeaseResponse
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
@@ -116,6 +117,54 @@ async def test_a_host_whose_renewals_fail_is_fenced_and_serves_again_after_the_n
             fake.refuse.clear()
             await host.lease_becomes(True)
             assert host.registered.qsize() == 1  # it was only late: no second registration
+
+
+class SlowDirectory:
+    """Answers registration and the first renewal, both 3 s after they were sent, and nothing else."""
+
+    def __init__(self) -> None:
+        self.now = 100 * 10**9
+        self.asked: list[str] = []
+
+    def boottime_nanos(self) -> int:
+        return self.now
+
+    async def call(self, method: str, request: object, timeout_s: float) -> object:
+        self.asked.append(method)
+        if len(self.asked) > 2:
+            await asyncio.Event().wait()
+        self.now += 3 * 10**9
+        if method == "RegisterHost":
+            return RegisterHostResponse(lease_ttl_nanos=5 * 10**9)
+        return RenewHostLeaseResponse(lease_ttl_nanos=5 * 10**9)
+
+
+async def test_a_lease_counts_from_the_sending_and_not_from_the_answer() -> None:
+    slow = SlowDirectory()
+
+    async def ignore(_: object) -> None:
+        pass
+
+    registration = Registration(
+        HostIdentity(host_id=b"h" * 16, name="h1", boot_incarnation=7),
+        slow,  # type: ignore[arg-type]  # only `call` is used here
+        slow,  # type: ignore[arg-type]  # and of the clock this
+        on_registered=ignore,
+        on_lease=lambda held: None,
+    )
+    await registration.enter("localhost:1")
+    start = 100 * 10**9
+    for seconds, held in ((3.9, True), (4.1, False)):
+        slow.now = start + int(seconds * 10**9)
+        assert registration.lease_held() is held
+    slow.now = start + 3 * 10**9
+    keeping_on = asyncio.create_task(registration.keep())
+    while len(slow.asked) < 3:  # noqa: ASYNC110 - nothing announces it
+        await asyncio.sleep(0)
+    keeping_on.cancel()
+    for seconds, held in ((6.9, True), (7.1, False)):
+        slow.now = start + int(seconds * 10**9)
+        assert registration.lease_held() is held
 
 
 async def test_the_loss_of_renewals_and_their_return_are_logged_once_each(caplog: pytest.LogCaptureFixture) -> None:

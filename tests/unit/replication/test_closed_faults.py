@@ -217,6 +217,19 @@ def test_a_snapshot_with_a_lost_piece_is_not_opened() -> None:
     assert lone.node.raftLastApplied == 1
 
 
+def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
+    lone = LoneNode()
+    chunks = snapshot_pieces(last=9, term=5, size=20)
+    changed = bytearray(chunks[-1].data)
+    changed[-1] ^= 1
+    chunks[-1].data = bytes(changed)
+    replies = [lone.receive("b", piece(5, chunk, commit=9)) for chunk in chunks]
+    assert not lone.node.keeper.is_opening
+    assert not any(message["success"] for reply in replies for _, message in reply)
+    lone.open_snapshot()
+    assert lone.machine.entries == []
+
+
 def test_a_member_that_hears_its_leader_gives_no_trial_vote() -> None:
     lone = LoneNode()
     request = {"type": "request_vote", "term": 2, "last_log_index": 9, "last_log_term": 1, "trial": True}

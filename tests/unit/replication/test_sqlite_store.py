@@ -308,6 +308,12 @@ def test_no_flipped_bit_is_applied_and_none_ends_in_a_defect(tmp_path: Path) -> 
             assert found in (None, whole), (original, name, place)
 
 
+def test_every_commit_is_synced(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: a commit has reached the disk
+    store.close()
+
+
 def read_copy(original: Path, copy: Path, name: str = "", data: bytes = b"") -> StoredState | None:
     """What a copy holds in which one file has changed; None if it is refused with a reason."""
     shutil.rmtree(copy, ignore_errors=True)

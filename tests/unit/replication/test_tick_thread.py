@@ -5,8 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from typing import Any
 
+import pytest
+
+from stampede_rt_supernode.replication import tick_thread
 from stampede_rt_supernode.replication.tick_thread import EXIT_CODE, TickThread
 
 
@@ -87,3 +91,40 @@ def test_a_full_disk_ends_the_process_with_a_sentence_and_no_traceback() -> None
     assert (ended.returncode, ended.stderr.count("\n")) == (EXIT_CODE, 1)
     assert "its data folder cannot be written (database or disk is full)" in ended.stderr
     assert "nothing that was acknowledged is lost" in ended.stderr
+
+
+class Hanging(Stepping):
+    """A replica whose disk hangs until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.goes_on = threading.Event()
+
+    def step(self) -> bool:
+        self.stepped.release()
+        self.goes_on.wait()
+        return False
+
+
+def test_a_step_that_hangs_is_told_of_once_and_so_is_its_end(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(tick_thread, "STUCK_SECONDS", 0.05)
+    monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 0.01)
+    replica = Hanging()
+    thread, failures, _ = start(replica, tick_seconds=0.01)
+    try:
+        wait_for(lambda: len(caplog.records) == 1)
+        assert thread.stuck_seconds() > 0.0
+    finally:
+        replica.goes_on.set()
+    wait_for(lambda: len(caplog.records) == 2)
+    assert ["has not answered" in record.getMessage() for record in caplog.records] == [True, False]
+    assert thread.stuck_seconds() == 0.0
+    thread.stop()
+    assert not failures
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    while not condition():
+        threading.Event().wait(0.005)

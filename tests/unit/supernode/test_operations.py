@@ -6,7 +6,13 @@ import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core import answered
-from stampede_rt_supernode.core.answered import FORGOTTEN_AT_ONCE, FORGOTTEN_BY_MARK, MARKS_KEPT
+from stampede_rt_supernode.core.answered import (
+    FORGOTTEN_AT_ONCE,
+    FORGOTTEN_BY_MARK,
+    MARK_NANOS,
+    MARKS_KEPT,
+    REPEAT_NANOS_MAX,
+)
 from stampede_rt_supernode.core.commands import (
     ChannelDeleted,
     ChannelOpened,
@@ -82,6 +88,16 @@ def test_an_answer_is_kept_however_much_is_done_until_time_was_marked_often_enou
     assert done(log, 1) == first
     log.mark_time()
     assert request_id(1) not in {answer.op_id for answer in log.directory.answered}
+
+
+def test_an_answer_is_kept_for_longer_than_a_request_may_be_repeated() -> None:
+    log = Log()
+    log.apply(register(1))
+    done = log.apply(open_channel("cam"), op_id=id_of(77))
+    # The first mark may come at once, and the request be under way for one more.
+    for _ in range(REPEAT_NANOS_MAX // MARK_NANOS + 2):
+        log.mark_time()
+        assert log.apply(open_channel("cam"), op_id=id_of(77)) == done
 
 
 def test_forgetting_takes_a_bounded_part_of_each_command() -> None:

@@ -11,6 +11,7 @@ from hashlib import blake2b
 from typing import Any
 
 from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt_supernode.core import late_registrations
 from stampede_rt_supernode.core.answered import Answer, Answered
 from stampede_rt_supernode.core.channel_transitions import (
     check_open,
@@ -207,6 +208,8 @@ class Directory:
         deed = command.deed
         if isinstance(deed, (OpenChannel, OpenGroup, OpenQueue)):
             check_in_time(self.tables, self.answered, deed, command.as_of_index)
+        if isinstance(deed, (RegisterHost, RegisterPeer)):
+            late_registrations.check_in_time(self.tables, deed, command.as_of_index)
         transition = _TRANSITIONS.get(type(deed))
         if transition is not None:
             return transition(self.tables, deed)

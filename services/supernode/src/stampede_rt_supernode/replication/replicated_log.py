@@ -106,6 +106,9 @@ class PySyncObjLog:
     def status(self) -> ReplicationStatus:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
+        if self._thread.stuck_seconds() > 0.0:
+            # What the last step saw is long past: whoever led then has been replaced, as others tell.
+            status = replace(status, leader_id=None, is_leader=False, tenure=0)
         refused = self._servicer.refused() if self._servicer is not None else {}
         if not (links.is_refused or links.other_cluster or refused):
             return status

@@ -1,18 +1,27 @@
-"""The one thread that the log runs on. It sleeps until something comes in, and ticks now and then anyway."""
+"""The one thread that the log runs on. It sleeps until something comes in, and ticks now and then anyway. Beside it,
+another one looks whether a step comes to an end: a disk that hangs gives no error, and holds the log's thread for ever.
+"""
 
 from __future__ import annotations
 
+import logging
 import os
 import sqlite3
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import NoReturn
 
 from stampede_rt_supernode.replication.replica import Replica
 
+logger = logging.getLogger(__name__)
+
 EXIT_CODE = 70
+# A step that takes longer waits for a disk that hangs: the others have a new leader by then.
+STUCK_SECONDS = 3.0
+LOOK_SECONDS = 0.5
 
 
 def end_process(error: BaseException) -> NoReturn:
@@ -39,6 +48,15 @@ class TickThread:
         self._work = threading.Event()
         self._stopping = False
         self._thread: threading.Thread | None = None
+        self._ended = threading.Event()
+        # When the present step began; None between two.
+        self._step_began: float | None = None
+
+    def stuck_seconds(self) -> float:
+        """For how long the present step has lasted, if that is too long; 0 if all is well. From any thread."""
+        began = self._step_began
+        lasted = 0.0 if began is None else time.monotonic() - began
+        return lasted if lasted > STUCK_SECONDS else 0.0
 
     def wake(self) -> None:
         """Have the next step done now."""
@@ -48,6 +66,7 @@ class TickThread:
         """Begin to tick; from now on the replica belongs to this thread."""
         self._thread = threading.Thread(target=self._run, args=(replica,), name="replicated-log", daemon=True)
         self._thread.start()
+        threading.Thread(target=self._watch, name="replicated-log-watch", daemon=True).start()
 
     def stop(self) -> None:
         """Stop ticking and close the replica; blocks until both are done."""
@@ -61,8 +80,30 @@ class TickThread:
             while not self._stopping:
                 # Cleared before the step: whatever comes in during it has the next one done at once.
                 self._work.clear()
-                if not replica.step():
+                self._step_began = time.monotonic()
+                again = replica.step()
+                self._step_began = None
+                if not again:
                     self._work.wait(self._tick_seconds)
             replica.close()
         except BaseException as error:  # noqa: BLE001 - whatever it is, going on would be worse
             self._on_fatal(error)
+        finally:
+            self._ended.set()
+
+    def _watch(self) -> None:
+        """Say once that the disk hangs, and once that it goes on."""
+        stuck_since: float | None = None
+        while not self._ended.wait(LOOK_SECONDS):
+            began, now = self._step_began, time.monotonic()
+            if stuck_since is None and began is not None and now - began > STUCK_SECONDS:
+                stuck_since = began
+                logger.error(
+                    "the disk of the data folder has not answered for %.0f s: this supernode takes and confirms "
+                    "nothing until it does; the others go on without it. Mend the disk; if it does not come back, "
+                    "remove this member and join a new one",
+                    STUCK_SECONDS,
+                )
+            elif stuck_since is not None and began != stuck_since:
+                logger.warning("the disk of the data folder answers again, after %.1f s", now - stuck_since)
+                stuck_since = None

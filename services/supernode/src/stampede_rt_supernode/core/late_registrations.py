@@ -1,0 +1,36 @@
+"""Whether a registration comes too late: its process may have been killed and started again since. Pure.
+
+A supernode holds a registration until there is a leader, for seconds. Done after that of the newer process, it would
+take the name, or the lease, from the one that lives and give it to one that does not.
+"""
+
+from __future__ import annotations
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_supernode.core.commands import RegisterHost
+from stampede_rt_supernode.core.peers.commands import RegisterPeer
+from stampede_rt_supernode.core.records import Host, Peer
+from stampede_rt_supernode.core.tables import Tables
+
+
+def check_in_time(tables: Tables, deed: RegisterHost | RegisterPeer, as_of_index: int) -> None:
+    """Raises Unavailable with reason AMBIGUOUS if another start of the process has registered since this was asked for.
+
+    `as_of_index`: how far the state reached when the request came, 0 if that is not told.
+    """
+    for before in _places(tables, deed):
+        if before is None or before.boot_incarnation == deed.boot_incarnation:
+            continue
+        if 0 < as_of_index < before.registered_index:
+            raise Unavailable(
+                f"{deed.name or 'the peer'} has registered from another process while this request was under way; if "
+                "this process is the newer one, send the request again",
+                reason="AMBIGUOUS",
+            )
+
+
+def _places(tables: Tables, deed: RegisterHost | RegisterPeer) -> list[Host | None] | list[Peer | None]:
+    """Whose place it would take."""
+    if isinstance(deed, RegisterHost):
+        return [tables.hosts.get(deed.host_id)]
+    return [tables.peers.by_id.get(deed.peer_id), tables.peers.live_named(deed.name) if deed.name else None]

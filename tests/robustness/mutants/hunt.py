@@ -1,0 +1,36 @@
+"""Runs a simulator until a seed fails: `python -m tests.robustness.mutants.hunt log 100`.
+
+Exit code 0 and one line if a promise was broken, 1 if none was; any other exception rises: that is no finding.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable
+
+from stampede_rt_supernode.replication.raft_node import InvariantViolation
+from tests.robustness.directory import simulate as directory
+from tests.robustness.histories.linearizability import NotLinearizable
+from tests.robustness.replication import simulate as log
+
+SIMULATORS: dict[str, Callable[[int], object]] = {"log": log.run, "directory": directory.run}
+# What the judges raise, and what the product raises that notices a fault itself and goes no further.
+BROKEN_PROMISES = (AssertionError, NotLinearizable, InvariantViolation)
+
+
+def main() -> int:
+    """Run seeds from 0 on."""
+    simulator, seeds = sys.argv[1:]
+    logging.disable(logging.WARNING)  # services complain of the weather, as they should
+    for seed in range(int(seeds)):
+        try:
+            SIMULATORS[simulator](seed)
+        except BROKEN_PROMISES as broken:
+            print(f"{seed + 1} {broken}")
+            return 0
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+"""Faults to plant in the code under test, each with who must notice it.
+
+A fault is a piece of text in the place of another, so that it reads like a diff and needs no line numbers. A piece that
+is not found exactly once has moved: mend it here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REPLICATION = "services/supernode/src/stampede_rt_supernode/replication"
+SUPERNODE = "services/supernode/src/stampede_rt_supernode"
+HOST = "services/channel_host/src/stampede_rt_channel_host"
+SEEDS_MAX = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mutant:
+    """One fault. `noticed_by`: a simulator ("log" or "directory"), or a test that fails."""
+
+    name: str
+    file: str
+    # Pairs of what is there, and what stands there instead.
+    edits: tuple[tuple[str, str], ...]
+    noticed_by: str
+    # Among the few that the suite plays.
+    quick: bool = False
+
+    def plant(self, text: str) -> str:
+        """The file with the fault. Raises LookupError if it does not fit any more."""
+        for old, new in self.edits:
+            if text.count(old) != 1:
+                raise LookupError(f"mutant {self.name}: {self.file} holds {text.count(old)} times {old!r}")
+            text = text.replace(old, new)
+        return text
+
+
+MUTANTS = (
+    Mutant(
+        name="acknowledge_before_the_disk",
+        file=f"{REPLICATION}/replica.py",
+        edits=(
+            (
+                "        self._journal.sync()\n        self._take_in()\n",
+                "        self._network.release(self._node.mailroom.take_outbox())\n"
+                "        self._journal.sync()\n        self._take_in()\n",
+            ),
+        ),
+        noticed_by="log",
+        quick=True,
+    ),
+    Mutant(
+        name="release_before_the_sync",
+        file=f"{REPLICATION}/replica.py",
+        edits=(
+            (
+                "        self._journal.sync()\n        self._release()\n",
+                "        self._release()\n        self._journal.sync()\n",
+            ),
+        ),
+        noticed_by="log",
+        quick=True,
+    ),
+    Mutant(
+        name="second_vote_not_durable",
+        file=f"{REPLICATION}/journal.py",
+        edits=(
+            (
+                "            self._term, self._voted_for = term, votedForNodeId\n            self._dirty = True\n",
+                "            self._dirty = self._dirty or term != self._term\n"
+                "            self._term, self._voted_for = term, votedForNodeId\n",
+            ),
+        ),
+        noticed_by="log",
+    ),
+    Mutant(
+        name="change_of_members_before_own_entry",
+        file=f"{REPLICATION}/membership.py",
+        edits=(
+            (
+                "return self.can_confirm_reads() and self",
+                "return self._SyncObj__raftState == LEADER and self",
+            ),
+        ),
+        noticed_by="log",
+    ),
+    Mutant(
+        name="ack_no_term",
+        file=f"{REPLICATION}/leading.py",
+        edits=(
+            (
+                'if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != LEADER:',
+                "if self._SyncObj__raftState != LEADER:",
+            ),
+        ),
+        noticed_by="tests/unit/replication/test_closed_faults.py",
+    ),
+    Mutant(
+        name="commit_past_match",
+        file=f"{REPLICATION}/following.py",
+        edits=(
+            (
+                'self._raise_commit_index(min(message["commit_index"], matched))',
+                'self._raise_commit_index(min(message["commit_index"], journal[-1][1]))',
+            ),
+        ),
+        noticed_by="log",
+    ),
+    Mutant(
+        name="synchronous_off",
+        file=f"{REPLICATION}/sqlite_store.py",
+        edits=(("PRAGMA synchronous=FULL", "PRAGMA synchronous=OFF"),),
+        noticed_by="tests/unit/replication/test_sqlite_store.py",
+        quick=True,
+    ),
+    Mutant(
+        name="replaced_stream_lives_on",
+        file=f"{REPLICATION}/servicer.py",
+        edits=(("            replaced.cancel()\n", "            pass\n"),),
+        noticed_by="tests/unit/replication/test_streams.py",
+    ),
+    Mutant(
+        name="links_queue_survives_a_break",
+        file=f"{REPLICATION}/links.py",
+        edits=(("        self._queue.clear()\n        self.queued_bytes = 0\n", ""),),
+        noticed_by="tests/unit/replication/test_streams.py",
+        quick=True,
+    ),
+    Mutant(
+        name="snapshot_not_checked",
+        file=f"{REPLICATION}/receiving.py",
+        edits=(("if hashlib.sha256(incoming.data).digest() != incoming.sha256:", "if False:"),),
+        noticed_by="tests/unit/replication/test_closed_faults.py",
+    ),
+    Mutant(
+        name="stored_snapshot_not_checked",
+        file=f"{REPLICATION}/sqlite_store.py",
+        edits=(("if hashlib.sha256(record).digest() != seal.sha256:", "if False:"),),
+        noticed_by="tests/unit/replication/test_sqlite_store.py",
+    ),
+    Mutant(
+        name="dedup_window_cut",
+        file=f"{SUPERNODE}/core/answered.py",
+        edits=(("MARKS_KEPT = 6\n", "MARKS_KEPT = 2\n"),),
+        noticed_by="tests/unit/supernode/test_operations.py",
+    ),
+    Mutant(
+        name="host_counts_from_the_answer",
+        file=f"{HOST}/cluster/registration.py",
+        edits=(
+            (
+                '        response = await self._supernodes.call("RenewHostLease", request, timeout_s)\n',
+                '        response = await self._supernodes.call("RenewHostLease", request, timeout_s)\n'
+                "        sent = self._clock.boottime_nanos()\n",
+            ),
+        ),
+        noticed_by="tests/unit/channel_host/test_registration.py",
+    ),
+    Mutant(
+        name="lease_not_shorter_at_the_host",
+        file=f"{HOST}/cluster/lease_keeper.py",
+        edits=(("_FENCE_NUMERATOR, _FENCE_DENOMINATOR = 4, 5", "_FENCE_NUMERATOR, _FENCE_DENOMINATOR = 6, 5"),),
+        noticed_by="directory",
+    ),
+    Mutant(
+        name="renew_unconfirmed",
+        file=f"{SUPERNODE}/servicers/lease_keeper.py",
+        edits=(("        await self._submission.confirm(seconds=seconds)\n        self.check_leads(tenure)\n", ""),),
+        noticed_by="directory",
+    ),
+    Mutant(
+        name="expire_any_tenure",
+        file=f"{SUPERNODE}/core/host_transitions.py",
+        edits=(("not host.alive or deed.tenure != tenure:", "not host.alive:"),),
+        noticed_by="directory",
+    ),
+    Mutant(
+        name="late_registration_is_done",
+        file=f"{SUPERNODE}/core/late_registrations.py",
+        edits=(("if 0 < as_of_index < before.registered_index:", "if False:"),),
+        noticed_by="directory",
+        quick=True,
+    ),
+)

@@ -1,0 +1,70 @@
+"""Plants one fault in a copy of the package that it is in, and asks whoever must notice it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.robustness.mutants.hunt import SIMULATORS
+from tests.robustness.mutants.planted import SEEDS_MAX, Mutant
+
+ROOT = Path(__file__).parents[3]
+SECONDS_MAX = 900.0
+TESTS_FAILED = 1  # pytest's exit code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What became of one mutant."""
+
+    mutant: Mutant
+    noticed: bool
+    # After how many seeds and why, or what went wrong.
+    how: str
+    seconds: float
+
+
+def judge(mutant: Mutant) -> Verdict:
+    """Plant it, and ask; takes from a second to minutes. Raises LookupError if the fault does not fit the code."""
+    source = ROOT / mutant.file.split("/src/")[0] / "src"
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
+        copy = Path(folder) / "src"
+        shutil.copytree(source, copy, ignore=shutil.ignore_patterns("__pycache__"))
+        place = copy / (ROOT / mutant.file).relative_to(source)
+        place.write_text(mutant.plant(place.read_text()))
+        noticed, how = ask(mutant.noticed_by, package_path=copy)
+    return Verdict(mutant=mutant, noticed=noticed, how=how, seconds=time.monotonic() - began)
+
+
+def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple[bool, str]:
+    """Whether a simulator or test finds fault with the code (None: as it is), and what it says."""
+    simulated = who in SIMULATORS
+    hunt = ["-m", "tests.robustness.mutants.hunt", who, str(seeds)]
+    test = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *who.split()]
+    path = {"PYTHONPATH": str(package_path)} if package_path else {}
+    done = subprocess.run(
+        [sys.executable, *(hunt if simulated else test)],
+        cwd=ROOT,
+        env={**os.environ, **path, "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=SECONDS_MAX,
+        check=False,
+    )
+    said = (done.stdout.strip() or done.stderr.strip()).splitlines()
+    last = said[-1] if said else ""
+    if simulated and done.returncode == 0:
+        found, _, why = last.partition(" ")
+        return True, f"seed {int(found) - 1}, the {found}. of {seeds}: {why}"
+    if not simulated and done.returncode == TESTS_FAILED:
+        return True, next((line.split("::")[-1] for line in said if line.startswith("FAILED")), last)
+    if done.returncode not in (0, 1) or "Traceback" in done.stderr:
+        return False, f"could not be asked: {(done.stderr.strip().splitlines() or [last])[-1]}"
+    return False, f"{seeds} seeds found nothing" if simulated else "the test passes"

@@ -1,0 +1,108 @@
+"""What members say and commit, held against their disks: rules of Raft whose breach no caller may see for long.
+
+The proofs of Raft rest on them (Ongaro and Ousterhout 2014, figure 2 and section 5.4; the dissertation, section 4.1
+with the correction of July 2015), so that a fault shows where it is made, and not only when two come together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.journal import Journal
+from stampede_rt_supernode.replication.storage import Entry, StoredState
+from tests.robustness.replication.machine import PromiseBroken
+
+
+@dataclass
+class Said:
+    """What one member has told others of itself."""
+
+    member_id: str
+    # The newest term in which it voted, and for whom.
+    vote: tuple[int, str] = (0, "")
+    # The newest term in which it acknowledged entries, and up to where.
+    held: tuple[int, int] = (0, 0)
+
+    def note(self, to: str, message: pb.RaftMessage) -> None:
+        """A message leaves it."""
+        reply, request, vote = message.append_reply, message.vote_request, message.vote_reply
+        if message.HasField("append_reply") and reply.success:
+            self.held = max(self.held, (reply.term, reply.next_index - 1))
+        elif message.HasField("vote_reply") and not vote.trial:
+            self._votes(vote.term, to)
+        elif message.HasField("vote_request") and not request.trial:
+            self._votes(request.term, self.member_id)
+
+    def _votes(self, term: int, candidate: str) -> None:
+        if term == self.vote[0] and candidate != self.vote[1]:
+            raise PromiseBroken(f"{self.member_id} votes for {candidate} in term {term}, after {self.vote[1]}")
+        self.vote = max(self.vote, (term, candidate))
+
+    def check_kept(self, disk: StoredState) -> None:
+        """The power is lost: the disk must hold what was said, unless a later term has undone it."""
+        if (disk.term, disk.voted_for or "") < self.vote and (disk.term, disk.voted_for) != self.vote:
+            raise PromiseBroken(f"{self.member_id} voted {self.vote}; its disk has {(disk.term, disk.voted_for)}")
+        term, index = self.held
+        last = disk.entries[-1].log_index if disk.entries else 0
+        if disk.term < term or (disk.term == term and last < index):
+            raise PromiseBroken(f"{self.member_id} held entry {index} in term {term}; its disk ends at {last}")
+
+
+@dataclass
+class Committed:
+    """What leaders have committed: the term of each entry."""
+
+    terms: dict[int, int] = field(default_factory=dict)
+    highest: int = 1
+    # Terms in which a leader has committed an entry of its own.
+    own: set[int] = field(default_factory=set)
+
+    def by_leader(
+        self,
+        term: int,
+        index: int,
+        journal: Journal,
+        rosters: Sequence[Sequence[Member]],
+        disks: dict[str, StoredState],
+    ) -> None:
+        """A leader has committed up to `index`: a majority of one of the rosters must have it on its disks."""
+        if not any(_majority(index, term, [disks[one.member_id] for one in roster]) for roster in rosters):
+            raise PromiseBroken(f"entry {index} of term {term} was committed without a majority of the disks")
+        self.own.add(term)
+        for one in range(self.highest + 1, index + 1):
+            if (entry := journal.entry_at(one)) is not None:
+                self.terms[one] = entry.term
+        self.highest = max(self.highest, index)
+
+    def by_follower(self, member_id: str, index: int, journal: Journal) -> None:
+        """A member takes everything up to `index` for committed."""
+        entry = journal.entry_at(index)
+        if index > self.highest or entry is None or self.terms.get(index, entry.term) != entry.term:
+            raise PromiseBroken(f"{member_id} takes entry {index} for committed, which no leader has committed")
+
+    def configured(self, term: int, index: int) -> None:
+        """A leader has put a change of the members into the log: after an entry of its own was committed."""
+        if term not in self.own:
+            raise PromiseBroken(f"a leader changes the members at {index}, with nothing of term {term} committed")
+
+
+def check_match(term: int, member_id: str, match: int, held: Entry | None, disk: StoredState) -> None:
+    """A leader believes that a member holds its log up to `match`, where it has `held` itself.
+
+    In a later term than the leader's, what was not committed may be gone.
+    """
+    if match > 0 and held is not None and disk.term <= term and not _holds(disk, match, held.term):
+        raise PromiseBroken(f"a leader believes that {member_id} holds entry {match} of term {held.term}; it does not")
+
+
+def _majority(index: int, term: int, disks: Sequence[StoredState]) -> bool:
+    return 2 * sum(_holds(disk, index, term) for disk in disks) > len(disks)
+
+
+def _holds(disk: StoredState, index: int, term: int) -> bool:
+    """What a snapshot stands for is held, too."""
+    position = index - disk.entries[0].log_index if disk.entries else 0
+    return position < 0 or (position < len(disk.entries) and disk.entries[position].term == term)

@@ -1,0 +1,103 @@
+"""Members as processes, each on a file system of its own that loses its power, fails, or hangs."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication.tick_thread import EXIT_CODE
+from tests.robustness.replication.ext4 import Ext4
+from tests.robustness.replication.test_killed_processes import IDS, MemberProcess, write
+
+pytestmark = pytest.mark.skipif(
+    os.geteuid() != 0 or not all(map(shutil.which, ("mkfs.ext4", "fsfreeze"))), reason="needs root and ext4"
+)
+
+
+class Machine(MemberProcess):
+    """A process, and the disk that its folder is on."""
+
+    def __init__(self, member_id: str, folder: Path) -> None:
+        super().__init__(member_id, folder)
+        self.disk = Ext4(folder / f"{member_id}.image", folder / member_id)
+
+    def lose_power(self) -> None:
+        self.disk.lose_power()
+        self.send_signal(signal.SIGKILL)
+
+    async def come_back(self) -> None:
+        await self.kill()
+        self.disk.unmount()
+        self.disk.mount()
+        await self.start()
+
+
+@pytest.fixture
+async def machines() -> AsyncIterator[list[Machine]]:
+    # Socket paths have a short limit, and pytest's own folders are long.
+    with tempfile.TemporaryDirectory(prefix="srt-") as folder:
+        made: list[Machine] = []
+        try:
+            for member_id in IDS:
+                made.append(Machine(member_id, Path(folder)))
+            for machine in made:
+                await machine.start()
+            yield made
+        except (subprocess.CalledProcessError, OSError) as error:
+            if len(made) < len(IDS):
+                pytest.skip(f"no loop device can be mounted here: {error}")
+            raise
+        finally:
+            for machine in made:
+                machine.disk.thaw()
+                await machine.kill()
+                machine.disk.close()
+
+
+async def test_what_was_acknowledged_survives_a_loss_of_power_everywhere(machines: list[Machine]) -> None:
+    names = [f"a{n}" for n in range(40)]
+    await write(machines[0], names)
+    under_way = asyncio.create_task(machines[1].ask("propose under-way"))
+    for machine in machines:
+        machine.lose_power()
+    await under_way
+    for machine in machines:
+        await machine.come_back()
+    held = (await machines[2].ask("entries")).split()
+    assert [name for name in held if name != "under-way"] == names
+
+
+async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(machines: list[Machine]) -> None:
+    await write(machines[0], ["before"])
+    leader = machines[IDS.index(await machines[0].ask("leader"))]
+    leader.disk.lose_power()  # without a restart: EIO from now on
+    witness = next(machine for machine in machines if machine is not leader)
+    while not (await witness.ask("propose after")).isdigit():
+        pass
+    assert await leader.ended() == EXIT_CODE
+    assert "after" in (await witness.ask("entries")).split()
+    await leader.come_back()
+    assert (await leader.ask("entries")).split()[0] == "before"
+
+
+async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_it_goes_on(machines: list[Machine]) -> None:
+    await write(machines[0], ["before"])
+    leader = machines[IDS.index(await machines[0].ask("leader"))]
+    witness = next(machine for machine in machines if machine is not leader)
+    leader.disk.freeze()
+    stuck = asyncio.create_task(leader.ask("propose stuck"))
+    while not (await witness.ask("propose meanwhile")).isdigit():
+        pass
+    assert await stuck in ("Ambiguous", "Unavailable")
+    # It does not go on to call itself the leader.
+    assert await leader.ask("leader") == "None"
+    leader.disk.thaw()
+    assert "meanwhile" in (await leader.ask("entries")).split()
