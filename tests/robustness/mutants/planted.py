@@ -166,13 +166,13 @@ MUTANTS = (
         name="renew_unconfirmed",
         file=f"{SUPERNODE}/servicers/lease_keeper.py",
         edits=(("        await self._submission.confirm(seconds=seconds)\n        self.check_leads(tenure)\n", ""),),
-        noticed_by="directory",
+        noticed_by="tests/unit/supernode/test_lease_keeping.py",
     ),
     Mutant(
         name="expire_any_tenure",
         file=f"{SUPERNODE}/core/host_transitions.py",
         edits=(("not host.alive or deed.tenure != tenure:", "not host.alive:"),),
-        noticed_by="directory",
+        noticed_by="tests/unit/supernode/test_hosts.py",
     ),
     Mutant(
         name="late_registration_is_done",

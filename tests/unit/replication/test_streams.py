@@ -18,6 +18,7 @@ from stampede_rt_supernode.replication.known_stores import KnownStores
 from stampede_rt_supernode.replication.links import Link
 from stampede_rt_supernode.replication.mailroom import Connected, NetworkEvent, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.reports import SparseReports
 from stampede_rt_supernode.replication.servicer import RaftServicer
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage import Promise
@@ -130,6 +131,7 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
         deliver,
         lambda why: None,
         lambda to: hello_to(to, settings),
+        SparseReports(),
     )
     running = asyncio.create_task(link.run())
     async with asyncio.timeout(10):
