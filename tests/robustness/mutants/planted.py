@@ -178,7 +178,7 @@ MUTANTS = (
         name="late_registration_is_done",
         file=f"{SUPERNODE}/core/late_registrations.py",
         edits=(("if 0 < as_of_index < before.registered_index:", "if False:"),),
-        noticed_by="directory",
+        noticed_by="tests/unit/supernode/test_late_opens.py",
         quick=True,
     ),
 )
