@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 import struct
 import subprocess
@@ -15,6 +16,9 @@ EXT4_IOC_SHUTDOWN = 0x8004587D
 NO_LOG_FLUSH = 2
 IMAGE_BYTES = 64 << 20
 UNMOUNT_SECONDS = 10.0
+
+
+_numbers = itertools.count()
 
 
 class Ext4:
@@ -30,8 +34,15 @@ class Ext4:
         self.mount()
 
     def mount(self) -> None:
-        """Bring it up: the journal is replayed."""
-        _run("mount", "-o", "loop", str(self._image), str(self.path))
+        """Bring it up: the journal is replayed.
+
+        What is mounted is a copy of the image. A network namespace made meanwhile keeps the former mount alive,
+        and mounting the same image would then give the same file system, which is shut down.
+        """
+        copy = self._image.with_suffix(f".{next(_numbers)}")
+        _run("cp", "--sparse=always", str(self._image), str(copy))
+        self._image = copy
+        _run("mount", "-o", "loop", str(copy), str(self.path))
 
     def unmount(self) -> None:
         """Once nobody has it open any more; blocks until then, for 10 s at most."""
