@@ -1,0 +1,59 @@
+"""Connections and queues for the tests of this folder."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt import aio
+from tests.contract.lifting import lifted
+
+numbers = itertools.count()
+
+
+class Rig:
+    """Connections of one kind to the cluster, and queues of names that no other test has."""
+
+    def __init__(self, address: str, pool: ThreadPoolExecutor | None) -> None:
+        self.address = address
+        self.pool = pool
+        self.connections: list[Any] = []
+        self.rt: Any = None
+
+    async def connect(self, **named: Any) -> Any:
+        if self.pool is None:
+            made = await aio.connect(self.address, **named)
+        else:
+            made = lifted(await asyncio.to_thread(st.connect, self.address, **named), self.pool)
+        self.connections.append(made)
+        return made
+
+    def name(self) -> str:
+        return f"contract/q{next(numbers)}-{st.now()}"
+
+    async def queue(self, name: str | None = None, **stated: Any) -> Any:
+        return await self.rt.queue(name or self.name(), **stated)
+
+
+async def until(queue: Any, condition: Callable[[st.QueueStats], bool]) -> st.QueueStats:
+    """The first counters for which `condition` holds, within 10 s."""
+    async with asyncio.timeout(10):
+        while not condition(stats := await queue.stats()):
+            adds_up(stats)
+        return adds_up(stats)
+
+
+def adds_up(stats: st.QueueStats) -> st.QueueStats:
+    gone = stats.consumed + stats.dropped + stats.dead_lettered + stats.expelled
+    assert stats.accepted == stats.held + gone
+    return stats
+
+
+async def lease_from_now_on(queue: Any, lease: str) -> None:
+    """Of deliveries to come, so that only those before have leases that end soon."""
+    await queue.configure(lease=lease)
+    await until(queue, lambda stats: stats.policy.lease_nanos == int(lease[:-1]) * 10**9)

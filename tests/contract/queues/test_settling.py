@@ -1,0 +1,109 @@
+"""Queues, on both clients: leases, acknowledgements, give-backs."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+import stampede_rt as st
+from tests.contract.queues.rig import Rig, adds_up, lease_from_now_on, until
+
+
+async def test_a_message_given_back_comes_again_at_its_place(rig: Rig) -> None:
+    queue = await rig.queue()
+    for payload in (b"1", b"2"):
+        await queue.put(payload)
+    await (await queue.get(timeout=10)).nack()
+    again = await queue.get(timeout=10)
+    assert (again.payload, again.deliveries) == (b"1", 2)
+
+
+async def test_a_delayed_give_back_holds_up_no_other(rig: Rig) -> None:
+    queue = await rig.queue()
+    for payload in (b"1", b"2"):
+        await queue.put(payload)
+    await (await queue.get(timeout=10)).nack(delay="300ms")
+    assert (await queue.get(timeout=10)).payload == b"2"
+    assert (await queue.get(timeout=10)).payload == b"1"
+
+
+async def test_a_lease_that_ends_gives_the_item_to_the_next(rig: Rig) -> None:
+    queue = await rig.queue(lease="200ms")
+    await queue.put(b"x")
+    late = await queue.get(timeout=10)
+    await lease_from_now_on(queue, "60s")
+    again = await queue.get(timeout=10)
+    assert again.deliveries == 2
+    assert late.lease_left < 0.1  # counted from when it came here
+    with pytest.raises(st.LeaseExpired, match=queue.name):
+        await late.ack()
+    await again.ack()
+    assert adds_up(await queue.stats()).leases_expired == 1
+
+
+async def test_an_extension_counts_from_now_and_may_shorten_a_lease(rig: Rig) -> None:
+    queue = await rig.queue(lease="5s")
+    await queue.put(b"x")
+    message = await queue.get(timeout=10)
+    assert 0 < message.lease_left <= 5
+    await message.extend("60s")
+    assert message.lease_left > 30
+    await message.extend("1ms")
+    assert (await queue.get(timeout=10)).deliveries == 2
+
+
+async def test_an_acknowledgement_may_be_repeated_but_not_revoked(rig: Rig) -> None:
+    queue = await rig.queue()
+    await queue.put(b"x")
+    message = await queue.get(timeout=10)
+    await message.ack()
+    await message.ack()
+    with pytest.raises(st.LeaseExpired):
+        await message.nack()
+
+
+async def test_a_block_that_ends_well_acknowledges_and_one_that_raises_gives_back(rig: Rig) -> None:
+    queue = await rig.queue()
+    await queue.put(b"x")
+    with pytest.raises(ZeroDivisionError):
+        async with await queue.get(timeout=10):
+            raise ZeroDivisionError
+    async with await queue.get(timeout=10) as message:
+        assert message.deliveries == 2
+    stats = await queue.stats()
+    assert (stats.consumed, stats.given_back) == (1, 1)
+
+
+async def test_a_message_settled_in_its_block_is_left_alone(rig: Rig) -> None:
+    queue = await rig.queue()
+    await queue.put(b"x")
+    async with await queue.get(timeout=10) as message:
+        await message.nack()
+    assert (await queue.stats()).consumed == 0
+
+
+async def test_what_a_block_raised_is_told_even_if_its_lease_has_ended(rig: Rig) -> None:
+    queue = await rig.queue(lease="100ms")
+    await queue.put(b"x")
+
+    async def work() -> None:
+        async with await queue.get(timeout=10):
+            await lease_from_now_on(queue, "60s")
+            await (await queue.get(timeout=10)).ack()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        await work()
+    assert "comes again when its lease ends" in caught.value.__notes__[0]
+
+
+async def test_a_live_taker_that_lets_a_lease_end_goes_on_being_served(rig: Rig) -> None:
+    """The host asks whether it lives before it passes it over."""
+    queue = await rig.queue(lease="100ms")
+    gets = [asyncio.ensure_future(queue.get(timeout=20)) for _ in range(3)]
+    await until(queue, lambda stats: stats.waiting_gets == 1)
+    await queue.put(b"x")
+    done, _ = await asyncio.wait(gets, return_when=asyncio.FIRST_COMPLETED)
+    assert len(done) == 1
+    assert [message.payload for message in await asyncio.gather(*gets)] == [b"x"] * 3
