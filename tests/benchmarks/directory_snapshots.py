@@ -21,16 +21,16 @@ from stampede_rt_supernode.codecs.command_codec import decode_result, encode_com
 from stampede_rt_supernode.core.commands import BeginTenure, Command, Deed, OpenChannel, Refused, RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.aside import AsideThread
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.mailroom import Connected, Outgoing, Received, StreamOpened
-from stampede_rt_supernode.replication.proposals import Proposal
 from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.rules.proposals import Proposal
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
-from stampede_rt_supernode.replication.snapshots import Piece, SnapshotKeeper
-from stampede_rt_supernode.replication.sqlite_store import SqliteStore
-from stampede_rt_supernode.replication.storage import StoredSnapshot
+from stampede_rt_supernode.replication.storage.snapshots import Piece, SnapshotKeeper
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.storage.store import StoredSnapshot
+from stampede_rt_supernode.replication.threads.aside import AsideThread
+from stampede_rt_supernode.replication.wire.mailroom import Connected, Outgoing, Received, StreamOpened
 
 BATCH = 250
 WRITES_PER_TICK = 16

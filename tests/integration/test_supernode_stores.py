@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_supernode.replication.known_stores import FILE_NAME
-from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME, WATERMARK_NAME
+from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
+from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME, WATERMARK_NAME
 from tests.unit.supernode.processes import (
     Cluster,
     Supernode,

@@ -21,7 +21,7 @@ from stampede_rt.v1 import directory_service_pb2_grpc
 from stampede_rt_local.namespaces import Place
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
-from stampede_rt_supernode.replication.sqlite_store import DATABASE_NAME
+from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
 from tests.robustness.placed_process import PlacedProcess
 from tests.robustness.service_process import SNAPSHOT_EVERY
 

@@ -11,7 +11,7 @@ import pytest
 from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper as HostLease
 from stampede_rt_supernode.core.peers import transitions
 from stampede_rt_supernode.replication.interface import ReplicationStatus
-from stampede_rt_supernode.replication.raft_node import InvariantViolation
+from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from tests.robustness.directory import host, simulate
 from tests.robustness.directory.world import Submission, _Leases
 from tests.robustness.histories.channel_model import acknowledged_writes

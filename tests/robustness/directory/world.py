@@ -10,8 +10,8 @@ from stampede_rt_supernode.codecs.command_codec import decode_result, encode_com
 from stampede_rt_supernode.core.commands import Command, Deed, Refused, Success
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
-from stampede_rt_supernode.replication.proposals import Proposal
-from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.replication.rules.proposals import Proposal
+from stampede_rt_supernode.replication.rules.reads import Read
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
 from stampede_rt_supernode.servicers.lease_keeper import TICK_SECONDS, LeaseKeeper

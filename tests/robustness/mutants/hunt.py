@@ -9,7 +9,7 @@ import logging
 import sys
 from collections.abc import Callable
 
-from stampede_rt_supernode.replication.raft_node import InvariantViolation
+from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from tests.robustness.directory import simulate as directory
 from tests.robustness.histories.linearizability import NotLinearizable
 from tests.robustness.replication import simulate as log

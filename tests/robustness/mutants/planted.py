@@ -63,7 +63,7 @@ MUTANTS = (
     ),
     Mutant(
         name="second_vote_not_durable",
-        file=f"{REPLICATION}/journal.py",
+        file=f"{REPLICATION}/storage/journal.py",
         edits=(
             (
                 "            self._term, self._voted_for = term, votedForNodeId\n            self._dirty = True\n",
@@ -75,7 +75,7 @@ MUTANTS = (
     ),
     Mutant(
         name="change_of_members_before_own_entry",
-        file=f"{REPLICATION}/membership.py",
+        file=f"{REPLICATION}/rules/membership.py",
         edits=(
             (
                 "return self.can_confirm_reads() and self",
@@ -86,18 +86,18 @@ MUTANTS = (
     ),
     Mutant(
         name="ack_no_term",
-        file=f"{REPLICATION}/leading.py",
+        file=f"{REPLICATION}/rules/leading.py",
         edits=(
             (
                 'if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != LEADER:',
                 "if self._SyncObj__raftState != LEADER:",
             ),
         ),
-        noticed_by="tests/unit/replication/test_closed_faults.py",
+        noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
     ),
     Mutant(
         name="commit_past_match",
-        file=f"{REPLICATION}/following.py",
+        file=f"{REPLICATION}/rules/following.py",
         edits=(
             (
                 'self._raise_commit_index(min(message["commit_index"], matched))',
@@ -108,35 +108,35 @@ MUTANTS = (
     ),
     Mutant(
         name="synchronous_off",
-        file=f"{REPLICATION}/sqlite_store.py",
+        file=f"{REPLICATION}/storage/sqlite_store.py",
         edits=(("PRAGMA synchronous=FULL", "PRAGMA synchronous=OFF"),),
-        noticed_by="tests/unit/replication/test_sqlite_store.py",
+        noticed_by="tests/unit/supernode/replication/storage/test_sqlite_store.py",
         quick=True,
     ),
     Mutant(
         name="replaced_stream_lives_on",
-        file=f"{REPLICATION}/servicer.py",
+        file=f"{REPLICATION}/network/servicer.py",
         edits=(("            replaced.cancel()\n", "            pass\n"),),
-        noticed_by="tests/unit/replication/test_streams.py",
+        noticed_by="tests/unit/supernode/replication/network/test_streams.py",
     ),
     Mutant(
         name="links_queue_survives_a_break",
-        file=f"{REPLICATION}/links.py",
+        file=f"{REPLICATION}/network/links.py",
         edits=(("        self._queue.clear()\n        self.queued_bytes = 0\n", ""),),
-        noticed_by="tests/unit/replication/test_streams.py",
+        noticed_by="tests/unit/supernode/replication/network/test_streams.py",
         quick=True,
     ),
     Mutant(
         name="snapshot_not_checked",
-        file=f"{REPLICATION}/receiving.py",
+        file=f"{REPLICATION}/storage/receiving.py",
         edits=(("if hashlib.sha256(incoming.data).digest() != incoming.sha256:", "if False:"),),
-        noticed_by="tests/unit/replication/test_closed_faults.py",
+        noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
     ),
     Mutant(
         name="stored_snapshot_not_checked",
-        file=f"{REPLICATION}/sqlite_store.py",
+        file=f"{REPLICATION}/storage/sqlite_store.py",
         edits=(("if hashlib.sha256(record).digest() != seal.sha256:", "if False:"),),
-        noticed_by="tests/unit/replication/test_sqlite_store.py",
+        noticed_by="tests/unit/supernode/replication/storage/test_sqlite_store.py",
     ),
     Mutant(
         name="dedup_window_cut",

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from stampede_rt_supernode.replication.storage import (
+from stampede_rt_supernode.replication.storage.store import (
     Entry,
     SnapshotSeal,
     StoreChanges,

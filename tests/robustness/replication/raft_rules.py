@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.journal import Journal
-from stampede_rt_supernode.replication.storage import Entry, StoredState
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.store import Entry, StoredState
 from tests.robustness.replication.machine import PromiseBroken
 
 

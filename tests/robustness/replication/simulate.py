@@ -12,10 +12,10 @@ import time
 import traceback
 from dataclasses import fields, replace
 
-from stampede_rt_supernode.replication.elections import TrialElections
-from stampede_rt_supernode.replication.member_changes import HandOver
+from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.member_changes import HandOver
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.world import SimMember, Weather, World
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_supernode.replication.tick_thread import EXIT_CODE
+from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE
 from tests.robustness.replication.ext4 import Ext4
 from tests.robustness.replication.test_killed_processes import IDS, MemberProcess, write
 

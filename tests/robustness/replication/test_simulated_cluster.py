@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import pytest
 
-from stampede_rt_supernode.replication.codec import Message
-from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.member_changes import ChangeOutcome
-from stampede_rt_supernode.replication.proposals import Outcome
-from stampede_rt_supernode.replication.raft_node import InvariantViolation
-from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest
-from stampede_rt_supernode.replication.snapshots import SnapshotKeeper
+from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
+from stampede_rt_supernode.replication.rules.proposals import Outcome
+from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
+from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
+from stampede_rt_supernode.replication.wire.codec import Message
 from tests.robustness.replication.machine import FORK, PromiseBroken
 from tests.robustness.replication.simulate import PRODUCTION, run
 from tests.robustness.replication.world import SimMember, Weather, World

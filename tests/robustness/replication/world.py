@@ -10,11 +10,17 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication.codec import decode_message
-from stampede_rt_supernode.replication.elections import TrialElections
-from stampede_rt_supernode.replication.greetings import introduction, newly_met
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
-from stampede_rt_supernode.replication.mailroom import (
+from stampede_rt_supernode.replication.network.greetings import introduction, newly_met
+from stampede_rt_supernode.replication.replica import Replica, Roster
+from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange
+from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
+from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
+from stampede_rt_supernode.replication.storage.store import StoredState
+from stampede_rt_supernode.replication.wire.codec import decode_message
+from stampede_rt_supernode.replication.wire.mailroom import (
     Connected,
     Disconnected,
     Introduced,
@@ -24,12 +30,6 @@ from stampede_rt_supernode.replication.mailroom import (
     StreamEnded,
     StreamOpened,
 )
-from stampede_rt_supernode.replication.member_changes import ChangeOutcome, MemberChange
-from stampede_rt_supernode.replication.proposals import Outcome, Proposal
-from stampede_rt_supernode.replication.reads import Read
-from stampede_rt_supernode.replication.replica import Replica, Roster
-from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
-from stampede_rt_supernode.replication.storage import StoredState
 from tests.robustness.replication.disk import Disk, DiskStore
 from tests.robustness.replication.machine import History, Ignorant, ListMachine, PromiseBroken
 from tests.robustness.replication.raft_rules import Committed, Said, check_match

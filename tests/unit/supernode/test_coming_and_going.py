@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_supernode.replication.known_stores import FILE_NAME
+from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from tests.unit.supernode.processes import (
     PATIENCE_SECONDS,
     Supernode,

@@ -10,7 +10,6 @@ runs PySyncObj on a thread of its own; only this package imports that library, a
 On the way out, close the log before the server is stopped.
 """
 
-from stampede_rt_supernode.replication.backups import Backup, BackupHeader, make_backup
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     ChangeRefused,
@@ -24,13 +23,14 @@ from stampede_rt_supernode.replication.interface import (
     TicketSpent,
     Unavailable,
 )
-from stampede_rt_supernode.replication.library import LibraryMismatch
-from stampede_rt_supernode.replication.links import CHANNEL_OPTIONS
+from stampede_rt_supernode.replication.library.pinned_copy import LibraryMismatch
+from stampede_rt_supernode.replication.network.links import CHANNEL_OPTIONS
 from stampede_rt_supernode.replication.replicated_log import open_replicated_log
-from stampede_rt_supernode.replication.restoring import restore_from
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, RaftTiming, ReplicationSettings
-from stampede_rt_supernode.replication.sqlite_store import holds_store, read_identity
-from stampede_rt_supernode.replication.storage import StoreDamaged, StoreRefused
+from stampede_rt_supernode.replication.storage.backups import Backup, BackupHeader, make_backup
+from stampede_rt_supernode.replication.storage.restoring import restore_from
+from stampede_rt_supernode.replication.storage.sqlite_store import holds_store, read_identity
+from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoreRefused
 
 __all__ = [
     "CHANNEL_OPTIONS",

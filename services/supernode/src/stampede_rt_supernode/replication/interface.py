@@ -77,7 +77,7 @@ class ReplicationStatus:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TakenSnapshot:
-    """A snapshot on stable storage. `record` is opaque: `backups.py` makes a file of it, `restore_from` opens that."""
+    """A snapshot on stable storage. `record` is opaque: `make_backup` makes a file of it, `restore_from` opens that."""
 
     log_index: int
     record: bytes

@@ -9,19 +9,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from stampede_rt_supernode.replication.aside import RunAside, run_at_once
-from stampede_rt_supernode.replication.elections import TrialElections
 from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine, Unavailable
-from stampede_rt_supernode.replication.journal import Journal
-from stampede_rt_supernode.replication.library import COMMAND, Dice
-from stampede_rt_supernode.replication.mailroom import NetworkEvent, Outgoing, Received
-from stampede_rt_supernode.replication.member_changes import HandOver, MemberChange, MemberChanges
-from stampede_rt_supernode.replication.node_builder import build_node
-from stampede_rt_supernode.replication.proposals import Proposal, Proposals
-from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.replication.library.pinned_copy import COMMAND, Dice
+from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange, MemberChanges
+from stampede_rt_supernode.replication.rules.node_builder import build_node
+from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
+from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest, SnapshotRequests
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
-from stampede_rt_supernode.replication.snapshot_requests import SnapshotRequest, SnapshotRequests
-from stampede_rt_supernode.replication.storage import Promise, Store
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.store import Promise, Store
+from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
+from stampede_rt_supernode.replication.wire.mailroom import NetworkEvent, Outgoing, Received
 
 CHANGES_MAX = 100
 SNAPSHOTS_MAX = 10

@@ -12,8 +12,6 @@ from typing import TypeVar
 import grpc.aio
 
 from stampede_rt.v1.raft_service_pb2 import RaftHello
-from stampede_rt_supernode.replication.aside import AsideThread, RunAside
-from stampede_rt_supernode.replication.greetings import introduction
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     Member,
@@ -22,19 +20,21 @@ from stampede_rt_supernode.replication.interface import (
     TakenSnapshot,
     Unavailable,
 )
-from stampede_rt_supernode.replication.known_stores import KnownStores
-from stampede_rt_supernode.replication.links import Dial, Links
-from stampede_rt_supernode.replication.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.member_changes import ChangeOutcome, HandOver, MemberChange
-from stampede_rt_supernode.replication.proposals import Outcome, Proposal
+from stampede_rt_supernode.replication.network.greetings import introduction
+from stampede_rt_supernode.replication.network.links import Dial, Links
+from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.replica import Replica
-from stampede_rt_supernode.replication.servicer import RaftServicer
+from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, HandOver, MemberChange
+from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.shared_reads import SharedReads
-from stampede_rt_supernode.replication.snapshot_requests import SnapshotOutcome, SnapshotRequest
-from stampede_rt_supernode.replication.sqlite_store import SqliteStore, holds_store
-from stampede_rt_supernode.replication.storage import REJOIN, MemoryStore, Store, StoreRefused
-from stampede_rt_supernode.replication.tick_thread import TickThread, end_process
+from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store
+from stampede_rt_supernode.replication.storage.store import REJOIN, MemoryStore, Store, StoreRefused
+from stampede_rt_supernode.replication.threads.aside import AsideThread, RunAside
+from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
+from stampede_rt_supernode.replication.threads.tick_thread import TickThread, end_process
 
 T = TypeVar("T")
 

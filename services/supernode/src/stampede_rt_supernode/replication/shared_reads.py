@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable
 
 from stampede_rt_supernode.replication.interface import Unavailable
-from stampede_rt_supernode.replication.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.reads import Read
+from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 
 _Waiting = tuple[float, asyncio.Future[int | None]]  # with its deadline, by time.monotonic
 

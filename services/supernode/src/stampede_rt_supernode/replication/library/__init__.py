@@ -1,0 +1,1 @@
+"""PySyncObj, and all that knows it."""

@@ -1,0 +1,86 @@
+"""How members introduce themselves to each other, and which introductions are refused. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import grpc
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
+from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.storage.store import Promise
+
+# In the refusal of a member that was removed for good.
+REMOVED = "was removed from this cluster"
+# In the refusal of a member that was here before with another store, or with one and now without.
+ANOTHER_STORE = "has come with another store before"
+# In the refusal of a member whose store lacks what it has promised.
+OLDER_STORE = "comes with an older copy of its store"
+# In the refusal of one that is of another cluster.
+OTHER_CLUSTER = "is of another cluster"
+# In the refusal of one that is not known, as who just joins is not for a moment.
+UNKNOWN = "is no other member of this cluster"
+
+
+class Refusal(NamedTuple):
+    """Why an introduction is not accepted. `hears`: the caller is told of the members; it may come back as one."""
+
+    code: grpc.StatusCode
+    why: str
+    hears: bool = False
+
+
+def introduction(
+    settings: ReplicationSettings, to: str, *, store_id: str, standing: tuple[int, int], roster: Roster
+) -> pb.RaftHello:
+    """What this member says of itself to another one. `standing`: term and last index on its disk."""
+    own = settings.self_member
+    is_member = any(member.member_id == own.member_id for member in roster.members)
+    return pb.RaftHello(
+        cluster_id=settings.cluster_id,
+        member_id=own.member_id,
+        peer_member_id=to,
+        protocol_version=PROTOCOL_VERSION,
+        store_id=store_id,
+        term=standing[0],
+        last_log_index=standing[1],
+        address=own.address if is_member else "",
+    )
+
+
+def refusal_of(
+    hello: pb.RaftHello, settings: ReplicationSettings, *, roster: Roster, stores: KnownStores, promise: Promise
+) -> Refusal | None:
+    """Why this member does not listen to the caller; None if it does. `promise`: what the caller said before."""
+    failed, denied = grpc.StatusCode.FAILED_PRECONDITION, grpc.StatusCode.PERMISSION_DENIED
+    own, caller = settings.self_member.member_id, hello.member_id
+    if hello.protocol_version != PROTOCOL_VERSION:
+        return Refusal(failed, f"this member speaks protocol {PROTOCOL_VERSION}, not {hello.protocol_version}")
+    if hello.cluster_id != settings.cluster_id:
+        return Refusal(failed, f"this member {OTHER_CLUSTER}, {settings.cluster_id!r} and not {hello.cluster_id!r}")
+    if hello.peer_member_id != own:
+        return Refusal(failed, f"this is member {own!r}, not {hello.peer_member_id!r}")
+    if caller in roster.removed:
+        return Refusal(denied, f"{caller!r} {REMOVED}")
+    if not stores.admits(caller, hello.store_id):
+        return Refusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has none now'}")
+    if hello.store_id and not promise.is_kept_by(hello.term, hello.last_log_index):
+        held, has = f"term {promise.term} and entry {promise.held}", f"{hello.term} and {hello.last_log_index}"
+        return Refusal(denied, f"{caller!r} {OLDER_STORE}: it has held {held}, and holds {has}")
+    if caller not in roster.peers:
+        return Refusal(denied, f"{caller!r} {UNKNOWN}", hears=True)
+    return None
+
+
+def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
+    """The member that an unknown caller is, if it may be one of this cluster of whom this one has not heard yet.
+
+    Who was away while the others were replaced knows none of them, and must hear the leader all the same (Ongaro's
+    dissertation, section 4.1). A cluster without an id cannot be told from another one.
+    """
+    if not (settings.cluster_id and hello.address):
+        return None
+    return Member(member_id=hello.member_id, address=hello.address)

@@ -1,0 +1,331 @@
+"""The outgoing half of the network: one gRPC stream to every other member, in order, at most once, no retries."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import random
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import grpc
+import grpc.aio
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.network.greetings import (
+    ANOTHER_STORE,
+    OLDER_STORE,
+    OTHER_CLUSTER,
+    REMOVED,
+    UNKNOWN,
+)
+from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
+from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
+from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_members
+from stampede_rt_supernode.replication.wire.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
+
+logger = logging.getLogger(__name__)
+
+Dial = Callable[[str], grpc.aio.Channel]
+# What to say to the member with an id.
+Introduce = Callable[[str], pb.RaftHello]
+
+REQUEST_MESSAGES_MAX = 256
+REQUEST_BYTES = 1 << 20
+HELLO_SECONDS = 2.0
+# A snapshot is fed to a link only while less than this waits in it.
+ROOM_BYTES = 4 << 20
+
+# What a dialled channel needs: gRPC would otherwise wait up to two minutes before it tries a dead peer again,
+# and channels with equal arguments share that wait.
+CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
+    ("grpc.initial_reconnect_backoff_ms", 200),
+    ("grpc.min_reconnect_backoff_ms", 500),
+    ("grpc.max_reconnect_backoff_ms", 1000),
+    ("grpc.use_local_subchannel_pool", 1),
+)
+
+# The generated class carries no types.
+_stub_class: Any = raft_service_pb2_grpc.RaftServiceStub
+
+CANCELLATIONS_MAX = 5
+CANCEL_AGAIN_SECONDS = 1.0
+
+
+class LinkBroken(Exception):
+    """The stream ended, or was ended by us; the link starts again."""
+
+
+class Link:
+    """The stream to one member. Everything here runs on the loop; only `queued_bytes` is read elsewhere."""
+
+    def __init__(
+        self,
+        member: Member,
+        settings: ReplicationSettings,
+        dial: Dial,
+        deliver: Callable[[NetworkEvent], None],
+        on_refused: Callable[[str], None],
+        introduce: Introduce,
+        reports: SparseReports,
+    ) -> None:
+        self._reports = reports
+        self.member = self._member = member
+        self._on_refused = on_refused
+        self._introduce = introduce
+        self._settings = settings
+        self._dial = dial
+        self._deliver = deliver
+        self._queue: deque[tuple[pb.RaftMessage, int]] = deque()
+        self.queued_bytes = 0
+        self._open = False
+        self._overflow = False
+        # Loop time of the first request that no answer has followed.
+        self._unanswered_since: float | None = None
+        # Whom the peer has named as members last, on this stream.
+        self._told: tuple[Member, ...] = ()
+        # True when an empty request shall ask for an answer.
+        self._probe_due = False
+        self._work = asyncio.Event()
+
+    def enqueue(self, message: pb.RaftMessage) -> None:
+        """Queue one message; drop it when the link is down, and the whole link when its queue is full."""
+        if not self._open:
+            return
+        size = message.ByteSize()
+        if self.queued_bytes + size > self._settings.link_queue_bytes_max:
+            self._overflow = True
+        else:
+            self._queue.append((message, size))
+            self.queued_bytes += size
+        self._work.set()
+
+    async def run(self) -> None:
+        """Keep the stream up until cancelled."""
+        pause = self._settings.timing.reconnect_seconds
+        while True:
+            try:
+                await self._hold_stream()
+            except (grpc.RpcError, LinkBroken, TimeoutError, asyncio.InvalidStateError) as error:
+                self._report(_brief(error))
+                self._on_refused(_brief(error))
+            await asyncio.sleep(pause * random.uniform(0.5, 1.0))
+
+    def _report(self, reason: str) -> None:
+        """Say once why there is no link, not twice a second, nor each time that somebody starts the member again."""
+        if self._reports.is_due((self._member.member_id, reason), time.monotonic()):
+            level = logging.INFO if UNKNOWN in reason else logging.WARNING
+            logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
+
+    async def _hold_stream(self) -> None:
+        channel = self._dial(self._member.address)
+        try:
+            call = _stub_class(channel).Exchange()
+            await self._greet(call)
+            await self._pump(call)
+        finally:
+            await channel.close()
+
+    async def _greet(self, call: Any) -> None:
+        hello = self._introduce(self._member.member_id)
+        async with asyncio.timeout(HELLO_SECONDS):
+            await call.write(pb.RaftServiceExchangeRequest(hello=hello))
+            answer = await call.read()
+        if answer is grpc.aio.EOF:
+            raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
+        if answer.protocol_version != PROTOCOL_VERSION:
+            raise LinkBroken(f"speaks protocol {answer.protocol_version}, this member {PROTOCOL_VERSION}")
+        self._told = ()
+        self._take_members(answer)
+        if answer.unknown_caller:
+            await call.read()
+            raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
+
+    async def _pump(self, call: Any) -> None:
+        self._open = True
+        self._deliver(Connected(self._member.member_id))
+        tasks = [asyncio.ensure_future(each) for each in (self._listen(call), self._write(call), self._watch())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            self._drop_queue()
+            self._deliver(Disconnected(self._member.member_id))
+            call.cancel()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _take_members(self, answer: pb.RaftServiceExchangeResponse) -> None:
+        with contextlib.suppress(MalformedMessage):
+            # What cannot be understood is as good as not said: the log says it anyway.
+            members = tuple(decode_members(answer.members))
+            if members != self._told:
+                self._told = members
+                self._deliver(MembersTold(self._member.member_id, members))
+
+    async def _listen(self, call: Any) -> None:
+        while (answer := await call.read()) is not grpc.aio.EOF:
+            self._unanswered_since = None
+            self._take_members(answer)
+        raise LinkBroken(f"the peer ended the stream: {await call.details()}")
+
+    async def _watch(self) -> None:
+        """End a stream on which nobody answers: the network may swallow everything for many minutes."""
+        limit = self._settings.timing.link_silence_seconds
+        while True:
+            await asyncio.sleep(limit / 4)
+            since = self._unanswered_since
+            if since is None:
+                continue
+            if asyncio.get_running_loop().time() - since > limit:
+                raise LinkBroken(f"nothing was answered for {limit} s")
+            self._probe_due = True
+            self._work.set()
+
+    async def _write(self, call: Any) -> None:
+        while True:
+            await self._work.wait()
+            self._work.clear()
+            while self._queue and not self._overflow:
+                if self._unanswered_since is None:
+                    self._unanswered_since = asyncio.get_running_loop().time()
+                await call.write(self._next_request())
+            if self._probe_due:
+                self._probe_due = False
+                await call.write(pb.RaftServiceExchangeRequest())
+            if self._overflow:
+                raise LinkBroken("the queue is full: the peer does not keep up")
+
+    def _next_request(self) -> pb.RaftServiceExchangeRequest:
+        request, size = pb.RaftServiceExchangeRequest(), 0
+        while self._queue and size < REQUEST_BYTES and len(request.messages) < REQUEST_MESSAGES_MAX:
+            message, message_size = self._queue.popleft()
+            request.messages.append(message)
+            size += message_size
+        self.queued_bytes -= size
+        return request
+
+    def _drop_queue(self) -> None:
+        self._open = self._overflow = self._probe_due = False
+        self._queue.clear()
+        self.queued_bytes = 0
+        self._unanswered_since = None
+
+
+def _brief(error: BaseException) -> str:
+    if isinstance(error, grpc.aio.AioRpcError):
+        return f"{error.code().name}: {error.details()}"
+    return str(error) or type(error).__name__
+
+
+class Links:
+    """The links to everybody whom a replica knows: its production Network."""
+
+    def __init__(
+        self,
+        settings: ReplicationSettings,
+        dial: Dial,
+        bridge: LoopBridge,
+        on_fatal: Callable[[BaseException], None],
+    ) -> None:
+        self._settings = settings
+        self._dial = dial
+        self._bridge = bridge
+        self._on_fatal = on_fatal
+        self._links: dict[str, Link] = {}
+        self._reports = SparseReports()
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._ending: set[asyncio.Task[None]] = set()
+        self._deliver: Callable[[NetworkEvent], None] | None = None
+        self._introduce: Introduce | None = None
+        # True since a member has said that this one was removed for good, that it had another store before, or that
+        # its store is an older copy.
+        self.removed = self.has_lost_store = self.has_old_store = False
+        # What a member has said that is of another cluster; empty if none has.
+        self.other_cluster = ""
+        # Told once why others do not take this member's store; blocks for one small file.
+        self.on_store_refused: Callable[[str], None] = lambda why: None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether a member has refused this one for good."""
+        return self.removed or self.has_lost_store or self.has_old_store
+
+    def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member], introduce: Introduce) -> None:
+        """Begin to connect to every peer, by what `introduce` says; on the loop."""
+        self._deliver, self._introduce = deliver, introduce
+        self._follow(peers)
+
+    def follow(self, roster: Roster) -> None:
+        """Connect to these peers and to nobody else; from the tick thread."""
+        self._bridge.post(lambda: self._follow(roster.peers))
+
+    def _follow(self, peers: Mapping[str, Member]) -> None:
+        if self._deliver is None or self._introduce is None:
+            return  # not started, or closed
+        for member_id, link in list(self._links.items()):
+            if peers.get(member_id) != link.member:
+                del self._links[member_id]
+                task = self._tasks.pop(member_id)
+                self._ending.add(task)
+                task.add_done_callback(self._ending.discard)
+                task.cancel()
+        for member_id, member in peers.items():
+            if member_id not in self._links:
+                link = self._link(member, self._deliver, self._introduce)
+                self._links[member_id] = link
+                task = asyncio.get_running_loop().create_task(link.run(), name=f"raft-link-{member_id}")
+                task.add_done_callback(self._on_end)
+                self._tasks[member_id] = task
+
+    def _link(self, member: Member, deliver: Callable[[NetworkEvent], None], introduce: Introduce) -> Link:
+        return Link(member, self._settings, self._dial, deliver, self._on_refused, introduce, self._reports)
+
+    def _on_refused(self, why: str) -> None:
+        if OTHER_CLUSTER in why:
+            self.other_cluster = why
+        was_refused = self.is_refused
+        self.removed = self.removed or REMOVED in why
+        self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why
+        self.has_old_store = self.has_old_store or OLDER_STORE in why
+        if self.is_refused and not was_refused:
+            self.on_store_refused(why)
+
+    def release(self, messages: Sequence[Outgoing]) -> None:
+        """Queue messages on their links; from the tick thread."""
+        self._bridge.post(lambda: self._enqueue(messages))
+
+    def has_room(self, member_id: str) -> bool:
+        """Whether little enough waits for this member; from the tick thread."""
+        link = self._links.get(member_id)
+        return link is not None and link.queued_bytes < ROOM_BYTES
+
+    async def close(self) -> None:
+        """End every stream. A cancellation that meets a call's own end can get lost in gRPC: it is said again."""
+        self._deliver = None
+        tasks = {*self._tasks.values(), *self._ending}
+        for _ in range(CANCELLATIONS_MAX):
+            for task in tasks:
+                task.cancel()
+            if tasks:
+                _, tasks = await asyncio.wait(tasks, timeout=CANCEL_AGAIN_SECONDS)
+
+    def _enqueue(self, messages: Sequence[Outgoing]) -> None:
+        for member_id, message in messages:
+            link = self._links.get(member_id)
+            if link is not None:  # else the member is gone, and so is its link
+                link.enqueue(message)
+
+    def _on_end(self, task: asyncio.Task[None]) -> None:
+        error = None if task.cancelled() else task.exception()
+        if error is not None:
+            self._on_fatal(error)

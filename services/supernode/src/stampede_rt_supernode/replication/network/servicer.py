@@ -1,0 +1,164 @@
+"""The incoming half of the network: the RaftService of one member. Members only; who they are is claimed in the
+hello, which must agree with their certificate, if the cluster has certificates; the server's interceptors have checked
+the cluster's secret and the certificate's role before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from typing import Any
+
+import grpc
+import grpc.aio
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_supernode.replication.network.greetings import (
+    ANOTHER_STORE,
+    OLDER_STORE,
+    Refusal,
+    newly_met,
+    refusal_of,
+)
+from stampede_rt_supernode.replication.network.links import REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.replica import InboxFull, Replica
+from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
+from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_message, encode_members
+from stampede_rt_supernode.replication.wire.mailroom import Introduced, Received, StreamEnded, StreamOpened
+
+HELLO_SECONDS = 5.0
+# How often a member that sends is told that it is heard.
+ANSWER_SECONDS = 0.5
+
+logger = logging.getLogger(__name__)
+
+# The generated function carries no types.
+_register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
+
+
+class RaftServicer:
+    """Takes in the streams of the other members. Runs on the loop."""
+
+    def __init__(self, settings: ReplicationSettings, replica: Replica, stores: KnownStores) -> None:
+        self._settings = settings
+        self._stores = stores
+        self._replica = replica
+        # Member id -> why its store was refused when it came last.
+        self._refused: dict[str, str] = {}
+        # Member id -> what reads its present stream. At most one each.
+        self._readers: dict[str, asyncio.Task[None]] = {}
+        self._reports = SparseReports()
+        self._closed = False
+
+    def add_to_server(self, server: grpc.aio.Server) -> None:
+        """Register with a server that is not started yet."""
+        _register(self, server)
+
+    async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
+        """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
+        member_id = await self._welcome(context)
+        replaced = self._readers.pop(member_id, None)
+        if replaced is not None:
+            replaced.cancel()
+        self._replica.deliver(StreamOpened(member_id))
+        reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
+        self._readers[member_id] = reader
+        try:
+            await asyncio.wait((reader,))
+        finally:
+            reader.cancel()
+            if self._readers.get(member_id) is reader:
+                del self._readers[member_id]
+                self._replica.deliver(StreamEnded(member_id))
+        await self._explain(reader, context)
+
+    def refused(self) -> dict[str, str]:
+        """Members whose stores were refused when they came last, and why; not those that are heard beside a copy."""
+        members = {member.member_id for member in self._replica.roster.members} - self._readers.keys()
+        return {member_id: why for member_id, why in self._refused.items() if member_id in members}
+
+    def close(self) -> None:
+        """End every stream, and refuse new ones."""
+        self._closed = True
+        for reader in self._readers.values():
+            reader.cancel()
+
+    async def _welcome(self, context: Any) -> str:
+        try:
+            async with asyncio.timeout(HELLO_SECONDS):
+                request = await context.read()
+        except TimeoutError:
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "no hello came in time")
+        if request is grpc.aio.EOF or not request.HasField("hello") or request.messages:
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
+        await self._check(request.hello, context)
+        # Before anything is heard of this member, and so before anything rests on what it says.
+        await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id)
+        await context.write(self._greeting(knows_caller=True))
+        return str(request.hello.member_id)
+
+    def _greeting(self, *, knows_caller: bool) -> pb.RaftServiceExchangeResponse:
+        return pb.RaftServiceExchangeResponse(
+            protocol_version=PROTOCOL_VERSION,
+            members=encode_members(self._replica.roster.members),
+            unknown_caller=not knows_caller,
+        )
+
+    async def _check(self, hello: pb.RaftHello, context: Any) -> None:
+        if self._closed:
+            await context.abort(grpc.StatusCode.UNAVAILABLE, "this member is closing")
+        caller = caller_identity(context)
+        if caller is not None and caller.name != hello.member_id:
+            await context.abort(
+                grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} bears the certificate of {caller}"
+            )
+        roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
+        refusal = refusal_of(hello, self._settings, roster=roster, stores=self._stores, promise=promise)
+        self._note_outcome(hello, refusal)
+        if refusal is None:
+            return
+        if refusal.hears:
+            if (met := newly_met(hello, self._settings)) is not None:
+                self._replica.deliver(Introduced(met.member_id, met))
+            # Perhaps it does not know those who know it.
+            await context.write(self._greeting(knows_caller=False))
+        await context.abort(refusal.code, refusal.why)
+
+    def _note_outcome(self, hello: pb.RaftHello, refusal: Refusal | None) -> None:
+        """Remember, and say once, that a member may not come back with the store that it has."""
+        if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
+            self._refused.pop(hello.member_id, None)
+            return
+        self._refused[hello.member_id] = refusal.why
+        if self._reports.is_due((hello.member_id, refusal.why), time.monotonic()):
+            logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
+
+    async def _receive(self, member_id: str, context: Any) -> None:
+        loop = asyncio.get_running_loop()
+        answered_at = loop.time()
+        while (request := await context.read()) is not grpc.aio.EOF:
+            if member_id not in self._replica.roster.peers:
+                raise MalformedMessage(f"{member_id!r} is no member any more")
+            if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
+                raise MalformedMessage("a second hello, or too many messages at once")
+            for message in request.messages:
+                self._replica.deliver(Received(member_id, decode_message(message)))
+            if loop.time() - answered_at >= ANSWER_SECONDS:
+                answered_at = loop.time()
+                await context.write(self._greeting(knows_caller=True))
+
+    async def _explain(self, reader: asyncio.Task[None], context: Any) -> None:
+        if reader.cancelled():
+            await context.abort(grpc.StatusCode.UNAVAILABLE, "closing, or replaced by a newer stream")
+        error = reader.exception()
+        if isinstance(error, MalformedMessage):
+            await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))
+        if isinstance(error, InboxFull):
+            await context.abort(grpc.StatusCode.RESOURCE_EXHAUSTED, str(error))
+        if error is not None:
+            raise error

@@ -1,0 +1,179 @@
+"""Confirmed reads: a position that holds every write acknowledged before the read began, without a log entry.
+
+The leader notes its commit index, starts a new round, and waits until a majority has answered a message of
+that round or a later one in the leader's own term: then nobody else led while the read was under way (Raft
+dissertation, section 6.4). A follower asks the leader for the position. Many reads share one round and one
+request. The library has nothing of the kind, and its `lastResponseTime` cannot serve: it is refreshed by
+replies to messages from before the read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+
+
+@dataclass(slots=True)
+class Read:
+    """One read under way. `done` is called once: with the applied index, or None when the time is up."""
+
+    deadline: float
+    done: Callable[[int | None], None]
+
+
+@dataclass(slots=True)
+class _Round:
+    """Reads and remote requests that wait for a majority's echo of one round."""
+
+    number: int
+    commit_index: int
+    reads: list[Read] = field(default_factory=list)
+    # (member, request id) of followers that asked.
+    requests: list[tuple[Any, int]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Asked:
+    """Reads that wait for the leader's answer to one request."""
+
+    request_id: int
+    reads: list[Read]
+    give_up_at: float
+
+
+class ConfirmedReads:
+    """All reads of one replica. Tick thread only.
+
+    `node` offers can_confirm_reads(), commit_index(), applied_index(), leader_node(), voter_ids(), is_majority(count).
+    Invariant: a read is in exactly one of `_new`, `_rounds`, `_asked`, `_confirmed` until it is done.
+    """
+
+    def __init__(
+        self, node: Any, mailroom: Mailroom, clock: Callable[[], float], *, retry_seconds: float, first_request_id: int
+    ) -> None:
+        self._node = node
+        self._mailroom = mailroom
+        self._clock = clock
+        self._retry_seconds = retry_seconds
+        self._next_request_id = first_request_id
+        self._new: list[Read] = []
+        self._new_requests: list[tuple[Any, int]] = []
+        self._rounds: list[_Round] = []
+        self._echoes: dict[str, int] = {}
+        self._asked: _Asked | None = None
+        self._confirmed: list[tuple[int, list[Read]]] = []
+
+    def add(self, read: Read) -> None:
+        """Begin a read."""
+        self._new.append(read)
+
+    def on_message(self, node: Any, message: Message) -> None:
+        """A member asks for a position, or answers."""
+        if message["type"] == "read_index":
+            self._new_requests.append((node, message["request_id"]))
+        elif self._asked is not None and self._asked.request_id == message["request_id"]:
+            asked, self._asked = self._asked, None
+            if message["read_index"] > 0:
+                self._confirmed.append((message["read_index"], asked.reads))
+            else:
+                self._new.extend(asked.reads)
+
+    def on_echo(self, member_id: str, round_number: int) -> None:
+        """A member answered a message of this round in the present term."""
+        self._echoes[member_id] = max(round_number, self._echoes.get(member_id, 0))
+
+    def on_leader_lost(self) -> None:
+        """Nothing asked or heard under the last leadership counts: begin again."""
+        self._echoes.clear()
+        rounds, self._rounds = self._rounds, []
+        for each in rounds:
+            self._new.extend(each.reads)
+            self._refuse(each.requests)
+        if self._asked is not None:
+            self._new.extend(self._asked.reads)
+            self._asked = None
+
+    def start_round(self) -> bool:
+        """Begin what can begin; True when the leader must send a message to everybody now."""
+        if self._asked is not None and self._clock() >= self._asked.give_up_at:
+            self._new.extend(self._asked.reads)
+            self._asked = None
+        if not self._node.can_confirm_reads():
+            requests, self._new_requests = self._new_requests, []
+            self._refuse(requests)
+            self._ask_leader()
+            return False
+        if not self._new and not self._new_requests:
+            return False
+        self._mailroom.round += 1
+        self._rounds.append(
+            _Round(self._mailroom.round, self._node.commit_index(), reads=self._new, requests=self._new_requests)
+        )
+        self._new, self._new_requests = [], []
+        return True
+
+    def finish(self) -> None:
+        """Complete the reads that are confirmed and applied, and give up those whose time is up."""
+        while self._rounds and self._is_confirmed(self._rounds[0]):
+            done = self._rounds.pop(0)
+            self._confirmed.append((done.commit_index, done.reads))
+            for node, request_id in done.requests:
+                self._answer(node, request_id, done.commit_index)
+        applied = self._node.applied_index()
+        for index, reads in self._confirmed:
+            if index <= applied:
+                for read in reads:
+                    read.done(applied)
+        self._confirmed = [(index, reads) for index, reads in self._confirmed if index > applied]
+        self._expire()
+
+    def close(self) -> None:
+        """End every read without an answer."""
+        self.on_leader_lost()
+        for read in [*self._new, *(read for _, reads in self._confirmed for read in reads)]:
+            read.done(None)
+        self._new, self._confirmed = [], []
+
+    def _is_confirmed(self, each: _Round) -> bool:
+        voters = self._node.voter_ids()
+        echoed = sum(1 for name, number in self._echoes.items() if number >= each.number and name in voters)
+        return bool(self._node.is_majority(1 + echoed))
+
+    def _ask_leader(self) -> None:
+        leader = self._node.leader_node()
+        if not self._new or self._asked is not None or leader is None:
+            return
+        if not self._mailroom.is_reachable(leader.id):
+            return
+        self._next_request_id += 1
+        self._mailroom.send(leader, {"type": "read_index", "request_id": self._next_request_id})
+        self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds)
+        self._new = []
+
+    def _refuse(self, requests: list[tuple[Any, int]]) -> None:
+        for node, request_id in requests:
+            self._answer(node, request_id, 0)
+
+    def _answer(self, node: Any, request_id: int, read_index: int) -> None:
+        reply = {"type": "read_index_response", "request_id": request_id, "read_index": read_index}
+        self._mailroom.send(node, reply)
+
+    def _expire(self) -> None:
+        now = self._clock()
+        self._new = _unexpired(self._new, now)
+        for each in self._rounds:
+            each.reads = _unexpired(each.reads, now)
+        if self._asked is not None:
+            self._asked.reads = _unexpired(self._asked.reads, now)
+        self._confirmed = [(index, _unexpired(reads, now)) for index, reads in self._confirmed]
+
+
+def _unexpired(reads: list[Read], now: float) -> list[Read]:
+    for read in reads:
+        if read.deadline <= now:
+            read.done(None)
+    return [read for read in reads if read.deadline > now]

@@ -1,0 +1,53 @@
+"""Whoever asks for a snapshot now, beside those that are taken when the log has grown long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from stampede_rt_supernode.replication.interface import Unavailable
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.store import StoredSnapshot
+
+SnapshotOutcome = StoredSnapshot | Unavailable
+
+
+class SnapshotRequest(NamedTuple):
+    """`done` is called once, on the tick thread."""
+
+    done: Callable[[SnapshotOutcome], None]
+
+
+class SnapshotRequests:
+    """Has snapshots taken until one holds what was applied when it was asked for. Tick thread only."""
+
+    def __init__(self, node: Any, journal: Journal, finish: Callable[[Callable[[], None]], None]) -> None:
+        self._node = node
+        self._journal = journal
+        self._finish_later = finish
+        # (applied index when it was asked for, request)
+        self._waiting: list[tuple[int, SnapshotRequest]] = []
+
+    def add(self, request: SnapshotRequest) -> None:
+        """Take a request in."""
+        self._waiting.append((self._node.applied_index(), request))
+
+    def advance(self) -> None:
+        """Answer those whom the present snapshot covers, and have another one taken for the rest."""
+        snapshot = self._journal.snapshot
+        if snapshot is not None:
+            covered = [one for since, one in self._waiting if since <= snapshot.last_log_index]
+            self._waiting = [(since, one) for since, one in self._waiting if since > snapshot.last_log_index]
+            for request in covered:
+                self._finish(request, snapshot)
+        if self._waiting and not self._node.keeper.is_taking:
+            self._node.forceLogCompaction()
+
+    def close(self) -> None:
+        """Finish everything."""
+        for _, request in self._waiting:
+            self._finish(request, Unavailable("this replica is closing"))
+        self._waiting = []
+
+    def _finish(self, request: SnapshotRequest, outcome: SnapshotOutcome) -> None:
+        self._finish_later(lambda: request.done(outcome))

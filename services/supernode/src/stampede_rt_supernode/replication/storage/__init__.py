@@ -1,0 +1,1 @@
+"""What a member keeps: its log, term and vote, snapshots, backups, and the stores of the others."""

@@ -1,0 +1,88 @@
+"""A backup: one snapshot as a file that says what it is, and whether it is whole.
+
+`MAGIC`, a line of JSON (BackupHeader), the snapshot's record, and the SHA-256 of all that is before it: a file that was
+cut off, or in which a bit has changed, is found out before anything is restored from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoredSnapshot, StoredState
+from stampede_rt_supernode.replication.wire.codec import MalformedMessage, Snapshot, decode_snapshot
+
+MAGIC = b"stampede-rt directory backup 1\n"
+PART_BYTES = 1 << 20
+SHA256_BYTES = 32
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BackupHeader:
+    """Where a backup comes from."""
+
+    member_id: str
+    cluster_id: str
+    log_index: int
+    time_unix_nano: int
+
+
+@dataclass(frozen=True, slots=True)
+class Backup:
+    """A backup that is about to be sent, without a second copy of the record."""
+
+    head: bytes
+    record: bytes
+    sha256: bytes
+
+    @property
+    def size_bytes(self) -> int:
+        """Of the whole file."""
+        return len(self.head) + len(self.record) + SHA256_BYTES
+
+    def parts(self) -> Iterator[bytes]:
+        """The file, a part at a time."""
+        yield self.head
+        for start in range(0, len(self.record), PART_BYTES):
+            yield self.record[start : start + PART_BYTES]
+        yield self.sha256
+
+
+def make_backup(header: BackupHeader, record: bytes) -> Backup:
+    """The file for a snapshot; takes a while for a large one."""
+    head = MAGIC + json.dumps(asdict(header)).encode() + b"\n"
+    digest = hashlib.sha256(head)
+    digest.update(record)
+    return Backup(head, record, digest.digest())
+
+
+def read_backup(path: Path) -> tuple[BackupHeader, StoredState]:
+    """Where a backup comes from, and what a member would hold that has just its snapshot; blocks.
+
+    Raises StoreDamaged for a file that is none, or not whole, and OSError.
+    """
+    data = path.read_bytes()
+    if not data.startswith(MAGIC):
+        raise StoreDamaged(f"{path} is no backup of a directory: name a file that `stampede supernode snapshot` wrote")
+    body, sha256 = data[:-SHA256_BYTES], data[-SHA256_BYTES:]
+    if hashlib.sha256(body).digest() != sha256:
+        raise StoreDamaged(f"{path} fails its checksum: it is cut off or damaged; use another backup")
+    line, _, record = body[len(MAGIC) :].partition(b"\n")
+    try:
+        header, snapshot = BackupHeader(**json.loads(line)), decode_snapshot(record)
+    except (TypeError, ValueError, MalformedMessage) as error:
+        raise StoreDamaged(f"{path} cannot be read by this version ({error}): use the one that wrote it") from error
+    return header, _state(snapshot, record)
+
+
+def _state(snapshot: Snapshot, record: bytes) -> StoredState:
+    last = snapshot.last
+    return StoredState(
+        entries=[snapshot.previous, last],
+        term=last.term,
+        commit_index=last.log_index,
+        snapshot=StoredSnapshot.of(last.log_index, record),
+    )

@@ -1,0 +1,285 @@
+"""The library's journal over a store: a list in memory, and what of it is not yet on disk.
+
+Nothing is durable before `sync` returns, and everything since the last sync becomes durable together. The
+tick loop calls it before any message or result leaves the process; that is also the group commit.
+"""
+
+# The camelCase names are the library's.
+# ruff: noqa: N802, N803
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from itertools import chain, islice
+from typing import overload
+
+from stampede_rt_supernode.replication.configuration import Configuration, Configurations
+from stampede_rt_supernode.replication.library.pinned_copy import CONFIGURATION
+from stampede_rt_supernode.replication.storage.store import (
+    Entry,
+    Promise,
+    SnapshotPiece,
+    SnapshotSeal,
+    Store,
+    StoreChanges,
+    StoredSnapshot,
+)
+from stampede_rt_supernode.replication.wire.codec import decode_configuration
+
+# More than there can be members at any time; those of removed ones make room.
+PROMISES_MAX = 64
+# What an entry costs beside its command.
+ENTRY_BYTES = 200
+
+
+class Journal:
+    """Log, term, vote and commit index. Entries are without gaps; positions count from the first one held."""
+
+    def __init__(self, store: Store, *, kept_bytes_max: int = 0) -> None:
+        """`kept_bytes_max`: how much of what is cut off at the front is kept for those who lag."""
+        state = store.load()
+        self._kept_bytes_max = kept_bytes_max
+        self._store = store
+        self._entries = state.entries
+        self._term = state.term
+        self._voted_for = state.voted_for
+        self._commit_index = state.commit_index
+        self.snapshot = state.snapshot
+        self._promises = dict(state.promises)
+        self._promises_changed = False
+        # Who the members are; it follows every change of the entries.
+        self.configurations = Configurations(Configuration(()))
+        # What was cut off at the front, for those who still lack it: without gaps, up to the first entry held.
+        self._kept: deque[Entry] = deque()
+        self._kept_bytes = 0
+        # Lowest log index from which the store differs from `_entries`; None when they agree.
+        self._replace_from: int | None = None
+        self._pending_pieces: list[SnapshotPiece] = []
+        self._pending_seal: SnapshotSeal | None = None
+        # True when term, vote, entries or snapshot wait for the disk. The commit index alone does not count:
+        # losing it only means that the leader says it again.
+        self._dirty = False
+
+    def track_members(self, base: Configuration) -> None:
+        """Say which configuration held before the first entry; those in the entries follow it."""
+        self.configurations = Configurations(base)
+        for entry in self._entries:
+            self._note_configuration(entry)
+
+    def _note_configuration(self, entry: Entry) -> None:
+        if entry.command[0] == CONFIGURATION:
+            self.configurations.note(entry.log_index, decode_configuration(entry.command))
+
+    def add(self, command: bytes, idx: int, term: int) -> None:
+        """Append an entry; `idx` follows the last one held."""
+        if self._entries and idx != self._entries[-1].log_index + 1:
+            raise AssertionError(f"entry {idx} does not follow {self._entries[-1].log_index}")
+        self._entries.append(Entry(command, idx, term))
+        self._note_configuration(self._entries[-1])
+        self._differs_from(idx)
+
+    def clear(self) -> None:
+        """Forget every entry."""
+        if self._entries:
+            self._differs_from(0)
+            self.keep_after(self._entries[-1].log_index)
+        self._entries = []
+
+    def deleteEntriesFrom(self, entryFrom: int) -> None:
+        """Forget the entries at or past a position."""
+        if entryFrom < len(self._entries):
+            self._differs_from(self._entries[entryFrom].log_index)
+            self.configurations.cut_from(self._entries[entryFrom].log_index)
+            del self._entries[entryFrom:]
+
+    def deleteEntriesTo(self, entryTo: int) -> None:
+        """Forget the entries before a position; the store follows with the next sync."""
+        if entryTo > 0:
+            del self._entries[:entryTo]
+            self._dirty = True
+
+    @overload
+    def __getitem__(self, item: int) -> Entry: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[Entry]: ...
+    def __getitem__(self, item: int | slice) -> Entry | list[Entry]:
+        return self._entries[item]
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def setRaftCommitIndex(self, raftCommitIndex: int) -> None:
+        """Note the commit index; it reaches the disk with the next change that must."""
+        self._commit_index = raftCommitIndex
+
+    def getRaftCommitIndex(self) -> int:
+        """The commit index last noted."""
+        return self._commit_index
+
+    def setCurrentTerm(self, term: int, votedForNodeId: str | None) -> None:
+        """Note term and vote, durable with the next sync."""
+        if (term, votedForNodeId) != (self._term, self._voted_for):
+            self._term, self._voted_for = term, votedForNodeId
+            self._dirty = True
+
+    def getCurrentTerm(self) -> int:
+        """The term last noted."""
+        return self._term
+
+    def getVotedForNodeId(self) -> str | None:
+        """The vote last noted."""
+        return self._voted_for
+
+    @property
+    def promises(self) -> Mapping[str, Promise]:
+        """What the other members have said that they hold, by id."""
+        return self._promises
+
+    def note_promise(self, member_id: str, term: int, held: int) -> None:
+        """Remember it, if it is more than before; it reaches the disk with the next change that must, or a flush."""
+        known = self._promises.get(member_id, Promise(0, 0))
+        if term > known.term or held > known.held:
+            # A new dictionary: other threads read the one before.
+            promises = {one: promise for one, promise in self._promises.items() if one != member_id}
+            promises[member_id] = Promise(max(term, known.term), max(held, known.held))
+            self._promises = dict(list(promises.items())[-PROMISES_MAX:])
+            self._promises_changed = True
+
+    def flush_promises(self) -> None:
+        """Have promises on the disk with the next sync, even if nothing else is."""
+        self._dirty = self._dirty or self._promises_changed
+
+    def end(self) -> tuple[int, int]:
+        """(term, last index): what this log says for itself wherever it introduces itself."""
+        return self._term, self._entries[-1].log_index if self._entries else 0
+
+    def onOneSecondTimer(self) -> None:
+        """Called about once a second; the library's own journal saves its commit index here."""
+        self.flush_promises()
+
+    def _destroy(self) -> None:
+        """Nothing: the store is closed by whoever opened it."""
+
+    def entry_at(self, log_index: int) -> Entry | None:
+        """The entry at a log index, or None when it is not held."""
+        position = log_index - self._entries[0].log_index if self._entries else -1
+        return self._entries[position] if 0 <= position < len(self._entries) else None
+
+    # -- what a leader sends to those who lag ------------------------------------------------------------------
+
+    @property
+    def first_sendable(self) -> int:
+        """The first entry that can be sent, or come before those that are; 0 for an empty log."""
+        return (self._kept[0] if self._kept else self._entries[0]).log_index if self._entries else 0
+
+    def sendable_at(self, log_index: int) -> Entry | None:
+        """As `entry_at`, of all that can be sent."""
+        first = self.first_sendable
+        return (
+            self._kept[log_index - first] if first <= log_index < first + len(self._kept) else self.entry_at(log_index)
+        )
+
+    def sendable_from(self, log_index: int, bytes_max: int) -> list[Entry]:
+        """The entries from a position on that can be sent, up to the first with which they are `bytes_max`."""
+        found, size, first = [], 0, self.first_sendable
+        kept = islice(self._kept, max(0, log_index - first), None)
+        held = islice(self._entries, max(0, log_index - first - len(self._kept)), None)
+        for entry in chain(kept, held):
+            found.append(entry)
+            size += len(entry.command)
+            if size >= bytes_max:
+                break
+        return found
+
+    def keep_after(self, log_index: int) -> None:
+        """Let go of what is kept at or before a position: everybody has it, or nobody is sent anything."""
+        while self._kept and self._kept[0].log_index <= log_index:
+            self._let_go_oldest()
+
+    def _keep(self, entries: list[Entry]) -> None:
+        """Keep what is cut off at the front, in memory alone: as much of the newest as fits."""
+        for entry in entries:
+            if self._kept and self._kept[-1].log_index + 1 != entry.log_index:
+                self.keep_after(entry.log_index)
+            self._kept.append(entry)
+            self._kept_bytes += len(entry.command) + ENTRY_BYTES
+        while self._kept_bytes > self._kept_bytes_max:
+            self._let_go_oldest()
+
+    def _let_go_oldest(self) -> None:
+        self._kept_bytes -= len(self._kept.popleft().command) + ENTRY_BYTES
+
+    # -- snapshots and the disk --------------------------------------------------------------------------------
+
+    def write_piece(self, piece: SnapshotPiece) -> None:
+        """Have a piece of a coming snapshot on the disk with the next sync, so that adopting it costs little."""
+        self._pending_pieces.append(piece)
+        self._dirty = True
+
+    def adopt_snapshot(
+        self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration
+    ) -> None:
+        """Let the log begin with the two entries a snapshot ends with; `configuration` held at the last one.
+
+        All its pieces are written before. What follows `last` stays when this log holds the very same `last`: it may
+        be acknowledged already. The snapshot's seal and the log reach the disk together.
+        """
+        same = self.entry_at(last.log_index)
+        if same is not None and same.term == last.term:
+            keep_from = last.log_index + 1 - self._entries[0].log_index
+            held_before = self.entry_at(previous.log_index) is not None
+            tail = self._entries[keep_from:]
+            if held_before:
+                self._keep(self._entries[: keep_from - 2])
+            self._entries = [previous, last, *tail]
+            self._dirty = True
+            if not held_before:
+                self._differs_from(previous.log_index)
+        else:
+            self._differs_from(0)
+            self._entries = [previous, last]
+            self.keep_after(last.log_index)
+            self.configurations.cut_from(0)
+        self.configurations.rebase(last.log_index, configuration)
+        self.snapshot, self._pending_seal = snapshot, snapshot.seal()
+        self._dirty = True
+
+    def sync(self) -> bool:
+        """Make everything noted so far durable; blocks on the disk. True when there was anything to write."""
+        if not self._dirty:
+            return False
+        self._store.commit(self._changes())
+        self._replace_from, self._pending_seal, self._dirty = None, None, False
+        self._pending_pieces, self._promises_changed = [], False
+        return True
+
+    def close(self) -> None:
+        """Make everything durable, the commit index too, and let go of the store."""
+        self._dirty = True
+        self.sync()
+        self._store.close()
+
+    def _differs_from(self, log_index: int) -> None:
+        self._replace_from = log_index if self._replace_from is None else min(self._replace_from, log_index)
+        self._dirty = True
+
+    def _changes(self) -> StoreChanges:
+        first = self._entries[0].log_index if self._entries else 0
+        fresh: list[Entry] = []
+        if self._replace_from is not None:
+            fresh = self._entries[max(0, self._replace_from - first) :]
+        last = self._entries[-1] if self._entries else Entry(b"", 0, 0)
+        return StoreChanges(
+            replace_from=self._replace_from,
+            entries=fresh,
+            first_index=first,
+            last_index=last.log_index,
+            last_term=last.term,
+            term=self._term,
+            voted_for=self._voted_for,
+            commit_index=min(self._commit_index, first + len(self._entries) - 1),
+            promises=self._promises,
+            pieces=self._pending_pieces,
+            seal=self._pending_seal,
+        )

@@ -1,0 +1,108 @@
+"""Which store each member has come with: one whose disk was lost must not come back under its old id.
+
+It would have forgotten its vote and the entries that it acknowledged, and could elect a leader that lacks them. Its own
+empty store cannot tell; those who have met it with another one can. So can those who heard it promise more than an
+older copy of its store holds (`store.Promise`). A member that was refused for either notes that, too, and does not
+start again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import threading
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
+
+FILE_NAME = "replicated_log.stores"
+KNOWN_MAX = 256
+ID_BYTES = 8
+
+
+class KnownStores:
+    """What one member remembers, in `data_dir`; nothing, and no id of its own, for one that keeps nothing.
+
+    From any thread.
+    """
+
+    def __init__(
+        self, own: str = "", known: Mapping[str, str] | None = None, place: Path | None = None, refused: str = ""
+    ) -> None:
+        self.own = own
+        # Why others do not take this store any more; empty as long as they do.
+        self.refused = refused
+        self._known = dict(known or {})
+        self._place = place
+        self._mutex = threading.Lock()  # two members may come at once, and the file must hold both
+
+    @classmethod
+    def open(cls, data_dir: Path | None, *, had_store: bool) -> KnownStores:
+        """Read what was noted, or begin, as with a store that is new; blocks. Raises StoreDamaged or OSError."""
+        if data_dir is None:
+            return cls()
+        place = data_dir / FILE_NAME
+        if had_store and place.exists():
+            facts = _read(place.read_bytes(), place)
+            return cls(facts["own"], facts["known"], place, facts.get("refused", ""))
+        begun = cls(secrets.token_hex(ID_BYTES), {}, place)
+        begun._write()
+        return begun
+
+    def admits(self, member_id: str, store_id: str) -> bool:
+        """Whether this is the store with which that member came before, or it was never met.
+
+        Empty: it keeps nothing. Who came with a store once has promised what it must keep.
+        """
+        return self._known.get(member_id, store_id) == store_id
+
+    def refuse_own(self, why: str) -> None:
+        """Note that others do not take this store any more; blocks. Raises OSError."""
+        with self._mutex:
+            self.refused = why
+            if self._place is not None:
+                self._write()
+
+    def note(self, member_id: str, store_id: str) -> None:
+        """Remember an admitted member's store for good; blocks at the first time. Raises OSError."""
+        with self._mutex:
+            if self._place is None or not store_id or member_id in self._known:
+                return
+            self._known[member_id] = store_id
+            for oldest in list(self._known)[:-KNOWN_MAX]:
+                del self._known[oldest]
+            self._write()
+
+    def _write(self) -> None:
+        """Write the file, whole or not at all."""
+        assert self._place is not None
+        body = json.dumps({"own": self.own, "known": self._known, "refused": self.refused})
+        draft = self._place.with_name(f".{FILE_NAME}.{secrets.token_hex(4)}")
+        descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w") as file:
+            file.write(f"{zlib.crc32(body.encode()):08x} {body}\n")
+            file.flush()
+            os.fsync(file.fileno())
+        draft.replace(self._place)
+        force_folder(self._place.parent)
+
+
+def _read(told: bytes, place: Path) -> dict[str, Any]:
+    checksum, _, body = told.rstrip(b"\n").partition(b" ")
+    if checksum != b"%08x" % zlib.crc32(body):
+        raise StoreDamaged(f"{place} fails its checksum: {REJOIN}")
+    facts: dict[str, Any] = json.loads(body)
+    return facts
+
+
+def force_folder(folder: Path) -> None:
+    """Have the names in a folder on the disk; blocks."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

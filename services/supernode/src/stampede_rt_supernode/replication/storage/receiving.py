@@ -1,0 +1,127 @@
+"""A leader's snapshot on its way in: its pieces, then its state decoded aside, then the disk, and at last the log.
+
+None of it is done in one go. With 100,000 channels decoding alone takes half a second; for as long this member would
+answer no leader, confirm no read, and count as lost.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.interface import StateMachine
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.store import Entry, StoredSnapshot
+from stampede_rt_supernode.replication.threads.aside import Result, RunAside
+from stampede_rt_supernode.replication.wire import codec
+
+
+@dataclass
+class _Incoming:
+    """The pieces so far. Invariant: `data` is the first len(data) bytes."""
+
+    last_log_index: int
+    total_bytes: int
+    sha256: bytes
+    data: bytearray
+
+
+@dataclass(frozen=True, slots=True)
+class _Decoded:
+    """A whole snapshot, and what lets the state machine go on from it."""
+
+    stored: StoredSnapshot
+    snapshot: codec.Snapshot
+    restore: Callable[[], None]
+
+
+@dataclass(slots=True)
+class _Opening:
+    """A whole snapshot that another thread decodes; then, piece by piece, on its way to the disk."""
+
+    decoded: Result[_Decoded]
+    pieces_written: int = 0
+
+
+class SnapshotReceiver:
+    """Takes in and opens one snapshot at a time. Tick thread only."""
+
+    def __init__(self, journal: Journal, state_machine: StateMachine, run_aside: RunAside) -> None:
+        self._journal = journal
+        self._state_machine = state_machine
+        self._run_aside = run_aside
+        self._incoming: _Incoming | None = None
+        self._opening: _Opening | None = None
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether a whole snapshot is being decoded or written."""
+        return self._opening is not None
+
+    def take_in(self, chunk: pb.RaftSnapshotChunk) -> StoredSnapshot | None:
+        """Take in a piece; the snapshot when it is whole and its checksum holds.
+
+        A piece that does not follow the last one drops what there is: the leader starts again when it sees
+        that this replica still lacks the entries.
+        """
+        if chunk.offset_bytes == 0:
+            self._incoming = _Incoming(chunk.last_log_index, chunk.total_bytes, chunk.sha256, bytearray())
+        incoming = self._incoming
+        if incoming is None or not _continues(incoming, chunk):
+            self._incoming = None
+            return None
+        incoming.data += chunk.data
+        if len(incoming.data) < incoming.total_bytes:
+            return None
+        self._incoming = None
+        if hashlib.sha256(incoming.data).digest() != incoming.sha256:
+            return None
+        return StoredSnapshot(
+            last_log_index=incoming.last_log_index, record=bytes(incoming.data), sha256=incoming.sha256
+        )
+
+    def open(self, received: StoredSnapshot) -> None:
+        """Begin to open a snapshot. None other is being opened."""
+
+        def decode() -> _Decoded:
+            snapshot = codec.decode_snapshot(received.record)
+            stored = replace(received, last_log_index=snapshot.last.log_index)
+            return _Decoded(stored, snapshot, self._state_machine.prepare_restore(snapshot.state))
+
+        self._opening = _Opening(self._run_aside(decode))
+
+    def advance(self, *, newer_than: int) -> Entry | None:
+        """Go on, a piece to the disk at a time; the last entry once state and log begin with the snapshot.
+
+        One that ends at or before `newer_than` is dropped: going back would undo what was applied.
+        Raises what decoding and the state machine raise.
+        """
+        opening = self._opening
+        if opening is None or not opening.decoded.done():
+            return None
+        decoded = opening.decoded.result()
+        stored, snapshot = decoded.stored, decoded.snapshot
+        if snapshot.last.log_index <= newer_than:
+            self._opening = None
+            return None
+        if opening.pieces_written < stored.pieces_count:
+            self._journal.write_piece(stored.piece(opening.pieces_written))
+            opening.pieces_written += 1
+            return None
+        self._opening = None
+        decoded.restore()
+        # Without one the sender has never seen a change, and neither has this log.
+        configuration = snapshot.configuration or self._journal.configurations.current
+        self._journal.adopt_snapshot(stored, snapshot.previous, snapshot.last, configuration)
+        return snapshot.last
+
+
+def _continues(incoming: _Incoming, chunk: pb.RaftSnapshotChunk) -> bool:
+    return (
+        chunk.offset_bytes == len(incoming.data)
+        and chunk.last_log_index == incoming.last_log_index
+        and chunk.total_bytes == incoming.total_bytes
+        and chunk.sha256 == incoming.sha256
+    )

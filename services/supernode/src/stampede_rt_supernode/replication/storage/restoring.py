@@ -1,0 +1,80 @@
+"""A new cluster from what one member of a lost one has kept, or from a backup: when a majority is gone for good.
+
+What the member holds is taken over; what only the others held is lost, acknowledged or not. The new cluster has an id
+of its own, so that an old member that comes back after all cannot disturb it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.library.pinned_copy import CONFIGURATION
+from stampede_rt_supernode.replication.storage.backups import read_backup
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store, read_identity
+from stampede_rt_supernode.replication.storage.store import Entry, StoreChanges, StoredState, StoreRefused
+from stampede_rt_supernode.replication.wire.codec import decode_configuration, decode_snapshot, encode_configuration
+
+
+def restore_from(source: Path, new_dir: Path, *, founder: Member, cluster_id: str) -> int:
+    """Write a store of one member into `new_dir`, with all that `source` holds; returns its last log position.
+
+    `source` is a backup, or the data folder of an old member, which must be stopped; it stays as it is. Blocks. Raises
+    StoreRefused, StoreDamaged or OSError.
+    """
+    if source.is_file():
+        header, state = read_backup(source)
+        old_member_id = header.member_id
+    else:
+        old_member_id, state = _read_folder(source)
+    new = SqliteStore(new_dir, cluster_id=cluster_id, member_id=founder.member_id, create=True)
+    try:
+        new.commit(_taken_over(state, founder, old_member_id))
+    finally:
+        new.close()
+    return state.entries[-1].log_index
+
+
+def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
+    if not holds_store(old_dir):
+        raise StoreRefused(
+            f"{old_dir} holds no replicated log: name the data folder of a member of the lost cluster, or a backup"
+        )
+    old_cluster_id, old_member_id = read_identity(old_dir)
+    old = SqliteStore(old_dir, cluster_id=old_cluster_id, member_id=old_member_id, create=False)
+    try:
+        state = old.load()
+    finally:
+        old.close()
+    if not state.entries:
+        raise StoreRefused(f"{old_dir} has never held anything: there is nothing to restore")
+    return old_member_id, state
+
+
+def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
+    last = state.entries[-1]
+    term = max(state.term, last.term) + 1
+    former = {old_member_id, *(member.member_id for member in _last_members(state))} - {founder.member_id}
+    configuration = Configuration.of([founder], retired=sorted(former))
+    entry = Entry(encode_configuration(configuration), last.log_index + 1, term)
+    return StoreChanges(
+        replace_from=0,
+        entries=[*state.entries, entry],
+        first_index=state.entries[0].log_index,
+        last_index=entry.log_index,
+        last_term=entry.term,
+        term=term,
+        voted_for=None,
+        commit_index=state.commit_index,
+        pieces=list(state.snapshot.pieces()) if state.snapshot else [],
+        seal=state.snapshot.seal() if state.snapshot else None,
+    )
+
+
+def _last_members(state: StoredState) -> tuple[Member, ...]:
+    for entry in reversed(state.entries):
+        if entry.command[0] == CONFIGURATION:
+            return decode_configuration(entry.command).members
+    configuration = decode_snapshot(state.snapshot.record).configuration if state.snapshot else None
+    return () if configuration is None else configuration.members

@@ -1,0 +1,54 @@
+"""The library is exactly the one that was studied, and its copy shares nothing with anybody else's."""
+
+from __future__ import annotations
+
+import random
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication.library.pinned_copy import (
+    PINNED_VERSION,
+    LibraryMismatch,
+    check_pin,
+    load_library,
+)
+
+
+def installed_source() -> bytes:
+    spec = find_spec("pysyncobj.syncobj")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).read_bytes()
+
+
+def test_the_installed_library_is_the_pinned_one() -> None:
+    check_pin(found_version=PINNED_VERSION, source=installed_source())
+
+
+def test_another_version_is_refused() -> None:
+    with pytest.raises(LibraryMismatch, match=r"install that version"):
+        check_pin(found_version="0.3.18", source=installed_source())
+
+
+def test_a_changed_file_is_refused() -> None:
+    with pytest.raises(LibraryMismatch, match=r"PySyncObj 0\.3\.17"):
+        check_pin(found_version=PINNED_VERSION, source=installed_source() + b"\n")
+
+
+def test_the_copy_reads_our_clock_and_cannot_unpickle() -> None:
+    library = load_library(clock=lambda: 42.0, dice=random.Random(0))
+    assert library.monotonicTime() == 42.0
+    with pytest.raises(RuntimeError, match="never unpickles"):
+        library.pickle.loads(b"")
+    with pytest.raises(RuntimeError, match="never unpickles"):
+        library.pickle.dumps(())
+
+
+def test_the_ordinary_module_is_left_as_it_was() -> None:
+    import pysyncobj.syncobj as ordinary
+
+    load_library(clock=lambda: 42.0, dice=random.Random(0))
+    assert ordinary.monotonicTime() != 42.0
+    assert ordinary.Serializer.__module__ == "pysyncobj.serializer"

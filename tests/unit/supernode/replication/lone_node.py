@@ -1,0 +1,130 @@
+"""One node alone with hand-written messages: what it holds, and what it answers."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.node_builder import build_node
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.store import Entry, MemoryStore, Store
+from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
+from stampede_rt_supernode.replication.wire.codec import Message, decode_message
+from stampede_rt_supernode.replication.wire.mailroom import Connected, Received
+from tests.robustness.replication.machine import ListMachine
+
+LIBRARY_COMMAND = b"\x00"
+
+
+def command(text: str) -> bytes:
+    """A log command, with the byte that says its kind."""
+    return LIBRARY_COMMAND + text.encode()
+
+
+class LoneNode:
+    """Member `a` of `a`, `b`, `c`, ... with every link up and a clock that stands still."""
+
+    def __init__(
+        self,
+        rules: type = TrialElections,
+        *,
+        size: int = 3,
+        store: Store | None = None,
+        machine: ListMachine | None = None,
+        piece_bytes: int = 100,
+        run_aside: RunAside = run_at_once,
+    ) -> None:
+        members = [Member(member_id=name, address=f"{name}:1") for name in "abcdefg"[:size]]
+        settings = ReplicationSettings(
+            self_member=members[0], initial_members=members, snapshot_piece_bytes=piece_bytes
+        )
+        self.now = 100.0
+        self.machine = machine or ListMachine()
+        self.journal = Journal(store or MemoryStore())
+        self.node = build_node(
+            settings,
+            self.machine,
+            journal=self.journal,
+            has_room=lambda member_id: True,
+            clock=lambda: self.now,
+            dice=random.Random(1),
+            rules=rules,
+            run_aside=run_aside,
+        )
+        for member in members[1:]:
+            self.node.mailroom.deliver(Connected(member.member_id))
+
+    def receive(self, sender: str, message: Message) -> list[tuple[str, Message]]:
+        """Let a message come in; return what the node says to it."""
+        self.node.mailroom.deliver(Received(sender, message))
+        return self.said()
+
+    def said(self) -> list[tuple[str, Message]]:
+        """What the node has said since the last look."""
+        return [(to, decode_message(message)) for to, message in self.node.mailroom.take_outbox()]
+
+    def open_snapshot(self) -> None:
+        """Let the node go on with a snapshot that came in, as the steps of a replica do."""
+        for _ in range(10):
+            self.node.install_opened()
+
+    def tick(self) -> list[tuple[str, Message]]:
+        self.node.doTick(0)
+        return self.said()
+
+    def campaign(self) -> int:
+        """Have the node stand for election now; return the term."""
+        self.node._SyncObj__raftElectionDeadline = float("-inf")
+        self.tick()
+        return int(self.node.raftCurrentTerm)
+
+    def lead(self) -> int:
+        """Make the node the leader; return the term."""
+        term = self.campaign()
+        for other in self.node.otherNodes:
+            self.receive(other.id, vote(term))
+        assert self.node._isLeader()
+        return term
+
+    def held(self) -> list[tuple[int, int]]:
+        """(position, term) of every entry."""
+        return [(entry.log_index, entry.term) for entry in self.journal[:]]
+
+
+def append(
+    term: int, previous: tuple[int, int], entries: list[tuple[int, int]], *, commit: int = 1, **more: Any
+) -> Message:
+    """A leader's entries: `previous` and `entries` are (position, term)."""
+    return {
+        "type": "append_entries",
+        "term": term,
+        "commit_index": commit,
+        "round": 0,
+        "prevLogIdx": previous[0],
+        "prevLogTerm": previous[1],
+        "entries": [Entry(command(f"{index}/{of}"), index, of) for index, of in entries],
+        **more,
+    }
+
+
+def piece(term: int, chunk: Any, *, commit: int) -> Message:
+    """A piece of a leader's snapshot."""
+    return {"type": "append_entries", "term": term, "commit_index": commit, "round": 0, "serialized": chunk}
+
+
+def vote(term: int) -> Message:
+    return {"type": "response_vote", "term": term, "trial": False, "voter_term": 0}
+
+
+def acknowledgement(term: int, next_index: int) -> Message:
+    return {
+        "type": "next_node_idx",
+        "term": term,
+        "round": 0,
+        "next_node_idx": next_index,
+        "reset": False,
+        "success": True,
+    }

@@ -1,0 +1,143 @@
+"""The streams between members: one at a time from each, and nothing of an earlier one comes after it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import grpc
+import grpc.aio
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt.v1 import raft_service_pb2_grpc
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.network.greetings import introduction
+from stampede_rt_supernode.replication.network.links import Link
+from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.network.servicer import RaftServicer
+from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, RaftTiming, ReplicationSettings
+from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.storage.store import Promise
+from stampede_rt_supernode.replication.wire.codec import encode_message
+from stampede_rt_supernode.replication.wire.mailroom import Connected, NetworkEvent, Received, StreamEnded, StreamOpened
+
+SELF, OTHER = (Member(member_id=name, address=f"{name}:1") for name in ("self", "other"))
+ROSTER = Roster((SELF, OTHER), {"other": OTHER}, frozenset())
+# The generated names carry no types.
+_pb_grpc: Any = raft_service_pb2_grpc
+
+
+def settings_of(member: Member, **more: Any) -> ReplicationSettings:
+    return ReplicationSettings(self_member=member, initial_members=[SELF, OTHER], cluster_id="c", **more)
+
+
+def hello_to(to: str, settings: ReplicationSettings) -> pb.RaftHello:
+    return introduction(settings, to, store_id="", standing=(0, 0), roster=ROSTER)
+
+
+def timeout_now(term: int) -> pb.RaftMessage:
+    """A message that can be told from others by its term."""
+    return encode_message({"type": "timeout_now", "term": term})
+
+
+class Inbox:
+    """Stands for a replica: keeps what it is told."""
+
+    roster = ROSTER
+
+    def __init__(self) -> None:
+        self.events: list[NetworkEvent] = []
+
+    def deliver(self, event: NetworkEvent) -> None:
+        self.events.append(event)
+
+    def promise_of(self, member_id: str) -> Promise:
+        return Promise(0, 0)
+
+
+async def served(add: Callable[[grpc.aio.Server], None]) -> tuple[grpc.aio.Server, str]:
+    server = grpc.aio.server()
+    port = server.add_insecure_port("127.0.0.1:0")
+    add(server)
+    await server.start()
+    return server, f"127.0.0.1:{port}"
+
+
+async def opened_stream(channel: grpc.aio.Channel) -> Any:
+    call = _pb_grpc.RaftServiceStub(channel).Exchange()
+    await call.write(pb.RaftServiceExchangeRequest(hello=hello_to("self", settings_of(OTHER))))
+    assert (await call.read()).protocol_version == PROTOCOL_VERSION
+    return call
+
+
+async def test_a_members_stream_that_a_newer_one_replaces_ends_and_is_heard_no_more() -> None:
+    inbox = Inbox()
+    stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
+    servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica
+    server, address = await served(servicer.add_to_server)
+    async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(10):
+        old = await opened_stream(channel)
+        new = await opened_stream(channel)
+        assert await old.code() is grpc.StatusCode.UNAVAILABLE
+        await new.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
+        while not any(isinstance(event, Received) for event in inbox.events):  # noqa: ASYNC110 - nothing announces it
+            await asyncio.sleep(0.005)
+        new.cancel()
+        while not any(isinstance(event, StreamEnded) for event in inbox.events):  # noqa: ASYNC110
+            await asyncio.sleep(0.005)
+    await server.stop(None)
+    kinds = [type(event) for event in inbox.events]
+    assert kinds == [StreamOpened, StreamOpened, Received, StreamEnded]
+
+
+class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
+    """Stands for the other member: notes the terms that each stream brings."""
+
+    def __init__(self) -> None:
+        self.streams: list[list[int]] = []
+
+    async def Exchange(  # noqa: N802
+        self, requests: Any, context: Any
+    ) -> AsyncIterator[pb.RaftServiceExchangeResponse]:
+        heard: list[int] = []
+        self.streams.append(heard)
+        async for request in requests:
+            if request.HasField("hello"):
+                yield pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION)
+            heard += [message.timeout_now.term for message in request.messages]
+
+
+async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() -> None:
+    peer = Peer()
+    server, address = await served(lambda server: _pb_grpc.add_RaftServiceServicer_to_server(peer, server))
+    # So little room that the first stream breaks with messages in its queue.
+    room = 2 * timeout_now(1).ByteSize()
+    settings = settings_of(SELF, link_queue_bytes_max=room, timing=RaftTiming(reconnect_seconds=0.01))
+    connections = 0
+
+    def deliver(event: NetworkEvent) -> None:
+        nonlocal connections
+        if isinstance(event, Connected):
+            connections += 1
+            for term in (1, 1, 1) if connections == 1 else (2,):
+                link.enqueue(timeout_now(term))
+
+    link = Link(
+        OTHER,
+        settings,
+        lambda _: grpc.aio.insecure_channel(address),
+        deliver,
+        lambda why: None,
+        lambda to: hello_to(to, settings),
+        SparseReports(),
+    )
+    running = asyncio.create_task(link.run())
+    async with asyncio.timeout(10):
+        while not any(2 in heard for heard in peer.streams):  # noqa: ASYNC110 - nothing announces it
+            await asyncio.sleep(0.005)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
+    await server.stop(None)
+    assert peer.streams == [[], [2]]

@@ -1,0 +1,113 @@
+"""What a caller hears of its command, for every answer of the library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from stampede_rt_supernode.replication.interface import Ambiguous, Unavailable
+from stampede_rt_supernode.replication.rules.proposals import (
+    DISCARDED,
+    LEADER_CHANGED,
+    MISSING_LEADER,
+    NOT_LEADER,
+    QUEUE_FULL,
+    SUCCESS,
+    UNKNOWN_OUTCOME,
+    Outcome,
+    Proposal,
+    Proposals,
+)
+
+
+class Library:
+    """Takes commands over and answers when told to."""
+
+    def __init__(self, handed_max: int = 10) -> None:
+        self.handed: list[tuple[bytes, Callable[[Any, int], None]]] = []
+        self.proposals = Proposals(
+            lambda command, callback: self.handed.append((command, callback)),
+            lambda finish: finish(),
+            handed_max=handed_max,
+        )
+        self.outcomes: list[Outcome] = []
+
+    def propose(self, command: bytes = b"c", deadline: float = 10.0) -> Proposal:
+        proposal = Proposal(command, deadline, self.outcomes.append)
+        self.proposals.add(proposal)
+        return proposal
+
+    def advance(self, now: float, *, leader: bool = True) -> None:
+        self.proposals.advance(leader_reachable=leader, now=now)
+
+
+def test_a_command_waits_for_a_leader_and_is_unavailable_when_none_comes() -> None:
+    library = Library()
+    library.propose()
+    library.advance(1.0, leader=False)
+    assert library.handed == []
+    library.advance(10.0, leader=False)
+    assert isinstance(library.outcomes[0], Unavailable)
+
+
+def test_an_applied_command_gives_its_result() -> None:
+    library = Library()
+    library.propose()
+    library.advance(1.0)
+    library.handed[0][1](b"result", SUCCESS)
+    assert library.outcomes == [b"result"]
+
+
+@pytest.mark.parametrize("reason", [QUEUE_FULL, MISSING_LEADER, DISCARDED, NOT_LEADER])
+def test_a_command_that_was_certainly_not_taken_is_tried_again_until_its_deadline(reason: int) -> None:
+    library = Library()
+    library.propose()
+    library.advance(1.0)
+    library.handed[0][1](None, reason)
+    library.advance(2.0)
+    assert len(library.handed) == 2
+    library.handed[1][1](None, reason)
+    library.advance(10.0)
+    assert [type(outcome) for outcome in library.outcomes] == [Unavailable]
+
+
+@pytest.mark.parametrize("reason", [LEADER_CHANGED, UNKNOWN_OUTCOME])
+def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again(reason: int) -> None:
+    library = Library()
+    library.propose()
+    library.advance(1.0)
+    library.handed[0][1](None, reason)
+    library.advance(2.0)
+    assert len(library.handed) == 1
+    assert isinstance(library.outcomes[0], Ambiguous)
+
+
+def test_a_command_without_an_answer_is_ambiguous_at_its_deadline_and_makes_room() -> None:
+    library = Library(handed_max=1)
+    library.propose()
+    library.propose(b"next", deadline=20.0)
+    library.advance(1.0)
+    assert [command for command, _ in library.handed] == [b"c"]
+    library.advance(10.0)
+    assert isinstance(library.outcomes[0], Ambiguous)
+    assert [command for command, _ in library.handed] == [b"c", b"next"]
+    library.handed[0][1](b"late", SUCCESS)
+    assert len(library.outcomes) == 1
+
+
+def test_an_abandoned_command_is_never_handed_over() -> None:
+    library = Library()
+    library.propose().abandoned = True
+    library.advance(1.0)
+    assert library.handed == []
+
+
+def test_closing_ends_every_command_by_what_is_known_of_it() -> None:
+    library = Library(handed_max=1)
+    library.propose()
+    library.propose()
+    library.advance(1.0)
+    library.proposals.close()
+    assert {type(outcome) for outcome in library.outcomes} == {Ambiguous, Unavailable}

@@ -1,0 +1,176 @@
+"""A snapshot on request: what it covers, when it is answered, and that a kill at any commit leaves a readable store."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication.interface import Member, Unavailable
+from stampede_rt_supernode.replication.replica import SNAPSHOTS_MAX, Replica
+from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.storage import store as storage
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.storage.store import (
+    MemoryStore,
+    Store,
+    StoreChanges,
+    StoredSnapshot,
+    StoredState,
+)
+from stampede_rt_supernode.replication.wire.codec import decode_snapshot
+from tests.robustness.replication.machine import ListMachine
+
+
+class Nobody:
+    """A network without anyone in it."""
+
+    def release(self, messages: object) -> None:
+        raise AssertionError("there is nobody to send to")
+
+    def has_room(self, member_id: str) -> bool:
+        return True
+
+    def follow(self, roster: object) -> None:
+        pass
+
+
+class Alone:
+    """A cluster of one, stepped by hand, with a clock of its own."""
+
+    def __init__(self, store: Store) -> None:
+        self.now = 100.0
+        self.machine = ListMachine()
+        me = Member(member_id="m", address="m:1")
+        settings = ReplicationSettings(self_member=me, initial_members=[me], cluster_id="c")
+        self.replica = Replica(
+            settings, self.machine, store=store, network=Nobody(), clock=lambda: self.now, dice=random.Random(1)
+        )
+        self.outcomes: list[Outcome | SnapshotOutcome] = []
+
+    def step_until(self, done: Callable[[], bool]) -> None:
+        for _ in range(200):
+            if done():
+                return
+            self.now += 0.1
+            self.replica.step()
+        raise AssertionError("it did not happen")
+
+    def propose(self, text: bytes) -> None:
+        before = len(self.outcomes)
+        self.replica.propose(Proposal(text, self.now + 60, self.outcomes.append))
+        self.step_until(lambda: len(self.outcomes) > before)
+
+    def ask(self) -> None:
+        self.replica.take_snapshot(SnapshotRequest(self.outcomes.append))
+
+    def snapshot(self) -> StoredSnapshot:
+        before = len(self.outcomes)
+        self.ask()
+        self.step_until(lambda: len(self.outcomes) > before)
+        taken = self.outcomes[-1]
+        assert isinstance(taken, StoredSnapshot)
+        return taken
+
+
+def texts(record: bytes) -> list[bytes]:
+    machine = ListMachine()
+    machine.prepare_restore(decode_snapshot(record).state)()
+    return [text for _, text in machine.entries]
+
+
+def test_a_snapshot_holds_everything_that_was_applied_when_it_was_asked_for() -> None:
+    alone = Alone(MemoryStore())
+    for text in (b"a", b"b"):
+        alone.propose(text)
+    first = alone.snapshot()
+    assert texts(first.record) == [b"a", b"b"]
+    assert first.last_log_index == alone.replica.status().applied_index
+    alone.propose(b"c")
+    assert texts(alone.snapshot().record) == [b"a", b"b", b"c"]
+
+
+def test_without_anything_new_the_last_snapshot_is_the_answer() -> None:
+    alone = Alone(MemoryStore())
+    alone.propose(b"a")
+    assert alone.snapshot() is alone.snapshot()
+
+
+def test_what_waits_when_the_replica_closes_is_told_so() -> None:
+    alone = Alone(MemoryStore())
+    alone.ask()
+    alone.replica.close()
+    assert [str(one) for one in alone.outcomes] == ["this replica is closing"]
+
+
+def test_no_more_than_a_few_wait() -> None:
+    alone = Alone(MemoryStore())
+    for _ in range(SNAPSHOTS_MAX):
+        alone.ask()
+    with pytest.raises(Unavailable, match="try again"):
+        alone.ask()
+
+
+class Killed(BaseException):
+    """The process was killed."""
+
+
+class Mortal(SqliteStore):
+    """Is killed before or after one of its commits."""
+
+    commits_left = 10**9
+    dies_after = False
+
+    def commit(self, changes: StoreChanges) -> None:
+        self.commits_left -= 1
+        if self.commits_left == 0 and not self.dies_after:
+            raise Killed
+        super().commit(changes)
+        if self.commits_left == 0:
+            raise Killed
+
+
+@pytest.mark.parametrize("dies_after", [False, True])
+def test_a_kill_at_any_commit_of_a_snapshot_leaves_all_that_was_acknowledged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dies_after: bool
+) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 64)
+    survived = 0
+    for commits in range(1, 40):
+        folder = tmp_path / str(commits)
+        store = Mortal(folder, cluster_id="c", member_id="m", create=True)
+        alone = Alone(store)
+        for number in range(12):
+            alone.propose(b"text %d" % number)
+        alone.snapshot()
+        alone.propose(b"text 12")
+        store.commits_left, store.dies_after = commits, dies_after
+        try:
+            alone.snapshot()
+        except Killed:
+            store.close()
+        else:
+            survived += 1
+            store.close()
+        held = reopened(folder)
+        assert held.snapshot is not None
+        again = Alone(SqliteStore(folder, cluster_id="c", member_id="m", create=False))
+        again.step_until(lambda again=again: len(again.machine.entries) == 13)  # type: ignore[misc]
+        assert [text for _, text in again.machine.entries] == [b"text %d" % number for number in range(13)]
+        again.replica.close()
+        if survived:
+            break
+    assert survived
+    assert commits > 3  # the kills came at every commit that a snapshot takes
+
+
+def reopened(folder: Path) -> StoredState:
+    store = SqliteStore(folder, cluster_id="c", member_id="m", create=False)
+    try:
+        return store.load()
+    finally:
+        store.close()

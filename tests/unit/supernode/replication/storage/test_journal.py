@@ -1,0 +1,199 @@
+"""The journal over every store: what was synced comes back, what was not is gone."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.storage import store as storage
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.storage.store import Entry, Store, StoredSnapshot
+from tests.robustness.replication.disk import Disk, DiskStore
+
+Reopen = Callable[[], Store]
+
+NOBODY = Configuration(())
+
+
+def sqlite_in(folder: Path) -> Reopen:
+    opened: list[SqliteStore] = []
+
+    def reopen() -> Store:
+        for store in opened:
+            store.close()
+        opened[:] = [SqliteStore(folder, cluster_id="c", member_id="m", create=True)]
+        return opened[0]
+
+    return reopen
+
+
+@pytest.fixture(params=["sqlite", "simulated disk"])
+def reopen(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Reopen]:
+    """Opens the store again, as after a crash: what was not committed is gone."""
+    if request.param == "sqlite":
+        make = sqlite_in(tmp_path)
+        yield make
+        make().close()
+    else:
+        disk = Disk()
+        yield lambda: DiskStore(disk)
+
+
+def with_entries(store: Store, last: int) -> Journal:
+    journal = Journal(store)
+    for index in range(1, last + 1):
+        journal.add(b"\x00%d" % index, index, 1)
+    return journal
+
+
+def adopt(journal: Journal, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
+    for piece in snapshot.pieces():
+        journal.write_piece(piece)
+    journal.adopt_snapshot(snapshot, previous, last, NOBODY)
+
+
+def test_a_new_store_is_empty(reopen: Reopen) -> None:
+    journal = Journal(reopen())
+    assert (len(journal), journal.getCurrentTerm(), journal.getVotedForNodeId()) == (0, 0, None)
+    assert journal.getRaftCommitIndex() == 1
+
+
+def test_what_was_synced_survives_and_the_rest_does_not(reopen: Reopen) -> None:
+    journal = with_entries(reopen(), 3)
+    journal.setCurrentTerm(4, "b")
+    journal.setRaftCommitIndex(2)
+    assert journal.sync()
+    journal.add(b"\x00lost", 4, 4)
+    journal.setCurrentTerm(5, "c")
+    again = Journal(reopen())
+    assert [entry.log_index for entry in again[:]] == [1, 2, 3]
+    assert (again.getCurrentTerm(), again.getVotedForNodeId(), again.getRaftCommitIndex()) == (4, "b", 2)
+
+
+def test_the_commit_index_alone_costs_no_write(reopen: Reopen) -> None:
+    journal = with_entries(reopen(), 3)
+    assert journal.sync()
+    journal.setRaftCommitIndex(3)
+    assert not journal.sync()
+
+
+def test_a_tail_that_was_replaced_stays_replaced(reopen: Reopen) -> None:
+    journal = with_entries(reopen(), 5)
+    journal.sync()
+    journal.deleteEntriesFrom(3)
+    journal.add(b"\x00new", 4, 2)
+    journal.sync()
+    assert [tuple(entry)[1:] for entry in Journal(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
+
+
+def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> None:
+    journal = with_entries(reopen(), 8)
+    journal.sync()
+    previous, last = journal[4], journal[5]
+    adopt(journal, StoredSnapshot.of(6, b"state"), previous, last)
+    before = Journal(reopen())
+    assert (len(before), before.snapshot) == (8, None)
+    previous, last = before[4], before[5]
+    adopt(before, StoredSnapshot.of(6, b"state"), previous, last)
+    before.sync()
+    after = Journal(reopen())
+    assert [entry.log_index for entry in after[:]] == [5, 6, 7, 8]
+    assert after.snapshot == StoredSnapshot.of(6, b"state")
+
+
+def test_a_snapshot_in_pieces_counts_from_its_seal_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 2)
+    journal = with_entries(reopen(), 8)
+    adopt(journal, StoredSnapshot.of(3, b"older"), journal[1], journal[2])
+    journal.sync()
+    coming = StoredSnapshot.of(6, b"state")
+    assert [piece.data for piece in coming.pieces()] == [b"st", b"at", b"e"]
+    for piece in coming.pieces():
+        journal.write_piece(piece)
+        journal.sync()
+        journal = Journal(reopen())
+        assert (journal[0].log_index, journal.snapshot) == (2, StoredSnapshot.of(3, b"older"))
+    journal.adopt_snapshot(coming, journal[3], journal[4], NOBODY)
+    journal.sync()
+    again = Journal(reopen())
+    assert (again[0].log_index, again.snapshot) == (5, coming)
+
+
+def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
+    reopen: Reopen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 2)
+    journal = with_entries(reopen(), 8)
+    for piece in StoredSnapshot.of(6, b"much longer").pieces():
+        journal.write_piece(piece)
+    journal.sync()
+    again = Journal(reopen())
+    adopt(again, StoredSnapshot.of(6, b"state"), again[4], again[5])
+    again.sync()
+    assert Journal(reopen()).snapshot == StoredSnapshot.of(6, b"state")
+
+
+def test_a_gap_is_refused(reopen: Reopen) -> None:
+    journal = with_entries(reopen(), 3)
+    with pytest.raises(AssertionError, match="does not follow"):
+        journal.add(b"\x00", 5, 1)
+
+
+steps = st.lists(
+    st.one_of(
+        st.tuples(st.just("add"), st.integers(1, 4)),
+        st.tuples(st.just("cut"), st.integers(0, 12)),
+        st.tuples(st.just("snapshot"), st.integers(2, 30)),
+        st.tuples(st.just("piece"), st.integers(2, 30)),
+        st.tuples(st.just("sync"), st.just(0)),
+        st.tuples(st.just("crash"), st.just(0)),
+    ),
+    max_size=25,
+)
+
+
+def take_step(journal: Journal, step: str, number: int) -> None:
+    match step:
+        case "add":
+            for _ in range(number):
+                journal.add(b"\x00", journal[-1].log_index + 1, number)
+        case "cut" if number >= 2:
+            journal.deleteEntriesFrom(number)
+        case "snapshot" if number > journal[0].log_index + 1:
+            previous, last = Entry(b"\x00p", number - 1, 9), Entry(b"\x00l", number, 9)
+            if (held := journal.entry_at(number)) is not None:
+                previous, last = journal.entry_at(number - 1) or previous, held
+            adopt(journal, StoredSnapshot.of(number, b"%d" % number), previous, last)
+        case "piece":
+            held = 0 if journal.snapshot is None else journal.snapshot.last_log_index
+            journal.write_piece(StoredSnapshot.of(held + number, b"never sealed").piece(0))
+        case "sync":
+            journal.sync()
+
+
+@settings(max_examples=60, deadline=None)
+@given(steps)
+def test_a_crash_takes_the_journal_back_to_its_last_sync(story: list[tuple[str, int]]) -> None:
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(storage, "PIECE_BYTES", 1)
+        reopen = sqlite_in(Path(folder))
+        journal = with_entries(reopen(), 2)
+        journal.sync()
+        durable = (journal[:], journal.snapshot)
+        for step, number in story:
+            take_step(journal, step, number)
+            if step == "sync":
+                durable = (journal[:], journal.snapshot)
+            if step == "crash":
+                journal = Journal(reopen())
+                assert (journal[:], journal.snapshot) == durable
+        journal = Journal(reopen())
+        assert (journal[:], journal.snapshot) == durable
+        reopen().close()

@@ -1,0 +1,139 @@
+"""A member that opens a large snapshot goes on answering its leader, and no step of it does more than a piece."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
+
+import pytest
+
+from stampede_rt_supernode.replication.storage import store as storage
+from stampede_rt_supernode.replication.storage.store import MemoryStore, StoreChanges
+from stampede_rt_supernode.replication.threads.aside import Result
+from tests.unit.supernode.replication.lone_node import LoneNode, append, piece
+from tests.unit.supernode.replication.rules.test_closed_faults import snapshot_pieces
+
+T = TypeVar("T")
+
+
+class Aside:
+    """Another thread: does the work that it was given when it is told to."""
+
+    def __init__(self) -> None:
+        self._work: list[Callable[[], None]] = []
+
+    def __call__(self, work: Callable[[], T], /) -> Result[T]:
+        future: Future[T] = Future()
+        self._work.append(lambda: future.set_result(work()))
+        return future
+
+    def do_it(self) -> None:
+        while self._work:
+            self._work.pop(0)()
+
+
+class Slow:
+    """A node that is being sent the snapshot up to entry 9 of term 5, and another thread that decodes it."""
+
+    def __init__(self, store: MemoryStore | None = None) -> None:
+        self.aside = Aside()
+        self.lone = LoneNode(store=store, run_aside=self.aside)
+
+    def receive_all(self, *, last: int = 9) -> None:
+        for chunk in snapshot_pieces(last=last, term=5):
+            replies = self.lone.receive("b", piece(5, chunk, commit=12))
+            assert [(message["success"], message["reset"]) for _, message in replies] == [(False, False)]
+
+    def open_it(self) -> None:
+        self.aside.do_it()
+        self.lone.open_snapshot()
+
+
+def test_while_it_is_decoded_the_leader_is_answered_and_need_not_send_it_again() -> None:
+    slow = Slow()
+    slow.receive_all()
+    for _ in range(3):
+        slow.lone.open_snapshot()
+        [(_, reply)] = slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
+        assert (reply["success"], reply["reset"], reply["term"]) == (False, False, 5)
+    assert slow.lone.machine.entries == []
+    slow.open_it()
+    [(_, reply)] = slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
+    assert (reply["success"], reply["next_node_idx"]) == (True, 11)
+
+
+def test_what_the_leader_has_sent_meanwhile_it_sends_again() -> None:
+    slow = Slow()
+    slow.receive_all()
+    slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
+    slow.open_it()
+    [(_, reply)] = slow.lone.receive("b", append(5, (10, 5), [(11, 5)], commit=12))
+    assert (reply["success"], reply["reset"], reply["next_node_idx"]) == (False, True, 10)
+
+
+def test_entries_that_overtake_it_are_kept() -> None:
+    slow = Slow()
+    slow.receive_all()
+    slow.lone.receive("c", append(6, (1, 0), [(index, 5) for index in range(2, 13)], commit=12))
+    slow.lone.tick()
+    slow.open_it()
+    assert slow.lone.machine.entries[-1] == (12, b"12/5")
+    assert not slow.lone.node.keeper.is_opening
+
+
+def test_a_second_one_does_not_disturb_the_first() -> None:
+    slow = Slow()
+    slow.receive_all()
+    slow.receive_all(last=20)
+    slow.open_it()
+    assert slow.lone.held() == [(8, 5), (9, 5)]
+    slow.receive_all(last=20)
+    slow.open_it()
+    assert slow.lone.held() == [(19, 5), (20, 5)]
+
+
+def test_no_snapshot_of_its_own_is_begun_meanwhile() -> None:
+    slow = Slow()
+    slow.receive_all()
+    slow.lone.node.forceLogCompaction()
+    slow.lone.tick()
+    assert not slow.lone.node.keeper.is_taking
+
+
+class Watched(MemoryStore):
+    """Counts the pieces of each commit."""
+
+    def __init__(self) -> None:
+        self.pieces: list[int] = []
+
+    def commit(self, changes: StoreChanges) -> None:
+        self.pieces.append(len(changes.pieces))
+
+
+def test_each_step_writes_one_piece_and_the_last_one_opens_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 40)
+    store = Watched()
+    slow = Slow(store)
+    slow.receive_all()
+    slow.aside.do_it()
+    while slow.lone.node.keeper.is_opening:
+        assert slow.lone.machine.entries == []
+        slow.lone.node.install_opened()
+        slow.lone.journal.sync()
+    snapshot = slow.lone.journal.snapshot
+    assert snapshot is not None
+    assert store.pieces[-1] == 0
+    assert [count for count in store.pieces if count] == [1] * snapshot.pieces_count
+    assert snapshot.pieces_count > 3
+    assert slow.lone.machine.entries[-1] == (9, b"9/5")
+
+
+def test_a_failure_to_decode_it_rises_before_anything_is_acknowledged() -> None:
+    failed: Future[object] = Future()
+    failed.set_exception(ValueError("this state cannot be read"))
+    lone = LoneNode(run_aside=lambda work, /: failed)  # type: ignore[arg-type,return-value]
+    for chunk in snapshot_pieces(last=9, term=5):
+        lone.receive("b", piece(5, chunk, commit=12))
+    with pytest.raises(ValueError, match="cannot be read"):
+        lone.open_snapshot()

@@ -1,0 +1,106 @@
+"""A cluster from what one member of a lost one has kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication import ReplicationSettings, StoreRefused, open_replicated_log, restore_from
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.storage.backups import BackupHeader, make_backup
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.storage.store import Entry, StoreDamaged, StoredSnapshot
+from stampede_rt_supernode.replication.wire.codec import decode_configuration, encode_snapshot
+from tests.robustness.replication.live_cluster import LiveCluster, LiveMember, dial, running
+from tests.robustness.replication.machine import ListMachine
+
+
+async def test_one_of_three_becomes_a_cluster_of_one_that_holds_everything_it_held(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path / "old", snapshot_every=10) as cluster:
+        for number in range(25):
+            await running(cluster.all[0]).propose(b"%d" % number, timeout=5.0)
+        survivor = cluster.all[0]
+        await running(survivor).confirm_read(timeout=5.0)
+        held = survivor.machine.entries[:]
+    failures: list[BaseException] = []
+    founder = LiveMember("new", tmp_path / "new", failures.append)
+    assert survivor.folder is not None
+    restore_from(survivor.folder, tmp_path / "new", founder=founder.member, cluster_id="new cluster")
+    settings = ReplicationSettings(
+        self_member=founder.member,
+        initial_members=[founder.member],
+        data_dir=tmp_path / "new",
+        cluster_id="new cluster",
+        create=False,
+    )
+    machine = ListMachine()
+    log = await open_replicated_log(settings, machine, dial, founder.server, on_fatal=failures.append)
+    await founder.server.start()
+    await log.propose(b"after", timeout=5.0)
+    assert machine.entries[: len(held)] == held
+    assert machine.entries[-1][1] == b"after"
+    assert [member.member_id for member in log.status().members] == ["new"]
+    await log.close()
+    await founder.server.stop(None)
+    assert failures == []
+
+
+def snapshot_of(texts: list[bytes]) -> bytes:
+    machine = ListMachine()
+    for index, text in enumerate(texts, start=3):
+        machine.apply(index, text)
+    end = len(texts) + 2
+    previous, last = Entry(b"\x00p", end - 1, 7), Entry(b"\x00l", end, 7)
+    configuration = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in "ab"])
+    return encode_snapshot(previous=previous, last=last, configuration=configuration, state=machine.snapshot())
+
+
+HEADER = BackupHeader(member_id="a", cluster_id="c", log_index=4, time_unix_nano=1)
+FOUNDER = Member(member_id="new", address="new:1")
+
+
+def test_a_backup_is_restored_with_all_former_members_retired(tmp_path: Path) -> None:
+    record = snapshot_of([b"one", b"two"])
+    backup = make_backup(HEADER, record)
+    (tmp_path / "backup").write_bytes(b"".join(backup.parts()))
+    assert (tmp_path / "backup").stat().st_size == backup.size_bytes
+    assert restore_from(tmp_path / "backup", tmp_path / "new", founder=FOUNDER, cluster_id="n") == 4
+    store = SqliteStore(tmp_path / "new", cluster_id="n", member_id="new", create=False)
+    state = store.load()
+    store.close()
+    assert state.snapshot == StoredSnapshot.of(4, record)
+    configuration = decode_configuration(state.entries[-1].command)
+    assert (configuration.members, configuration.retired) == ((FOUNDER,), ("a", "b"))
+
+
+@pytest.mark.parametrize("at", [10, 60, -40, -1])
+def test_a_backup_with_a_changed_bit_anywhere_is_refused(tmp_path: Path, at: int) -> None:
+    data = bytearray(b"".join(make_backup(HEADER, snapshot_of([b"one", b"two"])).parts()))
+    data[at] ^= 1
+    (tmp_path / "backup").write_bytes(data)
+    with pytest.raises(StoreDamaged, match=r"is no backup|fails its checksum"):
+        restore_from(tmp_path / "backup", tmp_path / "new", founder=FOUNDER, cluster_id="n")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_backup_that_was_cut_off_is_refused(tmp_path: Path) -> None:
+    data = b"".join(make_backup(HEADER, snapshot_of([b"one", b"two"])).parts())
+    for size in (0, 31, 40, 100, len(data) - 1):
+        (tmp_path / "backup").write_bytes(data[:size])
+        with pytest.raises(StoreDamaged):
+            restore_from(tmp_path / "backup", tmp_path / "new", founder=FOUNDER, cluster_id="n")
+
+
+def test_a_folder_without_a_log_cannot_be_restored(tmp_path: Path) -> None:
+    founder = LiveMember.__new__(LiveMember)
+    with pytest.raises(StoreRefused, match="holds no replicated log"):
+        restore_from(tmp_path, tmp_path / "new", founder=founder, cluster_id="")  # type: ignore[arg-type]
+
+
+def test_a_damaged_folder_cannot_be_restored(tmp_path: Path) -> None:
+    (tmp_path / "replicated_log.sqlite3").write_bytes(b"no database, but long enough to be taken for one" * 100)
+    founder = LiveMember.__new__(LiveMember)
+    with pytest.raises(StoreDamaged):
+        restore_from(tmp_path, tmp_path / "new", founder=founder, cluster_id="")  # type: ignore[arg-type]

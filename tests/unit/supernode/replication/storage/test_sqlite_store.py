@@ -1,0 +1,334 @@
+"""A folder is told apart from another's, from an empty one, and from a damaged one."""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.storage import store as storage
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.storage.sqlite_store import (
+    DATABASE_NAME,
+    WATERMARK_NAME,
+    SqliteStore,
+    _entry_checksum,
+    holds_store,
+)
+from stampede_rt_supernode.replication.storage.store import (
+    Entry,
+    Promise,
+    StoreDamaged,
+    StoredSnapshot,
+    StoredState,
+    StoreRefused,
+)
+
+
+def open_store(folder: Path, *, member_id: str = "m", cluster_id: str = "c", create: bool = True) -> SqliteStore:
+    return SqliteStore(folder, cluster_id=cluster_id, member_id=member_id, create=create)
+
+
+def fill(folder: Path) -> None:
+    journal = Journal(open_store(folder))
+    for index in range(1, 6):
+        journal.add(b"\x00command %d" % index, index, 1)
+    journal.setCurrentTerm(1, "m")
+    journal.close()
+
+
+def edit(folder: Path, statement: str) -> None:
+    with sqlite3.connect(folder / DATABASE_NAME) as db:
+        db.execute(statement)
+    db.close()
+
+
+def damage_found(folder: Path) -> str:
+    store = open_store(folder)
+    try:
+        with pytest.raises(StoreDamaged, match="join again under a new id") as caught:
+            store.load()
+    finally:
+        store.close()
+    return str(caught.value)
+
+
+def test_an_empty_folder_is_refused_where_a_store_must_be(tmp_path: Path) -> None:
+    assert not holds_store(tmp_path)
+    with pytest.raises(StoreRefused, match="holds no replicated log"):
+        open_store(tmp_path, create=False)
+    assert not holds_store(tmp_path)
+
+
+def test_an_existing_store_opens_without_leave_to_create(tmp_path: Path) -> None:
+    fill(tmp_path)
+    assert holds_store(tmp_path)
+    store = open_store(tmp_path, create=False)
+    assert len(store.load().entries) == 5
+    store.close()
+
+
+@pytest.mark.parametrize("other", [{"member_id": "n"}, {"cluster_id": "d"}])
+def test_another_members_folder_is_refused(tmp_path: Path, other: dict[str, str]) -> None:
+    fill(tmp_path)
+    with pytest.raises(StoreRefused, match="use that member's own folder"):
+        open_store(tmp_path, **other)
+
+
+def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    with pytest.raises(StoreRefused, match="in use by another process"):
+        open_store(tmp_path)
+    store.close()
+
+
+def test_a_changed_entry_is_found_and_not_applied(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "UPDATE entry SET command = x'00ff' WHERE log_index = 3")
+    assert "entry 3 fails its checksum" in damage_found(tmp_path)
+
+
+def test_a_missing_entry_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM entry WHERE log_index = 3")
+    assert "entries before 4 are missing" in damage_found(tmp_path)
+
+
+def test_a_changed_term_or_vote_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "UPDATE hard_state SET voted_for = 'x'")
+    assert "term and vote fail their checksum" in damage_found(tmp_path)
+
+
+def test_a_forgotten_vote_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM hard_state")
+    assert "lost its term and vote" in damage_found(tmp_path)
+
+
+def test_a_log_that_begins_late_without_a_snapshot_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM entry WHERE log_index < 3")
+    assert "without a snapshot" in damage_found(tmp_path)
+
+
+def test_a_file_that_is_no_database_is_found(tmp_path: Path) -> None:
+    (tmp_path / DATABASE_NAME).write_bytes(b"not a database at all" * 100)
+    with pytest.raises(StoreDamaged, match="join again under a new id"):
+        open_store(tmp_path)
+
+
+def copy_as_after_a_crash(folder: Path, to: Path) -> Path:
+    """What a kill would leave of a store in use: the write-ahead log is still there."""
+    journal = Journal(open_store(folder))
+    for index in range(1, 61):
+        journal.add(b"\x00command %d" % index, index, 1)
+        journal.sync()
+    shutil.copytree(folder, to)
+    journal.close()
+    return to / f"{DATABASE_NAME}-wal"
+
+
+def flip_a_bit_in_the_middle(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def test_a_store_left_by_a_crash_opens_with_everything(tmp_path: Path) -> None:
+    copy_as_after_a_crash(tmp_path / "a", tmp_path / "b")
+    store = open_store(tmp_path / "b")
+    assert len(store.load().entries) == 60
+    store.close()
+
+
+def test_a_flipped_bit_in_the_write_ahead_log_is_found(tmp_path: Path) -> None:
+    flip_a_bit_in_the_middle(copy_as_after_a_crash(tmp_path / "a", tmp_path / "b"))
+    assert re.search(r"holds \d+ commits and has held 60", damage_found(tmp_path / "b"))
+
+
+def test_without_the_watermark_a_flipped_bit_would_lose_entries_in_silence(tmp_path: Path) -> None:
+    flip_a_bit_in_the_middle(copy_as_after_a_crash(tmp_path / "a", tmp_path / "b"))
+    (tmp_path / "b" / WATERMARK_NAME).unlink()
+    store = open_store(tmp_path / "b")
+    assert 0 < len(store.load().entries) < 60
+    store.close()
+
+
+def test_a_full_disk_fails_the_commit(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    journal = Journal(store)
+    store._db.execute("PRAGMA max_page_count = 10")
+    journal.add(b"\x00" * 60_000, 1, 1)
+    with pytest.raises(sqlite3.OperationalError, match="full"):
+        journal.sync()
+    store.close()
+
+
+def adopt(journal: Journal, index: int, record: bytes) -> None:
+    snapshot = StoredSnapshot.of(index, record)
+    for piece in snapshot.pieces():
+        journal.write_piece(piece)
+    previous, last = journal.entry_at(index - 1), journal.entry_at(index)
+    assert previous
+    assert last
+    journal.adopt_snapshot(snapshot, previous, last, Configuration(()))
+
+
+def test_a_changed_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    journal = Journal(open_store(tmp_path))
+    adopt(journal, 3, b"state")
+    journal.close()
+    edit(tmp_path, "UPDATE snapshot_piece SET data = x'00'")
+    assert "snapshot fails its checksum" in damage_found(tmp_path)
+
+
+def test_a_missing_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    journal = Journal(open_store(tmp_path))
+    adopt(journal, 3, b"state")
+    journal.close()
+    edit(tmp_path, "DELETE FROM snapshot_piece")
+    assert "snapshot fails its checksum" in damage_found(tmp_path)
+
+
+def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(storage, "PIECE_BYTES", 1)
+    store = open_store(tmp_path)
+    journal = Journal(store)
+    for index in range(1, 6):
+        journal.add(b"\x00", index, 1)
+    adopt(journal, 3, b"older")
+    journal.sync()
+    adopt(journal, 4, b"newer")
+    held = []
+    for term in range(1, 6):
+        journal.setCurrentTerm(term, "m")
+        journal.sync()
+        held.append(store._db.execute("SELECT COUNT(*) FROM snapshot_piece").fetchone()[0])
+    assert held == [10, 8, 6, 5, 5]
+    journal.close()
+    assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
+
+
+def test_a_store_of_another_form_is_left_alone_and_the_way_out_is_told(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "UPDATE identity SET format_version = 2")
+    with pytest.raises(StoreRefused, match="run the version that wrote it"):
+        open_store(tmp_path)
+
+
+def test_last_entries_that_are_missing_are_found_though_nobody_called_them_committed(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM entry WHERE log_index > 3")
+    assert "holds 1 to 3, and held 1 to 5" in damage_found(tmp_path)
+
+
+def test_an_entry_of_an_earlier_term_between_later_ones_is_found(tmp_path: Path) -> None:
+    fill(tmp_path)
+    earlier = Entry(b"\x00command 3", 3, 0)
+    edit(tmp_path, f"UPDATE entry SET term = 0, checksum = {_entry_checksum(earlier)} WHERE log_index = 3")
+    assert "entry 3 is of an earlier time" in damage_found(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE entry SET checksum = x'00' WHERE log_index = 2",
+        "UPDATE entry SET command = NULL WHERE log_index = 2",
+        "UPDATE entry SET term = 'one' WHERE log_index = 2",
+        "UPDATE hard_state SET commits = NULL",
+        "UPDATE hard_state SET promises = 7",
+    ],
+)
+def test_a_value_of_another_kind_is_damage_and_no_defect(tmp_path: Path, statement: str) -> None:
+    fill(tmp_path)
+    schema = (
+        "UPDATE sqlite_master SET sql = replace(replace(replace(sql, 'INTEGER NOT NULL', 'ANY'), 'BLOB NOT NULL', "
+        "'ANY'), 'TEXT NOT NULL', 'ANY') WHERE name IN ('entry', 'hard_state')"
+    )
+    with sqlite3.connect(tmp_path / DATABASE_NAME) as db:
+        db.execute("PRAGMA writable_schema = 1")
+        db.execute(schema)
+    db.close()
+    edit(tmp_path, statement)
+    assert damage_found(tmp_path)
+
+
+def test_a_database_that_was_emptied_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
+    fill(tmp_path)
+    for file in tmp_path.iterdir():
+        file.unlink() if file.name == WATERMARK_NAME else file.write_bytes(b"")
+    with pytest.raises(StoreDamaged, match="is empty and was not"):
+        open_store(tmp_path, create=False)
+    KnownStores.open(tmp_path, had_store=True)  # as a member that nobody told of its first start leaves it
+    with pytest.raises(StoreDamaged, match="is empty and was not"):
+        open_store(tmp_path, create=True)
+
+
+def test_a_database_without_term_and_entries_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
+    fill(tmp_path)
+    edit(tmp_path, "DELETE FROM hard_state")
+    edit(tmp_path, "DELETE FROM entry")
+    (tmp_path / WATERMARK_NAME).unlink()
+    store = open_store(tmp_path, create=False)
+    with pytest.raises(StoreDamaged, match="lost its term and vote"):
+        store.load()
+    store.close()
+
+
+def test_what_others_have_promised_outlives_the_process(tmp_path: Path) -> None:
+    fill(tmp_path)
+    journal = Journal(open_store(tmp_path))
+    journal.note_promise("b", 3, 0)
+    journal.note_promise("b", 1, 7)
+    journal.close()
+    assert open_and_close(tmp_path).promises == {"b": Promise(3, 7)}
+
+
+def test_no_flipped_bit_is_applied_and_none_ends_in_a_defect(tmp_path: Path) -> None:
+    copy_as_after_a_crash(tmp_path / "a", tmp_path / "crashed")
+    fill(tmp_path / "closed")
+    dice = random.Random(5)
+    for original in (tmp_path / "crashed", tmp_path / "closed"):
+        told = sorted(file.name for file in original.iterdir() if "shm" not in file.name)
+        whole = read_copy(original, tmp_path / "copy")
+        for _ in range(300):
+            data = bytearray((original / (name := dice.choice(told))).read_bytes())
+            place = dice.randrange(len(data))
+            data[place] ^= 1 << dice.randrange(8)
+            found = read_copy(original, tmp_path / "copy", name, bytes(data))
+            assert found in (None, whole), (original, name, place)
+
+
+def test_every_commit_is_synced(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL: a commit has reached the disk
+    store.close()
+
+
+def read_copy(original: Path, copy: Path, name: str = "", data: bytes = b"") -> StoredState | None:
+    """What a copy holds in which one file has changed; None if it is refused with a reason."""
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(original, copy)
+    if name:
+        (copy / name).write_bytes(data)
+    try:
+        return open_and_close(copy)
+    except (StoreDamaged, StoreRefused):
+        return None
+
+
+def open_and_close(folder: Path) -> StoredState:
+    store = open_store(folder)
+    try:
+        return store.load()
+    finally:
+        store.close()

@@ -1,0 +1,82 @@
+"""Reads that wait share one, and nobody is answered by a read that began before it asked."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from stampede_rt_supernode.replication.interface import Unavailable
+from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.shared_reads import SharedReads
+from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
+
+
+class Rig:
+    """The reads that were begun, to be answered by hand, as the log's thread would."""
+
+    def __init__(self, *, waiting_max: int = 100) -> None:
+        self.begun: list[Read] = []
+        self.shared = SharedReads(self.begun.append, LoopBridge(asyncio.get_running_loop()), waiting_max=waiting_max)
+
+    async def ask(self, timeout: float = 60.0) -> asyncio.Task[int | None]:
+        """Ask, and return once that has been taken in."""
+        task = asyncio.ensure_future(self.shared.confirm(timeout))
+        await asyncio.sleep(0)
+        return task
+
+
+async def test_who_comes_while_a_read_is_under_way_waits_for_the_next_one_which_all_of_them_share() -> None:
+    rig = Rig()
+    first = await rig.ask()
+    later = [await rig.ask() for _ in range(3)]
+    assert len(rig.begun) == 1
+    rig.begun[0].done(7)
+    assert await first == 7
+    assert not any(task.done() for task in later)
+    assert len(rig.begun) == 2
+    rig.begun[1].done(9)
+    assert await asyncio.gather(*later) == [9, 9, 9]
+    assert len(rig.begun) == 2
+
+
+async def test_a_shared_read_lasts_as_long_as_the_most_patient_of_its_callers() -> None:
+    rig = Rig()
+    first = await rig.ask()
+    short, patient = await rig.ask(0.01), await rig.ask(60.0)
+    rig.begun[0].done(1)
+    await first
+    assert rig.begun[1].deadline - rig.begun[0].deadline < 1.0
+    assert await short is None
+    rig.begun[1].done(5)
+    assert await patient == 5
+
+
+async def test_one_that_goes_away_leaves_the_others_their_answer() -> None:
+    rig = Rig()
+    first, second = await rig.ask(), await rig.ask()
+    first.cancel()
+    rig.begun[0].done(1)
+    with pytest.raises(asyncio.CancelledError):
+        await first
+    rig.begun[1].done(2)
+    assert await second == 2
+
+
+async def test_when_the_log_closes_all_are_told_and_no_other_read_begins() -> None:
+    rig = Rig()
+    first, second = await rig.ask(), await rig.ask()
+    rig.shared.close()
+    rig.begun[0].done(None)
+    assert await asyncio.gather(first, second) == [None, None]
+    assert len(rig.begun) == 1
+
+
+async def test_no_more_wait_than_are_allowed() -> None:
+    rig = Rig(waiting_max=2)
+    waiting = [await rig.ask() for _ in range(3)]
+    with pytest.raises(Unavailable, match="slow down"):
+        await rig.shared.confirm(1.0)
+    rig.shared.close()
+    rig.begun[0].done(3)
+    assert await asyncio.gather(*waiting) == [3, None, None]

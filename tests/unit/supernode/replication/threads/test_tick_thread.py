@@ -1,0 +1,130 @@
+"""The log's thread: it wakes up at once, and a failure in it is never survived."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from stampede_rt_supernode.replication.threads import tick_thread
+from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE, TickThread
+
+
+class Stepping:
+    """Stands for a replica."""
+
+    def __init__(self, *, fail: BaseException | None = None) -> None:
+        self.stepped = threading.Semaphore(0)
+        self.closed = threading.Event()
+        self.fail = fail
+
+    def step(self) -> bool:
+        if self.fail is not None:
+            raise self.fail
+        self.stepped.release()
+        return False
+
+    def close(self) -> None:
+        self.closed.set()
+
+
+def start(replica: Any, *, tick_seconds: float) -> tuple[TickThread, list[BaseException], threading.Event]:
+    failures: list[BaseException] = []
+    failed = threading.Event()
+
+    def on_fatal(error: BaseException) -> None:
+        failures.append(error)
+        failed.set()
+
+    thread = TickThread(tick_seconds=tick_seconds, on_fatal=on_fatal)
+    thread.start(replica)
+    return thread, failures, failed
+
+
+def test_a_wake_up_has_a_step_done_without_waiting_for_the_tick() -> None:
+    replica = Stepping()
+    thread, _, _ = start(replica, tick_seconds=60.0)
+    assert replica.stepped.acquire(timeout=5)
+    thread.wake()
+    assert replica.stepped.acquire(timeout=5)
+    thread.stop()
+    assert replica.closed.is_set()
+
+
+def test_it_ticks_by_itself() -> None:
+    replica = Stepping()
+    thread, _, _ = start(replica, tick_seconds=0.001)
+    assert all(replica.stepped.acquire(timeout=5) for _ in range(5))
+    thread.stop()
+
+
+def test_a_failure_is_reported_and_ends_the_ticking() -> None:
+    replica = Stepping(fail=OSError("the disk is full"))
+    thread, failures, failed = start(replica, tick_seconds=0.001)
+    assert failed.wait(5)
+    thread.stop()
+    assert [str(error) for error in failures] == ["the disk is full"]
+    assert not replica.closed.is_set()
+
+
+def test_by_default_a_failure_ends_the_process_and_says_why() -> None:
+    script = (
+        "from stampede_rt_supernode.replication.threads.tick_thread import end_process\n"
+        "end_process(OSError('the disk is full'))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert ended.returncode == EXIT_CODE
+    assert "the replicated log failed and the process ends: OSError('the disk is full')" in ended.stderr
+
+
+def test_a_full_disk_ends_the_process_with_a_sentence_and_no_traceback() -> None:
+    script = (
+        "import sqlite3\n"
+        "from stampede_rt_supernode.replication.threads.tick_thread import end_process\n"
+        "end_process(sqlite3.OperationalError('database or disk is full'))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (EXIT_CODE, 1)
+    assert "its data folder cannot be written (database or disk is full)" in ended.stderr
+    assert "nothing that was acknowledged is lost" in ended.stderr
+
+
+class Hanging(Stepping):
+    """A replica whose disk hangs until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.goes_on = threading.Event()
+
+    def step(self) -> bool:
+        self.stepped.release()
+        self.goes_on.wait()
+        return False
+
+
+def test_a_step_that_hangs_is_told_of_once_and_so_is_its_end(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(tick_thread, "STUCK_SECONDS", 0.05)
+    monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 0.01)
+    replica = Hanging()
+    thread, failures, _ = start(replica, tick_seconds=0.01)
+    try:
+        wait_for(lambda: len(caplog.records) == 1)
+        assert thread.stuck_seconds() > 0.0
+    finally:
+        replica.goes_on.set()
+    wait_for(lambda: len(caplog.records) == 2)
+    assert ["has not answered" in record.getMessage() for record in caplog.records] == [True, False]
+    assert thread.stuck_seconds() == 0.0
+    thread.stop()
+    assert not failures
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    while not condition():
+        threading.Event().wait(0.005)

@@ -1,0 +1,137 @@
+"""Only well-formed messages come through, and what went in comes out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from google.protobuf.message import DecodeError
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX
+from stampede_rt_supernode.replication.storage.store import Entry
+from stampede_rt_supernode.replication.wire.codec import (
+    MalformedMessage,
+    Message,
+    Snapshot,
+    check_command,
+    decode_configuration,
+    decode_message,
+    decode_snapshot,
+    encode_configuration,
+    encode_entry,
+    encode_message,
+    encode_snapshot,
+)
+from tests.unit.supernode.replication.lone_node import acknowledgement, append, vote
+
+EVERY_KIND: list[Message] = [
+    append(3, (7, 2), [(8, 2), (9, 3)], commit=8),
+    {"type": "append_entries", "term": 3, "commit_index": 8, "round": 4, "serialized": None},
+    acknowledgement(3, 9),
+    {"type": "request_vote", "term": 4, "last_log_index": 9, "last_log_term": 3, "trial": False},
+    vote(4),
+    {"type": "apply_command", "request_id": 77, "command": b"\x00payload"},
+    {"type": "apply_command_response", "request_id": 77, "log_idx": 10, "log_term": 4},
+    {"type": "apply_command_response", "request_id": 77, "error": 4},
+    {"type": "read_index", "request_id": 5},
+    {"type": "read_index_response", "request_id": 5, "read_index": 10},
+]
+
+MEMBERS = Configuration.of([Member(member_id="b", address="b:1"), Member(member_id="a", address="a:1")], retired=["c"])
+
+
+@pytest.mark.parametrize("message", EVERY_KIND, ids=lambda message: message["type"])
+def test_every_kind_of_message_comes_out_as_it_went_in(message: Message) -> None:
+    wire = encode_message(message).SerializeToString()
+    assert decode_message(pb.RaftMessage.FromString(wire)) == message
+
+
+def test_a_kind_that_is_never_sent_cannot_be_encoded() -> None:
+    with pytest.raises(KeyError):
+        encode_message({"type": "set_version", "version": 1})
+
+
+def entry(index: int, term: int = 1, command: bytes = b"\x00") -> pb.RaftLogEntry:
+    return pb.RaftLogEntry(log_index=index, term=term, command=command)
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("append_entries", pb.RaftAppendEntries(term=1, previous_log_index=1, entries=[entry(3)])),
+        ("append_entries", pb.RaftAppendEntries(term=1, previous_log_index=1, entries=[entry(2, term=2)])),
+        ("append_entries", pb.RaftAppendEntries(term=1, previous_log_index=1, entries=[entry(2, command=b"")])),
+        ("append_entries", pb.RaftAppendEntries(term=1, previous_log_index=1, entries=[entry(2, command=b"\x02")])),
+        ("append_entries", pb.RaftAppendEntries(term=2**63)),
+        ("append_entries", pb.RaftAppendEntries(installing_snapshot=True, chunk=pb.RaftSnapshotChunk(data=b"x"))),
+        ("append_reply", pb.RaftAppendReply(term=1)),
+        ("forwarded_command", pb.RaftForwardedCommand(command=b"\x01")),
+        ("forwarded_command", pb.RaftForwardedCommand(command=b"\x00" * (COMMAND_BYTES_MAX + 2))),
+        ("forwarded_command_reply", pb.RaftForwardedCommandReply(refusal=99)),  # type: ignore[arg-type]
+    ],
+)
+def test_a_malformed_message_is_refused(kind: str, body: Any) -> None:
+    with pytest.raises(MalformedMessage):
+        decode_message(pb.RaftMessage(**{kind: body}))
+
+
+def test_a_message_without_a_kind_is_refused() -> None:
+    with pytest.raises(MalformedMessage, match="no known kind"):
+        decode_message(pb.RaftMessage())
+
+
+@given(st.binary(max_size=200))
+def test_random_bytes_are_refused_or_well_formed(data: bytes) -> None:
+    try:
+        message = decode_message(pb.RaftMessage.FromString(data))
+    except (DecodeError, MalformedMessage):
+        return
+    assert decode_message(encode_message(message)) == message
+
+
+def test_a_snapshot_comes_out_as_it_went_in() -> None:
+    previous, last = Entry(b"\x00a", 4, 1), Entry(b"\x01", 5, 2)
+    record = encode_snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
+    assert decode_snapshot(record) == Snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
+
+
+def test_a_snapshot_from_before_members_could_change_has_no_configuration() -> None:
+    old = pb.RaftSnapshot(
+        previous=encode_entry(Entry(b"\x00", 4, 1)), last=encode_entry(Entry(b"\x00", 5, 1)), member_ids=["a"]
+    )
+    assert decode_snapshot(old.SerializeToString()).configuration is None
+
+
+def test_a_configuration_comes_out_as_it_went_in() -> None:
+    assert decode_configuration(encode_configuration(MEMBERS)) == MEMBERS
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        pb.RaftConfiguration(),
+        pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="")]),
+        pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="a:1")] * 2),
+        pb.RaftConfiguration(members=[pb.RaftMember(member_id="a", address="a:1")], retired_ids=["a"]),
+    ],
+)
+def test_a_configuration_that_no_leader_writes_is_refused(broken: pb.RaftConfiguration) -> None:
+    with pytest.raises(MalformedMessage):
+        check_command(b"\x02" + broken.SerializeToString())
+
+
+def test_a_snapshot_whose_entries_are_no_neighbours_is_refused() -> None:
+    record = encode_snapshot(previous=Entry(b"\x00", 3, 1), last=Entry(b"\x00", 5, 2), configuration=MEMBERS, state=b"")
+    with pytest.raises(MalformedMessage, match="neighbours"):
+        decode_snapshot(record)
+
+
+@given(st.binary(max_size=100))
+def test_a_random_snapshot_is_refused(record: bytes) -> None:
+    with pytest.raises(MalformedMessage):
+        decode_snapshot(record)
