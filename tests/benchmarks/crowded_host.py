@@ -17,9 +17,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from stampede_rt.errors import Overloaded
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_bench.clusters import connected

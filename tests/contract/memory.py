@@ -10,10 +10,11 @@ from dataclasses import fields, replace
 from typing import Any
 
 import stampede_rt as st
-from stampede_rt.model import ConsumerStats, Policy
-from stampede_rt.payloads import check_attributes, check_payload
-from stampede_rt.policy import parse_policy
-from stampede_rt.timeline import (
+from stampede_rt.v1 import item_pb2
+from stampede_rt.values.model import ConsumerStats, Policy
+from stampede_rt.values.payloads import check_attributes, check_payload
+from stampede_rt.values.policy import parse_policy
+from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     Match,
@@ -23,7 +24,6 @@ from stampede_rt.timeline import (
     parse_item_duration,
     parse_match,
 )
-from stampede_rt.v1 import item_pb2
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt.wire.runs import ItemDecoder, encode_run, seal_run, select_items
 from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Position, PutOutcome, Query, Slice, WakeAt

@@ -14,8 +14,8 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt.cli.main import main as stampede
-from stampede_rt.tls import TlsReader
-from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.security.tls import TlsReader
+from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess

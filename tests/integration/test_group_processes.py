@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import grpc
 import pytest
 
-from stampede_rt.credentials import call_metadata, read_secret
+from stampede_rt.security.credentials import call_metadata, read_secret
 from stampede_rt.v1 import (
     channel_pb2,
     channel_service_pb2,

@@ -14,8 +14,8 @@ import pytest
 
 import stampede_rt
 import stampede_rt.aio
+from stampede_rt.cluster.request_age import METADATA_KEY, age_clock_s, request_age_nanos
 from stampede_rt.errors import Unavailable
-from stampede_rt.request_age import METADATA_KEY, age_clock_s, request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2_grpc, gatekeeper_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb

@@ -26,8 +26,8 @@ import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.security.tls import TlsReader
 from stampede_rt.status import from_rpc_error
-from stampede_rt.tls import TlsReader
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, directory_service_pb2_grpc, raft_service_pb2_grpc
 from stampede_rt.v1 import raft_service_pb2 as raft_pb
 from stampede_rt_local.certificates import ClusterCertificates

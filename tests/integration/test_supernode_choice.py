@@ -14,7 +14,7 @@ from stampede_rt._async import ports as async_ports
 from stampede_rt._async import supernodes as async_supernodes
 from stampede_rt._sync import ports as sync_ports
 from stampede_rt._sync import supernodes as sync_supernodes
-from stampede_rt.credentials import Credentials
+from stampede_rt.security.credentials import Credentials
 from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc, frontend_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb

@@ -9,7 +9,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt._sync.ports import Ports
-from stampede_rt.credentials import Credentials, read_secret
+from stampede_rt.security.credentials import Credentials, read_secret
 from stampede_rt.v1.frontend_service_pb2 import BindRequest, BindResponse
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture

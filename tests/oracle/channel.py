@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, field
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from tests.oracle.consumers import OracleConsumers
 from tests.oracle.instants import Instants
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from stampede_rt.timeline import MetaTime, ResolvedInterval
+from stampede_rt.values.timeline import MetaTime, ResolvedInterval
 from stampede_rt_channel_host.core.channel import Query
 from tests.oracle.channel import Item, OracleChannel
 from tests.oracle.pairs import paired

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt.timeline import ResolvedInterval
+from stampede_rt.values.timeline import ResolvedInterval
 
 
 @dataclass(frozen=True)

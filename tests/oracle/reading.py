@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
+from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
 from stampede_rt_channel_host.core.channel import Position, Query
 from tests.oracle.channel import Item, OracleChannel
 from tests.oracle.instants import Instants

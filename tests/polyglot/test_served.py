@@ -9,7 +9,7 @@ from importlib import import_module
 import grpc
 import pytest
 
-from stampede_rt.credentials import call_metadata, read_secret
+from stampede_rt.security.credentials import call_metadata, read_secret
 from stampede_rt.v1 import (
     directory_service_pb2,
     directory_service_pb2_grpc,

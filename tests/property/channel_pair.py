@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from stampede_rt.errors import ChannelFull, InFuture, InvalidArgument
-from stampede_rt.model import Policy
-from stampede_rt.timeline import Bound
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core.channel import (
     AllCursor,
     Answer,

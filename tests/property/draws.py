@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
 from stampede_rt_channel_host.core.channel import Offer, Position, Query
 from tests.oracle import OracleChannel
 from tests.property.dice import Dice

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from stampede_rt.errors import IncarnationLost
-from stampede_rt.timeline import Bound
+from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, Pending, Position, Query, SavedCursor, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from tests.oracle.channel import Item

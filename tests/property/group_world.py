@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Channel
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, Horizon, OwnTimes, TimesBoard
 from tests.oracle.group import OracleBoard, OracleGroup, OracleMember

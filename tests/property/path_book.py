@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import stampede_rt as st
-from stampede_rt.model import Policy
-from stampede_rt.timeline import clamp
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import Position
 from tests.oracle import OracleChannel, OracleReader
 from tests.property.channel_pair import check_causes

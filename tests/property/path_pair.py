@@ -12,7 +12,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import LEASE_NANOS, Limits
 from tests.property.path_book import OWN_CONSUMER
 from tests.property.path_puts import PathPuts

@@ -7,7 +7,7 @@ from collections import defaultdict
 from typing import Any
 
 import stampede_rt as st
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer
 from tests.oracle import Ack, Item, OracleRetries, Refused, put_run
 from tests.property.path_book import SteeredHost

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import stampede_rt as st
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match
 from stampede_rt_channel_host.core.channel import Position, Query
 from tests.oracle import OracleAnswer, OracleGet, OracleNewest, OracleSubscription
 from tests.property.path_agreement import same_answer, same_found, same_items

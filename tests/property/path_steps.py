@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import Bound, Interval, MetaTime
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import Bound, Interval, MetaTime
 from tests.oracle.runs import KEPT_NANOS
 from tests.property.dice import Dice
 from tests.property.draws import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 import stampede_rt as st
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer
 from tests.oracle import Ack, Item, OracleNewest, OracleSubscription, Refused
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer, Position, Query, pieces, tally
 from tests.property.channel_pair import INCARNATION, ChannelPair
 from tests.property.dice import Dice

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, tally
 from stampede_rt_channel_host.core.group import GroupDefinition
 from tests.property.channel_pair import INCARNATION

@@ -10,8 +10,8 @@ from unittest import mock
 import pytest
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.model import Policy
-from stampede_rt.timeline import Match, parse_interval
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import Match, parse_interval
 from stampede_rt_channel_host.core.channel import (
     Answer,
     Channel,

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.model import Policy
-from stampede_rt.timeline import Bound, Interval, Match, MetaTime
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,

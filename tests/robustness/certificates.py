@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt_runtime.certificates import Issued, issue
 from stampede_rt_runtime.certs_command import main as stampede_certs
 from stampede_rt_runtime.certs_command import write_pair

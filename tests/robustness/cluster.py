@@ -13,7 +13,7 @@ from pathlib import Path
 
 import grpc
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_local.namespaces import Place
 from stampede_rt_runtime.identity import Role

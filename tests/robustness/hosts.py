@@ -13,8 +13,8 @@ import grpc
 
 import stampede_rt as st
 from stampede_rt import aio
+from stampede_rt.security.tls import TlsReader
 from stampede_rt.status import from_rpc_error
-from stampede_rt.tls import TlsReader
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt_runtime.dial import dial

@@ -15,7 +15,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt.v1 import (
     channel_service_pb2,
     directory_service_pb2,

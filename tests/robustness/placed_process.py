@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt_local.namespaces import Place
 from tests.robustness.service_process import CLOCK_FILE
 from tests.unit.supernode.processes import clean_environment

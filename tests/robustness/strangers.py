@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt_runtime.identity import Role
 from tests.robustness.certificates import Certificates
 from tests.robustness.noise import tls_context

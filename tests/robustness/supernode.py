@@ -15,7 +15,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.tls import TlsFiles, TlsReader
+from stampede_rt.security.tls import TlsFiles, TlsReader
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
 from stampede_rt_local.namespaces import Place

@@ -9,8 +9,8 @@ import grpc
 import pytest
 
 import stampede_rt as st
-from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import StampedeError
+from stampede_rt.security.credentials import call_metadata
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import repeat
 
 import stampede_rt as st
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.measuring import PAYLOAD_BYTES
 from stampede_rt_channel_host.core.channel import Channel, Offer

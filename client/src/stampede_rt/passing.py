@@ -17,12 +17,12 @@ from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.queue import Queue
 from stampede_rt._sync.queue_place import open_queue, queue_state
 from stampede_rt._sync.session import Session
-from stampede_rt.codecs import Coding
-from stampede_rt.connecting import Target, parse_target
-from stampede_rt.model import Policy
-from stampede_rt.queueing import QueuePolicy
-from stampede_rt.timeline import DurationLike
-from stampede_rt.tls import TlsFiles
+from stampede_rt.cluster.connecting import Target, parse_target
+from stampede_rt.security.tls import TlsFiles
+from stampede_rt.values.codecs import Coding
+from stampede_rt.values.model import Policy
+from stampede_rt.values.queueing import QueuePolicy
+from stampede_rt.values.timeline import DurationLike
 
 _sessions: WeakValueDictionary[Address, Session] = WeakValueDictionary()  # of handles that came from elsewhere
 

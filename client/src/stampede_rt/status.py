@@ -10,9 +10,9 @@ import re
 from collections.abc import Iterable
 from typing import Any, NoReturn
 
+from stampede_rt.cluster.majority import UNREACHED
 from stampede_rt.errors import DeadlineExceeded, PermissionDenied, StampedeError, Unavailable, error_for
 from stampede_rt.grpc_quiet import grpc
-from stampede_rt.majority import UNREACHED
 from stampede_rt.v1 import error_pb2, rpc_status_pb2
 
 DOMAIN = "stampede-rt"

@@ -19,8 +19,7 @@ from stampede_rt._sync.sampler import Sampler
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt._sync.watch import PeerWatch, Watch
-from stampede_rt.codecs import Codec, CodecLike
-from stampede_rt.connecting import parse_target
+from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import (
     ChannelExists,
     ChannelFull,
@@ -53,7 +52,10 @@ from stampede_rt.errors import (
     VersionMismatch,
     WatchRestart,
 )
-from stampede_rt.grouping import (
+from stampede_rt.passing import Address
+from stampede_rt.security.tls import TlsFiles
+from stampede_rt.values.codecs import Codec, CodecLike
+from stampede_rt.values.grouping import (
     ByChannel,
     CrossSection,
     Cut,
@@ -63,7 +65,7 @@ from stampede_rt.grouping import (
     MemberStatus,
     NewestItems,
 )
-from stampede_rt.model import (
+from stampede_rt.values.model import (
     Change,
     ChannelInfo,
     ChannelStats,
@@ -76,11 +78,10 @@ from stampede_rt.model import (
     Reason,
     SupernodeInfo,
 )
-from stampede_rt.passing import Address
-from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
-from stampede_rt.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
-from stampede_rt.reading import SubscribeMode
-from stampede_rt.timeline import (
+from stampede_rt.values.peering import ClockOffset, PeerChange, PeerInfo
+from stampede_rt.values.queueing import DeadLetterOrigin, Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats
+from stampede_rt.values.reading import SubscribeMode
+from stampede_rt.values.timeline import (
     NEWEST,
     NOW,
     OLDEST,
@@ -93,7 +94,6 @@ from stampede_rt.timeline import (
     ResolvedInterval,
     last,
 )
-from stampede_rt.tls import TlsFiles
 from stampede_rt.version import VERSION as __version__  # noqa: N811
 
 __all__ = [

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import parse_interval
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2, raw_run_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import parse_interval
 from stampede_rt.wire.run_slices import RunSlicer, slice_run
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_channel_host.channels import frames

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import pytest
 
 from stampede_rt.errors import Unavailable
-from stampede_rt.model import Policy
 from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel

@@ -9,8 +9,8 @@ import tracemalloc
 import pytest
 
 from stampede_rt.errors import Overloaded, Unavailable
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX, Outcome, WaitingGet, WaitingGets
 from stampede_rt_channel_host.core.channel import (
     Answer,

@@ -9,7 +9,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt._async import attempts
 from stampede_rt._async.attempts import attempt
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 
 BINDING = Binding(channel_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
 

@@ -11,9 +11,9 @@ import pytest
 import stampede_rt as st
 from stampede_rt._async.consuming import SEQS_MAX, consume
 from stampede_rt._async.session import ChannelState
-from stampede_rt.binding import Binding
-from stampede_rt.model import ChannelInfo, Policy
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.model import ChannelInfo, Policy
 
 LEASE_NANOS = 15_000_000
 BINDING = Binding(channel_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)

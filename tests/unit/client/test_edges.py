@@ -8,18 +8,18 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import errors, status
-from stampede_rt.addresses import parse_addresses
-from stampede_rt.batching import RunBuilder
-from stampede_rt.binding import Binding, BindingCache, Owner, order_by_round_trip
-from stampede_rt.connecting import parse_target
-from stampede_rt.credentials import read_secret
+from stampede_rt.cluster.addresses import parse_addresses
+from stampede_rt.cluster.binding import Binding, BindingCache, Owner, order_by_round_trip
+from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import InvalidArgument, InvalidName, PermissionDenied
-from stampede_rt.payloads import check_attributes, check_payload
-from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.reading import Read, Wait, parse_limit
-from stampede_rt.retry import DELAY_S_MAX, Backoff
-from stampede_rt.timeline import last, parse_interval
+from stampede_rt.pacing.retry import DELAY_S_MAX, Backoff
+from stampede_rt.security.credentials import read_secret
 from stampede_rt.v1 import error_pb2
+from stampede_rt.values.payloads import check_attributes, check_payload
+from stampede_rt.values.policy import parse_name, parse_policy
+from stampede_rt.values.reading import Read, Wait, parse_limit
+from stampede_rt.values.timeline import last, parse_interval
+from stampede_rt.wire.batching import RunBuilder
 from stampede_rt.wire.runs import RUN_ITEMS_MAX, parse_run
 
 

@@ -11,10 +11,10 @@ import pytest
 import stampede_rt as st
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.session import ChannelState, Session
-from stampede_rt.binding import Binding, BindingCache
-from stampede_rt.model import ChannelInfo, Policy
+from stampede_rt.cluster.binding import Binding, BindingCache
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Part
 

@@ -12,11 +12,11 @@ import stampede_rt as st
 from stampede_rt._async.queue_place import QueuePlace, QueueState
 from stampede_rt._async.session import Session
 from stampede_rt._async.taker import Taker
-from stampede_rt.binding import BindingCache, Owner
-from stampede_rt.queueing import QueueInfo, QueuePolicy
-from stampede_rt.reading import Wait
+from stampede_rt.cluster.binding import BindingCache, Owner
 from stampede_rt.v1 import item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt.values.queueing import QueueInfo, QueuePolicy
+from stampede_rt.values.reading import Wait
 
 LIMIT_S = 5.0
 FOR_EVER = Wait(None)

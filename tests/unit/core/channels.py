@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, BoundLike, Match, parse_interval
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, BoundLike, Match, parse_interval
 from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, PutOutcome, Query, Slice
 
 CLOCK = 1_000_000

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pytest
 
 from stampede_rt.errors import InFuture, InvalidArgument, MalformedRun, TooOld
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Channel, Offer, PutOutcome
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seal, times_of
 

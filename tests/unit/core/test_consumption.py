@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import ChannelFull, InvalidArgument
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import LEASE_NANOS, SEQS_MAX, Channel
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Limits
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.core.channel import Answer, Channel, Coming, Position, Query, Slice, index, pieces
 from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS

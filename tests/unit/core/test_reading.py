@@ -5,8 +5,18 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
-from stampede_rt.model import Policy, Reason
-from stampede_rt.timeline import MAX_INSTANT, MIN_INSTANT, NEWEST, NOW, OLDEST, Bound, Interval, Match, parse_interval
+from stampede_rt.values.model import Policy, Reason
+from stampede_rt.values.timeline import (
+    MAX_INSTANT,
+    MIN_INSTANT,
+    NEWEST,
+    NOW,
+    OLDEST,
+    Bound,
+    Interval,
+    Match,
+    parse_interval,
+)
 from stampede_rt_channel_host.core.channel import (
     Answer,
     Channel,

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import NEWEST, NOW, OLDEST, Match
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Match
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS

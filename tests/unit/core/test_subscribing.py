@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument
-from stampede_rt.model import Policy
-from stampede_rt.timeline import NEWEST, OLDEST, Bound
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import NEWEST, OLDEST, Bound
 from stampede_rt_channel_host.core.channel import Position, SavedCursor
 from tests.unit.core.channels import CLOCK, a_channel, put, seqs_of, times_of
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageColor
 
-from stampede_rt.model import Item
+from stampede_rt.values.model import Item
 from stampede_rt_demos.staging.thumbnails import encode_jpeg
 from stampede_rt_demos.tv_watcher.picture_data import PictureSpan, picture_record, picture_spans
 from stampede_rt_demos.tv_watcher.timeline_picture import BLUE, GREEN, ORANGE, VERMILION, draw

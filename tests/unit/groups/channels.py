@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Channel, Offer, Slice
 
 INCARNATION = 7

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, OwnTimes, TimesBoard
 from tests.unit.groups.channels import INCARNATION, NOW, channel, put
 

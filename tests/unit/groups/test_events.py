@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Channel, Offer
 from stampede_rt_channel_host.core.group import Boundary, CutFollower, EventDecider, Heard, Member, OwnTimes
 from stampede_rt_channel_host.core.group.deciding import PENDING_MAX

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import parse_interval
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import parse_interval
 from stampede_rt_channel_host.core.channel import Channel, Slice, index, pieces
 from stampede_rt_channel_host.core.group import CutFollower, GroupView, Horizon, VisibleAll, VisibleNewest
 from tests.unit.groups.channels import NOW, channel, put

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stampede_rt.model import Policy
-from stampede_rt.timeline import MAX_INSTANT
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT
 from stampede_rt_channel_host.core.channel import Channel, Offer
 from stampede_rt_channel_host.core.group import ChannelTimes, OwnTimes, TimesBoard
 from tests.unit.groups.channels import INCARNATION, NOW, channel, put

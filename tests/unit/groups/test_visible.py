@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from stampede_rt.errors import IncarnationLost
-from stampede_rt.model import Policy
-from stampede_rt.timeline import NEWEST, NOW, OLDEST, parse_interval
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, parse_interval
 from stampede_rt_channel_host.core.channel import Needs, Offer, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
 from tests.unit.groups.channels import INCARNATION, channel, put, times

@@ -13,9 +13,9 @@ import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.security.tls import TlsFiles, TlsReader
+from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
-from stampede_rt.tls import TlsFiles, TlsReader
-from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import Dialer, dial
@@ -158,7 +158,7 @@ async def test_secret_and_certificates_together_ask_for_both(
 async def test_new_connections_get_the_new_certificate_and_open_ones_go_on(
     made: ClusterCertificates, own: ServiceTls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stampede_rt.tls.LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
     ask = health_pb2.HealthCheckRequest()
     async with serving(lambda _: None, tls=own) as server:
         credentials = Dialer(secret=None, tls=load_tls(made.issue(Role.HOST, "h1"), Role.HOST))
@@ -180,7 +180,7 @@ async def test_new_connections_get_the_new_certificate_and_open_ones_go_on(
 async def test_a_channel_that_has_lost_its_connection_comes_back_with_the_new_certificate(
     made: ClusterCertificates, own: ServiceTls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stampede_rt.tls.LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
     ask = health_pb2.HealthCheckRequest()
     caller = TlsReader(made.issue(Role.HOST, "h1"))
     async with serving(lambda _: None, tls=own) as server:

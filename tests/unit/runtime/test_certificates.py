@@ -10,8 +10,8 @@ import pytest
 
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import InvalidArgument, PermissionDenied
-from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
-from stampede_rt.tls_diagnosis import check_own_certificate
+from stampede_rt.security.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.security.tls_diagnosis import check_own_certificate
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.certificates import CertificateError, describe, issue, make_authority
 from stampede_rt_runtime.identity import Identity, Role
@@ -175,7 +175,7 @@ def test_files_that_cannot_be_used_are_named(made: ClusterCertificates, tmp_path
 def test_a_reader_gives_new_files_and_waits_out_broken_ones(
     made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stampede_rt.tls.LOOK_EVERY_S", 0.0)
+    monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
     files = made.issue(Role.CLIENT, "cam")
     reader = TlsReader(files)
     first = reader.current()

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import grpc
 
-from stampede_rt.tls import TlsMaterial, TlsReader
+from stampede_rt.security.tls import TlsMaterial, TlsReader
 from stampede_rt_runtime.renewing import RenewingChannel
 
 

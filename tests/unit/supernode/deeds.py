@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import count
 from typing import Any
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.commands import (
     BeginTenure,
     Command,

@@ -4,8 +4,8 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import VersionMismatch
-from stampede_rt.model import Policy
 from stampede_rt.v1 import directory_command_pb2
+from stampede_rt.values.model import Policy
 from stampede_rt_supernode.codecs.command_codec import decode_command, decode_result, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot
 from stampede_rt_supernode.core.commands import (

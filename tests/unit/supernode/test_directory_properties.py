@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, rule
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.commands import (
     BeginTenure,
     DeleteChannel,

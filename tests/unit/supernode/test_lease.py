@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from stampede_rt.peering import ClockOffset
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.records import Host
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from stampede_rt.request_age import age_metadata
+from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member

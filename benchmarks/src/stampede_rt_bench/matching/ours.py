@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
 from stampede_rt_bench.matching.sets import FoundSet, Replay

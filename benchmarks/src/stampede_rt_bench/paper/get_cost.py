@@ -15,7 +15,7 @@ from pathlib import Path
 
 from sortedcontainers import SortedDict
 
-from stampede_rt.timeline import parse_interval
+from stampede_rt.values.timeline import parse_interval
 from stampede_rt_bench.charts import Axes, draw_lines
 from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.filling import (

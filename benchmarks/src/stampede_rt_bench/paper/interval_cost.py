@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import stampede_rt as st
-from stampede_rt.timeline import parse_interval
+from stampede_rt.values.timeline import parse_interval
 from stampede_rt_bench.charts import Axes, draw_lines
 from stampede_rt_bench.clusters import connected
 from stampede_rt_bench.filling import filled_channel, filled_remote_channel, time_of

@@ -8,11 +8,11 @@ from typing import TypeVar
 
 from stampede_rt._async.reader import Reader
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.grouping import ByChannel, CrossSection, Over
-from stampede_rt.model import Item, Items
-from stampede_rt.reading import Wait
-from stampede_rt.timeline import NOW, BoundLike, Bounds
 from stampede_rt.transports.concurrency_async import monotonic_s, together
+from stampede_rt.values.grouping import ByChannel, CrossSection, Over
+from stampede_rt.values.model import Item, Items
+from stampede_rt.values.reading import Wait
+from stampede_rt.values.timeline import NOW, BoundLike, Bounds
 
 Key = TypeVar("Key", bound=Reader)
 

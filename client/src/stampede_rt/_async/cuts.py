@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.reconnecting import Reconnecting, may_heal
 from stampede_rt.errors import StampedeError, Unavailable
-from stampede_rt.grouping import ByChannel, Cut
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.retry import Backoff
-from stampede_rt.timeline import DurationLike
+from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_async import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_async import Conversation
 from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.values.grouping import ByChannel, Cut
+from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.groups import cut_items
 
 if TYPE_CHECKING:

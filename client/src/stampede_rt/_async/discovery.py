@@ -8,17 +8,17 @@ from stampede_rt._async.peer_place import peer_not_found
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt._async.watch import PeerWatch, Watch
 from stampede_rt.errors import DeadlineExceeded, HostNotFound, PeerNotFound, Unavailable
-from stampede_rt.grouping import GroupInfo
-from stampede_rt.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
-from stampede_rt.peering import PeerInfo
-from stampede_rt.policy import parse_name
-from stampede_rt.queueing import QueueInfo
-from stampede_rt.timeline import DurationLike
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.values.grouping import GroupInfo
+from stampede_rt.values.model import ChannelInfo, ChannelStats, HostInfo, SupernodeInfo
+from stampede_rt.values.peering import PeerInfo
+from stampede_rt.values.policy import parse_name
+from stampede_rt.values.queueing import QueueInfo
+from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.groups import group_info
 from stampede_rt.wire.peers import peer_info
 from stampede_rt.wire.queues import queue_info

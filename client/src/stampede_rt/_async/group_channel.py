@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.session import ChannelState, Session
 from stampede_rt.errors import GroupNotFound
-from stampede_rt.model import Items
-from stampede_rt.reading import Read
+from stampede_rt.values.model import Items
+from stampede_rt.values.reading import Read
 
 if TYPE_CHECKING:
     from stampede_rt._async.group import Group

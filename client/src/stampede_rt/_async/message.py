@@ -9,17 +9,17 @@ from typing import Any
 
 from stampede_rt._async.attempts import Place, attempt
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
-from stampede_rt.binding import Binding
-from stampede_rt.codecs import CodecLike, Coding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.policy import duration_of
-from stampede_rt.queueing import parse_lease, parse_reason
 from stampede_rt.status import from_error_message
-from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_service_pb
+from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.policy import duration_of
+from stampede_rt.values.queueing import parse_lease, parse_reason
+from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import Delivery
 
 SETTLEMENTS_MAX = 1024

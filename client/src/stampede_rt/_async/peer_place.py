@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._async.session import Session, left_s
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import PeerNotFound, QueueNotFound, StampedeError, Unavailable
-from stampede_rt.queueing import QueueInfo, QueuePolicy
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 
 UNKNOWN = QueueInfo(
     queue_id=b"", name="", host_id=b"", host="", host_alive=False, epoch=0, incarnation=0, policy=QueuePolicy(),

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
-from stampede_rt.binding import Binding
-from stampede_rt.grouping import GroupView
-from stampede_rt.model import Item, Items, Reason
-from stampede_rt.reading import RENEW_S, Read, Wait
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.status import from_error_message
-from stampede_rt.timeline import fixed
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.grouping import GroupView
+from stampede_rt.values.model import Item, Items, Reason
+from stampede_rt.values.reading import RENEW_S, Read, Wait
+from stampede_rt.values.timeline import fixed
 from stampede_rt.wire.reads import (
     interval_to_message,
     match_to_message,

@@ -8,9 +8,9 @@ from collections.abc import Awaitable, Callable
 
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
-from stampede_rt.retry import Backoff
-from stampede_rt.timeline import DurationLike, format_duration, parse_duration
+from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_async import monotonic_s, sleep
+from stampede_rt.values.timeline import DurationLike, format_duration, parse_duration
 
 TRY_TIMEOUT_S = 5.0
 SILENT_S = 10.0  # an outage that lasts longer is logged

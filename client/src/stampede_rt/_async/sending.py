@@ -8,11 +8,11 @@ from typing import Any
 from stampede_rt._async.peer_place import PeerPlace
 from stampede_rt._async.puts import Numbers, Puts, Single, enqueued
 from stampede_rt._async.session import Session
-from stampede_rt.codecs import CodecLike, Coding
-from stampede_rt.queueing import Enqueued
-from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_async import Mutex
 from stampede_rt.transports.grpc_async import Port
+from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.queueing import Enqueued
+from stampede_rt.values.reading import Wait
 
 PEERS_MAX = 256
 

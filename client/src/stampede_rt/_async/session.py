@@ -16,14 +16,14 @@ from stampede_rt._async.attempts import attempt
 from stampede_rt._async.ports import Ports
 from stampede_rt._async.put_streams import PutStreams
 from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S, Supernodes
-from stampede_rt.binding import Binding, BindingCache, Owner
-from stampede_rt.codecs import Coding
-from stampede_rt.credentials import Credentials
+from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
-from stampede_rt.model import ChannelInfo, Policy
-from stampede_rt.policy import flag_of, parse_name
+from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports.concurrency_async import Turns, thread_id
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
+from stampede_rt.values.codecs import Coding
+from stampede_rt.values.model import ChannelInfo, Policy
+from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.wire.records import channel_info, policy_to_spec
 from stampede_rt.wire.runs import ItemDecoder
 

@@ -8,17 +8,17 @@ import time
 from typing import Any, NamedTuple
 
 from stampede_rt._async.ports import Ports
-from stampede_rt.binding import order_by_round_trip
+from stampede_rt.cluster.binding import order_by_round_trip
+from stampede_rt.cluster.majority import UNREACHED, why_unserved
+from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
-from stampede_rt.majority import UNREACHED, why_unserved
-from stampede_rt.peering import ClockOffset
-from stampede_rt.request_age import age_clock_s
-from stampede_rt.retry import Backoff
-from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.pacing.retry import Backoff
+from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.concurrency_async import at_once, in_thread, sleep
 from stampede_rt.transports.grpc_async import Stream
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 MEASURE_EVERY_S = 60.0

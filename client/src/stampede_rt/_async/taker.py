@@ -14,14 +14,14 @@ from stampede_rt._async.message import Message, Settler
 from stampede_rt._async.prefetched import Prefetched
 from stampede_rt._async.queue_place import QueueState
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
-from stampede_rt.queueing import PREFETCH_MAX
-from stampede_rt.reading import Wait
-from stampede_rt.retry import FIRST_DELAY_S
+from stampede_rt.pacing.retry import FIRST_DELAY_S
 from stampede_rt.transports.concurrency_async import Background, Mutex, Signal, sleep
 from stampede_rt.transports.grpc_async import Conversation
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.values.queueing import PREFETCH_MAX
+from stampede_rt.values.reading import Wait
 from stampede_rt.wire.queues import deliveries_of
 
 DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0  # whoever waits hears before why no stream can be opened

@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, StampedeError
-from stampede_rt.retry import Backoff
+from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_sync import sleep
 
 Result = TypeVar("Result")

@@ -20,17 +20,17 @@ from stampede_rt._sync.session import (
     Session,
     request_id,
 )
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
-from stampede_rt.model import ChannelStats, Item, OnFull, Policy
-from stampede_rt.policy import parse_policy
-from stampede_rt.reading import RENEW_S, Wait
-from stampede_rt.request_age import age_clock_s
-from stampede_rt.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.transports.grpc_sync import Port
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
+from stampede_rt.values.model import ChannelStats, Item, OnFull, Policy
+from stampede_rt.values.policy import parse_policy
+from stampede_rt.values.reading import RENEW_S, Wait
+from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
 PERIOD_NANOS_MIN = 1_000_000

@@ -19,9 +19,12 @@ from stampede_rt._sync.queue_place import open_queue, queue_state
 from stampede_rt._sync.sending import Sending
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
-from stampede_rt.codecs import CodecLike, Coding
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.grouping import (
+from stampede_rt.handles import Reference
+from stampede_rt.transports.concurrency_sync import monotonic_s
+from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
+from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.grouping import (
     MAX_LEAD_DEFAULT,
     OLDEST_REFERENCE,
     CrossSection,
@@ -31,14 +34,11 @@ from stampede_rt.grouping import (
     parse_members,
     parse_reference,
 )
-from stampede_rt.handles import Reference
-from stampede_rt.model import OnFull
-from stampede_rt.peering import ClockOffset, PeerInfo
-from stampede_rt.policy import parse_name, parse_policy
-from stampede_rt.queueing import Enqueued, PendingMessage, QueueStats, parse_prefetch, parse_queue_policy
-from stampede_rt.timeline import NOW, BoundLike, DurationLike, parse_duration
-from stampede_rt.transports.concurrency_sync import monotonic_s
-from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
+from stampede_rt.values.model import OnFull
+from stampede_rt.values.peering import ClockOffset, PeerInfo
+from stampede_rt.values.policy import parse_name, parse_policy
+from stampede_rt.values.queueing import Enqueued, PendingMessage, QueueStats, parse_prefetch, parse_queue_policy
+from stampede_rt.values.timeline import NOW, BoundLike, DurationLike, parse_duration
 from stampede_rt.wire.groups import group_info, group_spec
 
 

@@ -12,11 +12,11 @@ import logging
 from collections.abc import Iterable, Sequence
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
-from stampede_rt.model import Item
 from stampede_rt.transports.concurrency_sync import Background, Mutex, Signal
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.model import Item
 
 SEQS_MAX = 4096
 RENEWALS_PER_LEASE = 3

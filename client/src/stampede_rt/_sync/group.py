@@ -15,7 +15,7 @@ from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import (
     ChannelNotFound,
     DeadlineExceeded,
@@ -25,7 +25,11 @@ from stampede_rt.errors import (
     StampedeError,
     Unavailable,
 )
-from stampede_rt.grouping import (
+from stampede_rt.handles import Reference, shown
+from stampede_rt.transports.concurrency_sync import monotonic_s, together
+from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
+from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.values.grouping import (
     ByChannel,
     GroupInfo,
     GroupStatus,
@@ -39,10 +43,9 @@ from stampede_rt.grouping import (
     parse_tolerance,
     shown_name,
 )
-from stampede_rt.handles import Reference, shown
-from stampede_rt.model import Items
-from stampede_rt.reading import Read, parse_limit
-from stampede_rt.timeline import (
+from stampede_rt.values.model import Items
+from stampede_rt.values.reading import Read, parse_limit
+from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     BoundLike,
@@ -53,9 +56,6 @@ from stampede_rt.timeline import (
     parse_interval,
     parse_match,
 )
-from stampede_rt.transports.concurrency_sync import monotonic_s, together
-from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
-from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.wire.groups import group_info, group_spec, member_status
 
 Result = TypeVar("Result")

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
-from stampede_rt.binding import Binding
-from stampede_rt.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
-from stampede_rt.grouping import Matched
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.model import Item
-from stampede_rt.reading import Read, Wait
-from stampede_rt.timeline import DurationLike, Match, parse_interval
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, together
 from stampede_rt.transports.grpc_sync import Conversation
 from stampede_rt.v1 import group_service_pb2 as group_pb
+from stampede_rt.values.grouping import Matched
+from stampede_rt.values.model import Item
+from stampede_rt.values.reading import Read, Wait
+from stampede_rt.values.timeline import DurationLike, Match, parse_interval
 
 if TYPE_CHECKING:
     from stampede_rt._sync.group import Group

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from stampede_rt.credentials import Credentials
 from stampede_rt.errors import Unavailable
+from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import Mutex
 from stampede_rt.transports.grpc_sync import Port

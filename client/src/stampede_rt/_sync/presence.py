@@ -13,7 +13,7 @@ from stampede_rt._sync.listener import worth_a_line
 from stampede_rt._sync.queue import Taking
 from stampede_rt._sync.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._sync.session import Session, request_id
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import (
     DeadlineExceeded,
     LeaseExpired,
@@ -23,10 +23,10 @@ from stampede_rt.errors import (
     Unavailable,
 )
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.peering import ClockOffset, PeerIdentity, PeerInfo
-from stampede_rt.queueing import QueuePolicy
 from stampede_rt.transports.concurrency_sync import Background, Signal
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
+from stampede_rt.values.peering import ClockOffset, PeerIdentity, PeerInfo
+from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt.version import VERSION
 from stampede_rt.wire.peers import clock_message, peer_info
 

@@ -13,19 +13,19 @@ from typing import Any
 from weakref import WeakMethod
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
-from stampede_rt.batching import NumberedRun, RunBuilder
-from stampede_rt.binding import Binding
-from stampede_rt.crediting import ITEM_OVERHEAD_BYTES
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.payloads import check_attributes, check_payload
-from stampede_rt.policy import content_type_of
-from stampede_rt.retry import Backoff
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
+from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_error_message
-from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.transports.concurrency_sync import Mutex, Signal, sleep, when_dropped
 from stampede_rt.transports.grpc_sync import PutDuplex
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.payloads import check_attributes, check_payload
+from stampede_rt.values.policy import content_type_of
+from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
+from stampede_rt.wire.batching import NumberedRun, RunBuilder
 from stampede_rt.wire.put_frames import put_head, put_request
 
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024

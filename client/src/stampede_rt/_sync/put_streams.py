@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.transports.concurrency_sync import Mutex, callers, thread_id, when_dropped
 from stampede_rt.transports.grpc_sync import PutExchange
 

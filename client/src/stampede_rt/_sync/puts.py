@@ -11,19 +11,19 @@ from typing import Any
 
 from stampede_rt._sync.attempts import Place, attempt
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
-from stampede_rt.binding import Binding
-from stampede_rt.codecs import Coding
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Full
-from stampede_rt.model import Item
-from stampede_rt.payloads import check_attributes, check_payload
-from stampede_rt.policy import content_type_of
-from stampede_rt.queueing import Enqueued, parse_message_id
-from stampede_rt.reading import RENEW_S, Wait
 from stampede_rt.status import from_error_message
-from stampede_rt.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.transports.grpc_sync import Port, PutExchange
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.codecs import Coding
+from stampede_rt.values.model import Item
+from stampede_rt.values.payloads import check_attributes, check_payload
+from stampede_rt.values.policy import content_type_of
+from stampede_rt.values.queueing import Enqueued, parse_message_id
+from stampede_rt.values.reading import RENEW_S, Wait
+from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
 from stampede_rt.wire.put_frames import put_head, put_request
 from stampede_rt.wire.runs import run_parts
 

@@ -14,18 +14,18 @@ from stampede_rt._sync.queue_place import QueuePlace, QueueState, learn_queue
 from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._sync.taker import Taker
-from stampede_rt.binding import Binding
+from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.handles import Reference, shown
-from stampede_rt.model import OnFull
-from stampede_rt.policy import count_of, parse_name
-from stampede_rt.queueing import Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
-from stampede_rt.reading import Wait
-from stampede_rt.request_age import age_clock_s
-from stampede_rt.timeline import DurationLike
 from stampede_rt.transports.concurrency_sync import when_dropped
 from stampede_rt.transports.grpc_sync import Port
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.values.model import OnFull
+from stampede_rt.values.policy import count_of, parse_name
+from stampede_rt.values.queueing import Enqueued, PendingMessage, QueueInfo, QueuePolicy, QueueStats, parse_queue_policy
+from stampede_rt.values.reading import Wait
+from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import pending_message, queue_policy_to_spec, queue_stats
 
 PENDING_PAGE_MAX = 1000

@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
-from stampede_rt.binding import Binding, Owner
-from stampede_rt.codecs import Coding
+from stampede_rt.cluster.binding import Binding, Owner
 from stampede_rt.errors import QueueNotFound, StampedeError, Unavailable
-from stampede_rt.policy import flag_of, parse_name
-from stampede_rt.queueing import QueueInfo, QueuePolicy
 from stampede_rt.v1 import directory_pb2, queue_directory_service_pb2, queue_pb2
+from stampede_rt.values.codecs import Coding
+from stampede_rt.values.policy import flag_of, parse_name
+from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
 
 

@@ -11,11 +11,11 @@ from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import ChannelState, Session
 from stampede_rt._sync.subscription import Subscription
-from stampede_rt.grouping import GroupView
 from stampede_rt.handles import Reference, shown
-from stampede_rt.model import ChannelInfo, Item, Items
-from stampede_rt.reading import Read, SubscribeMode, Wait, after_position, parse_limit
-from stampede_rt.timeline import (
+from stampede_rt.values.grouping import GroupView
+from stampede_rt.values.model import ChannelInfo, Item, Items
+from stampede_rt.values.reading import Read, SubscribeMode, Wait, after_position, parse_limit
+from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     OLDEST,

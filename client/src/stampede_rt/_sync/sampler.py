@@ -11,7 +11,7 @@ from stampede_rt._sync.listener import END_TIMEOUT_S, worth_a_line
 from stampede_rt._sync.session import Session
 from stampede_rt.errors import ChannelNotFound, StampedeError
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.periods import Periods
+from stampede_rt.pacing.periods import Periods
 from stampede_rt.transports.concurrency_sync import (
     Background,
     Beginning,

@@ -9,11 +9,11 @@ from typing import Any
 from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.puts import Numbers, Puts, Single, enqueued
 from stampede_rt._sync.session import Session
-from stampede_rt.codecs import CodecLike, Coding
-from stampede_rt.queueing import Enqueued
-from stampede_rt.reading import Wait
 from stampede_rt.transports.concurrency_sync import Mutex
 from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.values.codecs import CodecLike, Coding
+from stampede_rt.values.queueing import Enqueued
+from stampede_rt.values.reading import Wait
 
 PEERS_MAX = 256
 

@@ -11,16 +11,16 @@ from typing import Any
 
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt._sync.session import ChannelState, Session
-from stampede_rt.binding import Binding
-from stampede_rt.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
+from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.model import Item
-from stampede_rt.reading import SubscribeMode
-from stampede_rt.timeline import Bound
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s
 from stampede_rt.transports.grpc_sync import Conversation
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.values.model import Item
+from stampede_rt.values.reading import SubscribeMode
+from stampede_rt.values.timeline import Bound
 from stampede_rt.wire.reads import bound_to_message, position_of
 from stampede_rt.wire.runs import ItemDecoder
 

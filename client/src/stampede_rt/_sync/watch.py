@@ -13,13 +13,13 @@ from stampede_rt._sync.session import Session
 from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import OfOneProcess
-from stampede_rt.model import Change
-from stampede_rt.peering import PeerChange
-from stampede_rt.retry import Backoff
-from stampede_rt.timeline import DurationLike
+from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
 from stampede_rt.transports.grpc_sync import Stream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
+from stampede_rt.values.model import Change
+from stampede_rt.values.peering import PeerChange
+from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.peers import peer_change
 from stampede_rt.wire.records import change
 

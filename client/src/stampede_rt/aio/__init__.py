@@ -21,9 +21,9 @@ from stampede_rt._async.sampler import Sampler
 from stampede_rt._async.session import Session as _Session
 from stampede_rt._async.subscription import Subscription
 from stampede_rt._async.watch import PeerWatch, Watch
-from stampede_rt.connecting import Target as _Target
-from stampede_rt.connecting import parse_target as _parse_target
-from stampede_rt.tls import TlsFiles
+from stampede_rt.cluster.connecting import Target as _Target
+from stampede_rt.cluster.connecting import parse_target as _parse_target
+from stampede_rt.security.tls import TlsFiles
 
 __all__ = [
     "Channel",

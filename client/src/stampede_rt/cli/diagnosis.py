@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from stampede_rt.cli.output import bytes_text
-from stampede_rt.timeline import format_duration
+from stampede_rt.values.timeline import format_duration
 
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
 REFUSED_LATELY_NANOS = 600 * 10**9

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import add_verb, connected, existing
 from stampede_rt.cli.output import bytes_text, policy_text, print_facts, print_rows
-from stampede_rt.model import ChannelInfo, ChannelStats
-from stampede_rt.timeline import format_duration, format_instant
+from stampede_rt.values.model import ChannelInfo, ChannelStats
+from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
     from stampede_rt import Connection

@@ -10,7 +10,7 @@ from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.diagnosis import CLOCK_OFFSET_NANOS_MAX, PEER, UNKNOWN, Finding, Observation, diagnose
 from stampede_rt.cli.output import print_rows
 from stampede_rt.cli.terminal import escaped
-from stampede_rt.timeline import format_duration
+from stampede_rt.values.timeline import format_duration
 from stampede_rt.version import VERSION
 
 CERTIFICATE_S_MIN = 14 * 86400.0
@@ -26,7 +26,7 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     """Look at every part; exit status 1 if something is to be fixed."""
     from stampede_rt._sync.ports import Ports
     from stampede_rt.cli.examining import Examination
-    from stampede_rt.connecting import parse_target
+    from stampede_rt.cluster.connecting import parse_target
 
     url = arguments.url or os.environ.get("STAMPEDE_URL")
     target = parse_target(url or arguments.member, name=None, secret=None, zone=None)

@@ -14,8 +14,13 @@ from typing import Any, NamedTuple
 from stampede_rt._sync.ports import Ports
 from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Holdings, Observation
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
+from stampede_rt.security.tls_diagnosis import (
+    certificate_end_unix_s,
+    check_own_certificate,
+    explain_refusal,
+    seconds_of,
+)
 from stampede_rt.status import DETAILS_KEY
-from stampede_rt.tls_diagnosis import certificate_end_unix_s, check_own_certificate, explain_refusal, seconds_of
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb

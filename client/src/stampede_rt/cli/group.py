@@ -19,9 +19,9 @@ from stampede_rt.cli.arguments import (
 from stampede_rt.cli.output import item_line, item_row, print_rows
 from stampede_rt.cli.terminal import escaped
 from stampede_rt.errors import GroupNotFound
-from stampede_rt.grouping import Cut, GroupInfo, GroupStatus, Matched
-from stampede_rt.model import Item, Reason
-from stampede_rt.timeline import format_duration, format_instant
+from stampede_rt.values.grouping import Cut, GroupInfo, GroupStatus, Matched
+from stampede_rt.values.model import Item, Reason
+from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection, Group

@@ -21,7 +21,7 @@ from stampede_rt.cli.messages import (
 )
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import PeerNotFound
-from stampede_rt.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
     from stampede_rt import PeerInfo

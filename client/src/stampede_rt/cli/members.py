@@ -12,10 +12,10 @@ from typing import Any
 import grpc
 
 from stampede_rt._sync.ports import Ports
-from stampede_rt.connecting import parse_target
+from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
+from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
-from stampede_rt.tls_diagnosis import explain_refusal
 from stampede_rt.transports.grpc_sync import Port
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb

@@ -13,7 +13,7 @@ from stampede_rt.cli.arguments import parse_count
 from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview, print_rows
 from stampede_rt.cli.terminal import check_raw_output, escaped
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.timeline import format_duration, format_instant
+from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:
     from stampede_rt import DeadLetterOrigin, Enqueued, Message, PendingMessage, QueueStats

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from stampede_rt.cli.terminal import columns_max, escaped, table_lines
-from stampede_rt.model import Item, Policy
-from stampede_rt.timeline import format_duration, format_instant
+from stampede_rt.values.model import Item, Policy
+from stampede_rt.values.timeline import format_duration, format_instant
 
 PREVIEW_CHARACTERS_MAX = 60
 

@@ -19,8 +19,8 @@ from stampede_rt.cli.messages import (
 )
 from stampede_rt.cli.output import bytes_text, print_facts, print_rows
 from stampede_rt.errors import QueueNotFound
-from stampede_rt.queueing import LEASE_NANOS_DEFAULT, ON_FULL
-from stampede_rt.timeline import format_duration
+from stampede_rt.values.queueing import LEASE_NANOS_DEFAULT, ON_FULL
+from stampede_rt.values.timeline import format_duration
 
 if TYPE_CHECKING:
     from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy

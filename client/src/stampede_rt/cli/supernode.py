@@ -14,8 +14,8 @@ from stampede_rt.cli.diagnosis import refusal
 from stampede_rt.cli.members import Cluster, is_there, no_member, reached
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import StampedeError, Unavailable
-from stampede_rt.timeline import format_duration, format_instant
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
+from stampede_rt.values.timeline import format_duration, format_instant
 
 ADMINISTERING = ("status", "add", "remove", "snapshot")
 FAILED = 1

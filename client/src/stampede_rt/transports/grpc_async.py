@@ -11,11 +11,11 @@ from typing import Any, Generic, TypeVar
 import grpc
 import grpc.aio
 
-from stampede_rt.credentials import call_metadata
+from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
-from stampede_rt.request_age import age_metadata
+from stampede_rt.security.credentials import call_metadata
+from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error
-from stampede_rt.tls import TlsMaterial
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import grpc
 
-from stampede_rt.tls import TlsMaterial
+from stampede_rt.security.tls import TlsMaterial
 
 
 def channel_credentials(tls: TlsMaterial) -> grpc.ChannelCredentials:

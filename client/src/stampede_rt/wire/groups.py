@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from stampede_rt.grouping import GroupInfo, MemberStatus
-from stampede_rt.model import Item, Items
-from stampede_rt.timeline import ResolvedInterval
 from stampede_rt.v1 import group_pb2, group_service_pb2
+from stampede_rt.values.grouping import GroupInfo, MemberStatus
+from stampede_rt.values.model import Item, Items
+from stampede_rt.values.timeline import ResolvedInterval
 from stampede_rt.wire.reads import reason_from_message
 from stampede_rt.wire.runs import ItemDecoder
 

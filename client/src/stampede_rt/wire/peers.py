@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stampede_rt.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.v1 import peer_pb2
+from stampede_rt.values.peering import ClockOffset, PeerChange, PeerInfo
 from stampede_rt.wire.records import CHANGE_KINDS
 
 

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
-from stampede_rt.model import OnFull
-from stampede_rt.queueing import DeadLetterOrigin, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 from stampede_rt.v1 import directory_pb2, item_pb2, queue_pb2
+from stampede_rt.values.model import OnFull
+from stampede_rt.values.queueing import DeadLetterOrigin, PendingMessage, QueueInfo, QueuePolicy, QueueStats
 
 _ON_FULL: dict[OnFull, queue_pb2.QueueOnFull] = {
     "block": queue_pb2.QUEUE_ON_FULL_BLOCK,

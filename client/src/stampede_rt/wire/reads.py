@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import Item, Reason
-from stampede_rt.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
 from stampede_rt.v1 import channel_service_pb2, error_pb2, item_pb2, time_pb2
+from stampede_rt.values.model import Item, Reason
+from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime, ResolvedInterval
 
 _TO_META = {
     MetaTime.NOW: time_pb2.META_TIME_NOW,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt.model import (
+from stampede_rt.v1 import channel_pb2, directory_pb2
+from stampede_rt.values.model import (
     Change,
     ChangeKind,
     ChannelInfo,
@@ -15,7 +16,6 @@ from stampede_rt.model import (
     Policy,
     SupernodeInfo,
 )
-from stampede_rt.v1 import channel_pb2, directory_pb2
 
 _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "drop_oldest": channel_pb2.ON_FULL_DROP_OLDEST,

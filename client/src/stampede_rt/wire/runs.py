@@ -15,11 +15,11 @@ from typing import Any
 from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 
-from stampede_rt.codecs import Coding
 from stampede_rt.errors import ItemTooLarge, MalformedRun
-from stampede_rt.model import Item
-from stampede_rt.payloads import ITEM_BYTES_MAX
 from stampede_rt.v1 import item_pb2
+from stampede_rt.values.codecs import Coding
+from stampede_rt.values.model import Item
+from stampede_rt.values.payloads import ITEM_BYTES_MAX
 
 RUN_ITEMS_MAX = 256
 RUN_BYTES_MAX = 64 * 1024

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt_runtime.certificates import Issued, issue, make_authority
 from stampede_rt_runtime.certs_command import write_pair
 from stampede_rt_runtime.identity import Identity, Role

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from stampede_rt.tls import TlsFiles
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.namespaces import Place
 from stampede_rt_local.ports import free_ports

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stampede_rt.credentials import secret_file
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.security.credentials import secret_file
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_runtime.listen import CannotListen, NotAllowed, check_listen

@@ -12,8 +12,8 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.credentials import read_secret, secret_file
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.security.credentials import read_secret, secret_file
 from stampede_rt.status import abort
 from stampede_rt_runtime.written import naming
 

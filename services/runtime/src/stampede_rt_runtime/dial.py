@@ -9,10 +9,10 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.credentials import call_metadata
 from stampede_rt.errors import StampedeError
-from stampede_rt.tls import TlsMaterial, TlsReader
-from stampede_rt.tls_diagnosis import explain_refusal
+from stampede_rt.security.credentials import call_metadata
+from stampede_rt.security.tls import TlsMaterial, TlsReader
+from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt_runtime.apart import ApartChannel
 from stampede_rt_runtime.auth import Secret

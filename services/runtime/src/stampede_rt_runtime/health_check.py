@@ -15,7 +15,7 @@ import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.tls import CLIENT_VARIABLES, TlsFiles, TlsReader, files_from_environment
+from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles, TlsReader, files_from_environment
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt_runtime.certificates import CertificateError, describe
 from stampede_rt_runtime.limits import Limits

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from stampede_rt.policy import NAME_GRAMMAR
+from stampede_rt.values.policy import NAME_GRAMMAR
 
 SCHEME = "stampede://"
 _CLUSTER = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")  # the host part of a URI, where case does not count

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.tls import CLIENT_VARIABLES, TlsFiles
+from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles
 from stampede_rt_runtime.auth import Secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role

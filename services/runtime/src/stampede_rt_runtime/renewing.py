@@ -8,7 +8,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.tls import TlsMaterial, TlsReader
+from stampede_rt.security.tls import TlsMaterial, TlsReader
 
 
 class _Connection:

@@ -17,7 +17,7 @@ from dataclasses import MISSING, Field, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, get_args, get_type_hints
 
-from stampede_rt.timeline import format_duration
+from stampede_rt.values.timeline import format_duration
 from stampede_rt_runtime.values import format_size, parse_bool, parse_duration, parse_int, parse_size
 
 EXIT_BAD_SETTINGS = 2

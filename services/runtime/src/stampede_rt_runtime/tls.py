@@ -9,8 +9,8 @@ from datetime import UTC, datetime, timedelta
 import grpc
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt.tls import TlsFiles, TlsMaterial, TlsReader
-from stampede_rt.tls_diagnosis import check_own_certificate
+from stampede_rt.security.tls import TlsFiles, TlsMaterial, TlsReader
+from stampede_rt.security.tls_diagnosis import check_own_certificate
 from stampede_rt_runtime.identity import Identity, Role
 
 logger = logging.getLogger(__name__)

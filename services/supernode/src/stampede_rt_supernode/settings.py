@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.policy import parse_name
+from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.cluster_ids import listed_cluster_id
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.routes import is_loopback

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stampede_rt.timeline import clamp
 from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 
 

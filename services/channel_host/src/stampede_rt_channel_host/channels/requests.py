@@ -8,9 +8,9 @@ from google.protobuf.message import DecodeError
 from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.timeline import clamp
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
+from stampede_rt.values.timeline import clamp
 from stampede_rt.wire.reads import bound_from_message, interval_from_message, match_from_message
 from stampede_rt_channel_host.channels.group_access import GroupAsk
 from stampede_rt_channel_host.core.channel import Position, Query, SavedCursor

@@ -6,8 +6,8 @@ import re
 from fnmatch import translate
 from typing import Any
 
+from stampede_rt.cluster.request_age import age_clock_s, request_age_nanos
 from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.request_age import age_clock_s, request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc

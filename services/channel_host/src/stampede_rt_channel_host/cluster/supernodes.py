@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import grpc
 
+from stampede_rt.cluster.majority import why_unserved
+from stampede_rt.cluster.request_age import age_clock_s, age_metadata
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
-from stampede_rt.majority import why_unserved
-from stampede_rt.request_age import age_clock_s, age_metadata
-from stampede_rt.retry import Backoff
+from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version

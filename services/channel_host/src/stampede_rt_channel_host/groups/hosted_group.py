@@ -11,8 +11,8 @@ from typing import Any
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.timeline import MIN_INSTANT
 from stampede_rt.v1 import group_directory_service_pb2, group_pb2
+from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.channels.hosted_channels import Listener
 from stampede_rt_channel_host.core.group import GroupCut, Horizon, Member, TimesBoard
 from stampede_rt_channel_host.groups.messages import definition_of

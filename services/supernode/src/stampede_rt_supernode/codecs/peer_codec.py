@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.peering import ClockOffset
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import peer_pb2
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_message
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
 from stampede_rt_supernode.codecs.queue_codec import (

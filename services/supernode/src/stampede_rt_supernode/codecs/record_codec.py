@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import OnFull, Policy
 from stampede_rt.v1 import channel_pb2, directory_pb2, peer_pb2
+from stampede_rt.values.model import OnFull, Policy
 from stampede_rt_supernode.codecs.group_codec import group_record
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import peer_record

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from stampede_rt.errors import StampedeError, error_for
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
-from stampede_rt.peering import ClockOffset
+from stampede_rt.values.peering import ClockOffset
 
 LEASE_TTL_NANOS = 5 * 10**9
 STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not hear renewals either

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 from stampede_rt.errors import ChannelExists, InvalidArgument
-from stampede_rt.model import OVERLAP_NANOS_MAX, Policy
-from stampede_rt.timeline import format_duration
+from stampede_rt.values.model import OVERLAP_NANOS_MAX, Policy
+from stampede_rt.values.timeline import format_duration
 
 ITEM_BYTES_MAX = 16 * 2**20
 CONTENT_TYPE_BYTES_MAX = 255

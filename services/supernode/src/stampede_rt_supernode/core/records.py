@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from stampede_rt.model import Policy
+from stampede_rt.values.model import Policy
 
 ID_BYTES = 16
 

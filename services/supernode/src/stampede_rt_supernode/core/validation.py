@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from stampede_rt.errors import InvalidArgument, InvalidName
-from stampede_rt.policy import NAME_GRAMMAR
+from stampede_rt.values.policy import NAME_GRAMMAR
 from stampede_rt_supernode.core.records import ID_BYTES, Endpoint
 
 GATEKEEPERS_MAX = 16

@@ -6,8 +6,8 @@ import functools
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
+from stampede_rt.cluster.request_age import request_age_nanos
 from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.request_age import request_age_nanos
 from stampede_rt.status import abort
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.core import commands

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 from stampede_rt.errors import HostNotFound, InvalidArgument, LeaseExpired, NotLeader, StampedeError, Unavailable
-from stampede_rt.peering import ClockOffset
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.cluster_ids import may_go_over, new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS

@@ -9,10 +9,10 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.peering import ClockOffset
 from stampede_rt.status import abort
 from stampede_rt.v1 import peer_pb2, peer_service_pb2_grpc
 from stampede_rt.v1 import peer_service_pb2 as pb
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_offset
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record

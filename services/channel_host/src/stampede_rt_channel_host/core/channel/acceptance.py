@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt.errors import ChannelFull, InFuture, ItemTooLarge, StampedeError, TooOld
-from stampede_rt.timeline import MAX_INSTANT, format_duration
+from stampede_rt.values.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import BLOCK
 from stampede_rt_channel_host.core.channel.retention import Retention

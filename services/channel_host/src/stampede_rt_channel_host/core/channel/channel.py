@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from stampede_rt.errors import InFuture, InvalidArgument
-from stampede_rt.model import Policy
-from stampede_rt.timeline import Bound, format_duration
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consumed, ConsumerPlace

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import ChannelFull, InvalidArgument
-from stampede_rt.timeline import format_duration
+from stampede_rt.values.timeline import format_duration
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.seq_set import SeqSet
 from stampede_rt_channel_host.core.deadlines import Deadlines

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import OVERLAP_NANOS_MAX, Policy
-from stampede_rt.timeline import MAX_INSTANT, format_duration
+from stampede_rt.values.model import OVERLAP_NANOS_MAX, Policy
+from stampede_rt.values.timeline import MAX_INSTANT, format_duration
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 DEFAULT_MAX_AGE_NANOS = 10_000_000_000

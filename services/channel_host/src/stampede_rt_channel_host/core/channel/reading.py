@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import IncarnationLost
-from stampede_rt.model import Reason
-from stampede_rt.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
+from stampede_rt.values.model import Reason
+from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import Readable, Selected, select

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from heapq import heapreplace
 from typing import NamedTuple
 
-from stampede_rt.timeline import clamp
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, TimesBoard
 
 MAX_LEAD_NANOS_DEFAULT = 5_000_000_000

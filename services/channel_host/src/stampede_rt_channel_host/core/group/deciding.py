@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from stampede_rt.timeline import clamp
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.group.cut import Member
 
 MAX_WAIT_NANOS_DEFAULT = 1_000_000_000

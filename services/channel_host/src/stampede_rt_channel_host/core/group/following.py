@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from heapq import merge
 from itertools import islice
 
-from stampede_rt.model import Reason
+from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place

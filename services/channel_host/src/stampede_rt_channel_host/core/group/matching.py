@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from stampede_rt.timeline import clamp
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Position, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
 from stampede_rt_channel_host.core.channel.selection import behind

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stampede_rt.timeline import clamp
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel.index import LAST_PLACE, Place
 from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.timeline import MIN_INSTANT, Bound
+from stampede_rt.values.timeline import MIN_INSTANT, Bound
 from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Delivery, Gap, Position, SavedCursor, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss

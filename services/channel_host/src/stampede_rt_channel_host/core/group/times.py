@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from stampede_rt.timeline import clamp
+from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ABSENT, Channel, Slice
 from stampede_rt_channel_host.core.group.ledger import newest_gone
 

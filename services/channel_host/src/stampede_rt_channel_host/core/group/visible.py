@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from stampede_rt.model import Reason
-from stampede_rt.timeline import Interval, MetaTime, ResolvedInterval, format_instant
+from stampede_rt.values.model import Reason
+from stampede_rt.values.timeline import Interval, MetaTime, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Query, Slice, WakeAt
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place

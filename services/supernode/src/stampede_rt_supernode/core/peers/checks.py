@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
-from stampede_rt.peering import ClockOffset
+from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.queues.specs import check_queue_spec
 from stampede_rt_supernode.core.records import Peer

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from stampede_rt.cluster.majority import UNREACHED, why_unserved
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
-from stampede_rt.majority import UNREACHED, why_unserved
 
 
 def gone(target: str) -> Unavailable:

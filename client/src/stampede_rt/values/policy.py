@@ -7,8 +7,8 @@ import re
 from typing import get_args
 
 from stampede_rt.errors import InvalidArgument, InvalidName
-from stampede_rt.model import OnFull, Policy
-from stampede_rt.timeline import DurationLike, parse_duration
+from stampede_rt.values.model import OnFull, Policy
+from stampede_rt.values.timeline import DurationLike, parse_duration
 
 NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
 """Of channels, groups, queues, peers and hosts. Names that differ only in case are different names."""

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from stampede_rt.codecs import Codec, CodedItem, Coding, JsonCodec
 from stampede_rt.errors import CodecError, InvalidArgument
-from stampede_rt.model import Item
+from stampede_rt.values.codecs import Codec, CodedItem, Coding, JsonCodec
+from stampede_rt.values.model import Item
 
 FIELDS = (5, None, None, 1, b"[1]", {}, "application/json", 3, 9)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, overload
 
-from stampede_rt.timeline import ResolvedInterval
+from stampede_rt.values.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32
 OVERLAP_NANOS_MAX = 3_600_000_000_000

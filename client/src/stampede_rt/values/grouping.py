@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, TypeVar, get_args
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import ChannelInfo, Item, Items, Reason
-from stampede_rt.timeline import DurationLike, parse_duration
+from stampede_rt.values.model import ChannelInfo, Item, Items, Reason
+from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64
 GroupBound = Literal["start", "end"]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import Item
-from stampede_rt.policy import flag_of, whole_number_of
-from stampede_rt.timeline import InstantLike, Interval, Match, parse_instant
+from stampede_rt.values.model import Item
+from stampede_rt.values.policy import flag_of, whole_number_of
+from stampede_rt.values.timeline import InstantLike, Interval, Match, parse_instant
 
 TIMEOUT_S_MAX = 10**9
 SubscribeMode = Literal["all", "newest"]

@@ -12,7 +12,7 @@ import ssl
 from collections.abc import Mapping
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied
-from stampede_rt.tls import TlsReader
+from stampede_rt.security.tls import TlsReader
 
 CONNECT_SECONDS = 0.5
 HANDSHAKE_SECONDS = 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.payloads import check_payload
+from stampede_rt.values.payloads import check_payload
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt._async.sampler import Sampler
 from stampede_rt._async.session import Session
-from stampede_rt.periods import Periods
+from stampede_rt.pacing.periods import Periods
 from stampede_rt.transports.concurrency_async import Signal
 
 

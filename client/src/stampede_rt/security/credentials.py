@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt.tls import TlsMaterial, TlsReader
+from stampede_rt.security.tls import TlsMaterial, TlsReader
 
 
 def secret_file() -> Path:

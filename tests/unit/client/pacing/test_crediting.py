@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.crediting import ONE_ITEM, WINDOW_AGE_S, WINDOW_BYTES_MAX, CreditWindow
+from stampede_rt.pacing.crediting import ONE_ITEM, WINDOW_AGE_S, WINDOW_BYTES_MAX, CreditWindow
 
 FRAME = 18_000
 

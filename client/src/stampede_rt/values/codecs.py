@@ -14,8 +14,8 @@ from functools import cached_property
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from stampede_rt.errors import CodecError, InvalidArgument
-from stampede_rt.model import Item
-from stampede_rt.payloads import check_payload
+from stampede_rt.values.model import Item
+from stampede_rt.values.payloads import check_payload
 
 
 @runtime_checkable

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as some
 
 from stampede_rt.errors import InvalidArgument, InvalidInterval
-from stampede_rt.timeline import (
+from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
     NEWEST,

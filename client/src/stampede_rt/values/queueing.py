@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import OnFull
-from stampede_rt.policy import content_type_of, count_of, duration_of
-from stampede_rt.timeline import DurationLike
+from stampede_rt.values.model import OnFull
+from stampede_rt.values.policy import content_type_of, count_of, duration_of
+from stampede_rt.values.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
 LEASE_NANOS_MAX = 3_600_000_000_000

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as any_of
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
-from stampede_rt.peering import ClockOffset, PeerIdentity
-from stampede_rt.queueing import QueuePolicy, parse_queue_policy
+from stampede_rt.values.peering import ClockOffset, PeerIdentity
+from stampede_rt.values.queueing import QueuePolicy, parse_queue_policy
 from stampede_rt.wire.peers import clock_message, clock_offset
 from stampede_rt.wire.queues import queue_policy_from_spec, queue_policy_to_spec
 

@@ -8,8 +8,8 @@ import typing
 import pytest
 
 import stampede_rt as st
-from stampede_rt import codecs, grouping, model, policy, queueing, reading, timeline
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.values import codecs, grouping, model, policy, queueing, reading, timeline
 
 WORDS = [
     (timeline.Bounds, lambda word: timeline.parse_interval(0, 1, word)),

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.grouping import (
+from stampede_rt.values.grouping import (
     MEMBERS_MAX,
     ByChannel,
     GroupView,

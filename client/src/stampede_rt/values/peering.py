@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.model import ChangeKind
+from stampede_rt.values.model import ChangeKind
 
 PROOF_CHARACTERS_MIN = 16
 

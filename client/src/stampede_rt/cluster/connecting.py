@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
-from stampede_rt.addresses import DEFAULT_URL, parse_addresses
-from stampede_rt.credentials import Credentials, read_secret
+from stampede_rt.cluster.addresses import DEFAULT_URL, parse_addresses
 from stampede_rt.errors import PermissionDenied
-from stampede_rt.policy import parse_name
-from stampede_rt.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.security.credentials import Credentials, read_secret
+from stampede_rt.security.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.values.policy import parse_name
 
 _LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
 

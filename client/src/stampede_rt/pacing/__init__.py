@@ -1,0 +1,1 @@
+"""When to try again, when something periodic is due, and how far a host may send ahead. Pure."""

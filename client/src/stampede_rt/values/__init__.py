@@ -1,0 +1,1 @@
+"""The values that callers give and get. Pure."""
