@@ -18,7 +18,7 @@ from typing import Any
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.app import tune_garbage_collection
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
-from stampede_rt_supernode.core.commands import BeginTenure, Command, Deed, OpenChannel, Refused, RegisterHost
+from stampede_rt_supernode.core.commands import BeginTenure, Command, OpenChannel, Operation, Refused, RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Member
@@ -94,19 +94,19 @@ class Alone:
     def ticks(self) -> str:
         return f"longest tick {self.longest_wall * 1e3:.0f} ms, {self.longest_cpu * 1e3:.0f} ms of CPU"
 
-    def propose(self, deeds: list[Deed]) -> list[Any]:
+    def propose(self, operations: list[Operation]) -> list[Any]:
         """Where the outcomes will be."""
         outcomes: list[Any] = []
-        for deed in deeds:
+        for operation in operations:
             self.proposed += 1
             op_id = self.proposed.to_bytes(16, "big")
-            command = encode_command(Command(op_id=op_id, time_unix_nano=0, deed=deed))
+            command = encode_command(Command(op_id=op_id, time_unix_nano=0, operation=operation))
             self.replica.propose(Proposal(command, time.monotonic() + 60, outcomes.append))
         return outcomes
 
-    def apply(self, deeds: list[Deed]) -> None:
-        outcomes = self.propose(deeds)
-        self.step_until(lambda: len(outcomes) == len(deeds))
+    def apply(self, operations: list[Operation]) -> None:
+        outcomes = self.propose(operations)
+        self.step_until(lambda: len(outcomes) == len(operations))
         refused = next((one for one in map(decode_result, outcomes) if isinstance(one, Refused)), None)
         assert refused is None, refused
 
@@ -126,7 +126,7 @@ class Alone:
         for _ in range(0, count, BATCH):
             self.apply(self.new_channels(BATCH))
 
-    def new_channels(self, count: int) -> list[Deed]:
+    def new_channels(self, count: int) -> list[Operation]:
         return [_opening(self.proposed + number) for number in range(count)]
 
     def snapshot(self) -> StoredSnapshot:

@@ -92,7 +92,7 @@ def test_a_leader_that_ends_leases_of_peers_too_early_is_found() -> None:
 
 
 def test_a_directory_that_lets_a_second_peer_of_a_live_name_in_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(transitions, "check_may_follow", lambda before, deed: None)
+    monkeypatch.setattr(transitions, "check_may_follow", lambda before, operation: None)
     assert found_within(5)
 
 

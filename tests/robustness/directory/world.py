@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from stampede_rt import errors
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
-from stampede_rt_supernode.core.commands import Command, Deed, Refused, Success
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Success
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
 from stampede_rt_supernode.replication.rules.proposals import Proposal
@@ -50,9 +50,13 @@ class Submission:
     def check_state(self) -> None:
         """A state that differs ends the run (SimMember)."""
 
-    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0) -> R:
+    async def submit(
+        self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
+    ) -> R:
         stamp = self._member.clock.time_unix_nano()
-        encoded = encode_command(Command(op_id=op_id, time_unix_nano=stamp, deed=deed, as_of_index=as_of_index))
+        encoded = encode_command(
+            Command(op_id=op_id, time_unix_nano=stamp, operation=operation, as_of_index=as_of_index)
+        )
         deadline, ambiguous = self._world.now + seconds, False
         while (left := deadline - self._world.now) > 0:
             outcome = await wait(lambda resume, left=left: self._propose(encoded, min(left, 2.0), resume))

@@ -171,7 +171,7 @@ MUTANTS = (
     Mutant(
         name="expire_any_tenure",
         file=f"{SUPERNODE}/core/host_transitions.py",
-        edits=(("not host.alive or deed.tenure != tenure:", "not host.alive:"),),
+        edits=(("not host.alive or operation.tenure != tenure:", "not host.alive:"),),
         noticed_by="tests/unit/supernode/test_hosts.py",
     ),
     Mutant(

@@ -1,4 +1,4 @@
-"""Deeds on queues and peers for the property tests, drawn from few ids and names so that they meet."""
+"""Operations on queues and peers for the property tests, drawn from few ids and names so that they meet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, ExpirePeers, PeerLease, RegisterPeer
 from stampede_rt_supernode.core.queues.commands import DeleteQueue, OpenQueue, UpdateQueue
 from stampede_rt_supernode.core.records import Queue, QueueSpec
-from tests.unit.supernode.deeds import id_of
+from tests.unit.supernode.operations import id_of
 
 peer_ids = st.integers(11, 13).map(id_of)
 peer_names = st.sampled_from(["p", "p", "p", "q", "q", "q/r", "", "", "-"])
@@ -36,7 +36,9 @@ def queue_specs(draw: st.DrawFn, directory: Directory) -> QueueSpec:
 
 
 @st.composite
-def queue_deeds(draw: st.DrawFn, directory: Directory, new_queue_id: bytes) -> OpenQueue | UpdateQueue | DeleteQueue:
+def queue_operations(
+    draw: st.DrawFn, directory: Directory, new_queue_id: bytes
+) -> OpenQueue | UpdateQueue | DeleteQueue:
     what = draw(st.integers(0, 5))
     if what <= 2:
         return OpenQueue(

@@ -1,4 +1,4 @@
-"""Deeds on groups and copies for the property tests, drawn from few ids so that they meet."""
+"""Operations on groups and copies for the property tests, drawn from few ids so that they meet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
 from stampede_rt_supernode.core.records import Channel, Group, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
-from tests.unit.supernode.deeds import id_of
+from tests.unit.supernode.operations import id_of
 
 host_ids = st.integers(1, 4).map(id_of)
 numbers = st.integers(0, 5)
@@ -65,7 +65,7 @@ def group_changes(draw: st.DrawFn, directory: Directory) -> UpdateGroup | Delete
 
 
 @st.composite
-def replica_deeds(draw: st.DrawFn, directory: Directory) -> AddReplica | RemoveReplica | SetReplicaInSync:
+def replica_operations(draw: st.DrawFn, directory: Directory) -> AddReplica | RemoveReplica | SetReplicaInSync:
     channel = some(directory, draw(numbers))
     channel_id, epoch = (channel.channel_id, channel.epoch) if channel else (id_of(9996), 1)
     epoch += draw(st.sampled_from([0, 0, 0, 1]))

@@ -36,8 +36,8 @@ from stampede_rt_supernode.servicers.record_services import register_record_serv
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
 from tests.support.clock import ManualClock
-from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.memory_log import MemoryLog
+from tests.unit.supernode.operations import TTL_NANOS, id_of
 
 T = TypeVar("T")
 

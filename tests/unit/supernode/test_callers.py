@@ -15,8 +15,8 @@ from stampede_rt_runtime.identity import Identity, Role
 from stampede_rt_runtime.roles import roles_for
 from stampede_rt_supernode.core.callers import check_host_caller, check_protocol
 from stampede_rt_supernode.servicers import calls
-from tests.unit.supernode.deeds import id_of
 from tests.unit.supernode.node import reason_of, running_node
+from tests.unit.supernode.operations import id_of
 
 H1 = Identity("c", Role.HOST, "h1")
 

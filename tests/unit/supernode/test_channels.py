@@ -3,7 +3,7 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core import channel_transitions
 from stampede_rt_supernode.core.commands import ChannelDeleted, ChannelOpened, ChannelUpdated, Refused
-from tests.unit.supernode.deeds import Log, delete, deregister, id_of, open_channel, register, update
+from tests.unit.supernode.operations import Log, delete, deregister, id_of, open_channel, register, update
 
 
 @pytest.fixture

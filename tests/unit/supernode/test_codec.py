@@ -13,11 +13,11 @@ from stampede_rt_supernode.core.commands import (
     ChannelOpened,
     ChannelUpdated,
     Command,
-    Deed,
     HostDeregistered,
     HostExpired,
     HostRegistered,
     MarkTime,
+    Operation,
     Refused,
     Result,
     TenureBegun,
@@ -42,7 +42,7 @@ from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaIn
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import COMMAND_BYTES_MAX
 from stampede_rt_supernode.servicers.lease_keeper import PEERS_PER_ENTRY_MAX
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.operations import (
     add_replica,
     begin_tenure,
     delete,
@@ -94,7 +94,7 @@ EVERYTHING_OF_PEERS: dict[str, Any] = {
     "version": "0.1.0",
     "attributes": (("", "x"), ("a", ""), ("role", "planner")),
 }
-DEEDS: list[Deed] = [
+OPERATIONS: list[Operation] = [
     open_channel("cam", host="rig", create=False, **EVERYTHING),
     open_channel("cam"),
     update(id_of(1), 2**64 - 1, max_items=7),
@@ -214,9 +214,9 @@ RESULTS: list[Result] = [
 ]
 
 
-@pytest.mark.parametrize("deed", DEEDS, ids=lambda deed: type(deed).__name__)
-def test_a_command_comes_out_as_it_went_in(deed: Deed) -> None:
-    command = Command(op_id=id_of(3), time_unix_nano=-1, deed=deed, as_of_index=9)
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: type(operation).__name__)
+def test_a_command_comes_out_as_it_went_in(operation: Operation) -> None:
+    command = Command(op_id=id_of(3), time_unix_nano=-1, operation=operation, as_of_index=9)
     assert decode_command(encode_command(command)) == command
 
 
@@ -228,14 +228,14 @@ def test_a_result_comes_out_as_it_went_in(result: Result) -> None:
 def test_every_kind_of_command_and_result_is_covered() -> None:
     kinds = directory_command_pb2.DirectoryCommand.DESCRIPTOR.oneofs_by_name["kind"].fields
     outcomes = directory_command_pb2.DirectoryResult.DESCRIPTOR.oneofs_by_name["outcome"].fields
-    assert len({type(deed) for deed in DEEDS}) == len(kinds)
+    assert len({type(operation) for operation in OPERATIONS}) == len(kinds)
     assert len({type(result) for result in RESULTS}) == len(outcomes)
 
 
 def test_the_greatest_command_fits_the_log() -> None:
     widest = "x" * 256
     members = tuple(id_of(number) for number in range(64))
-    deeds: list[Deed] = [
+    operations: list[Operation] = [
         replace(register(1), gatekeepers=(Endpoint(target=widest, zone="z" * 64),) * 16, version="v" * 64),
         open_group("x" * 128, members, reference_channel_id=members[0], idle_after_nanos=1, max_lead_nanos=1),
         update_group(id_of(1), add=members, remove=members, version=2**64 - 1),
@@ -248,8 +248,8 @@ def test_the_greatest_command_fits_the_log() -> None:
         ),
         expire_peers(*((number, 2**64 - 1) for number in range(PEERS_PER_ENTRY_MAX)), boot=2**64 - 1, tenure=2**64 - 1),
     ]
-    for deed in deeds:
-        assert len(encode_command(Command(op_id=id_of(1), time_unix_nano=0, deed=deed))) < COMMAND_BYTES_MAX
+    for operation in operations:
+        assert len(encode_command(Command(op_id=id_of(1), time_unix_nano=0, operation=operation))) < COMMAND_BYTES_MAX
 
 
 @pytest.mark.parametrize(

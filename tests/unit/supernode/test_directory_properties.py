@@ -20,8 +20,8 @@ from stampede_rt_supernode.core.commands import (
 )
 from stampede_rt_supernode.core.records import ChangeKind, Channel, Endpoint, Group, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, SetReplicaInSync
-from tests.unit.supernode.deeds import add_replica, id_of, open_channel, open_group, register
-from tests.unit.supernode.drawn_records import group_changes, open_groups, replica_deeds
+from tests.unit.supernode.drawn_records import group_changes, open_groups, replica_operations
+from tests.unit.supernode.operations import add_replica, id_of, open_channel, open_group, register
 from tests.unit.supernode.three_directories import ThreeDirectories
 
 hosts = st.integers(1, 4).map(id_of)
@@ -69,10 +69,10 @@ class DirectoryMachine(ThreeDirectories):
 
     @rule(name=channel_names, policy=policies, create=st.booleans(), host=host_names, new=incarnations, op_id=op_ids)
     def open(self, name: str, policy: Policy, create: bool, host: str, new: int, op_id: bytes | None) -> None:
-        deed = OpenChannel(
+        operation = OpenChannel(
             name=name, policy=policy, create=create, host_name=host, new_channel_id=self.fresh_id(), new_incarnation=new
         )
-        self.apply(deed, op_id or self.fresh_id())
+        self.apply(operation, op_id or self.fresh_id())
 
     @rule(which=st.integers(0, 5), epoch_off=st.sampled_from([0, 0, 1]), policy=policies)
     def update(self, which: int, epoch_off: int, policy: Policy) -> None:
@@ -89,14 +89,14 @@ class DirectoryMachine(ThreeDirectories):
 
     @rule(host=hosts, name=host_names, boot=boots, new=incarnations, op_id=op_ids, skip=st.integers(1, 3))
     def register(self, host: bytes, name: str, boot: int, new: int, op_id: bytes | None, skip: int) -> None:
-        deed = RegisterHost(
+        operation = RegisterHost(
             host_id=host,
             name=name,
             gatekeepers=(Endpoint(target="h:1"),),
             boot_incarnation=boot,
             new_incarnation=new,
         )
-        self.apply(deed, op_id or self.fresh_id(), skip)
+        self.apply(operation, op_id or self.fresh_id(), skip)
 
     @rule(host=hosts, boot=boots)
     def deregister(self, host: bytes, boot: int) -> None:
@@ -105,19 +105,21 @@ class DirectoryMachine(ThreeDirectories):
     @rule(host=hosts, late=st.booleans(), tenure_off=st.sampled_from([0, 0, 1]))
     def expire(self, host: bytes, late: bool, tenure_off: int) -> None:
         held = self.directory.tables.hosts.get(host)
-        deed = ExpireHost(
+        operation = ExpireHost(
             host_id=host,
             boot_incarnation=held.boot_incarnation if held else 1,
             registered_index=(held.registered_index if held else 1) - late,
             tenure=self.directory.tenure + tenure_off,
         )
-        self.apply(deed, self.fresh_id())
+        self.apply(operation, self.fresh_id())
 
     @rule(tenure=st.integers(1, 5))
     def begin_tenure(self, tenure: int) -> None:
         before = self.directory.tenure
-        deed = BeginTenure(tenure=tenure, supernode_id="s", new_cluster_id=f"c{tenure}", new_lease_ttl_nanos=tenure)
-        self.apply(deed, self.fresh_id())
+        operation = BeginTenure(
+            tenure=tenure, supernode_id="s", new_cluster_id=f"c{tenure}", new_lease_ttl_nanos=tenure
+        )
+        self.apply(operation, self.fresh_id())
         assert self.directory.tenure == max(before, tenure)
 
     @rule(data=st.data(), op_id=op_ids)
@@ -130,7 +132,7 @@ class DirectoryMachine(ThreeDirectories):
 
     @rule(data=st.data(), op_id=op_ids)
     def change_replica(self, data: st.DataObject, op_id: bytes | None) -> None:
-        self.apply(data.draw(replica_deeds(self.directory)), op_id or self.fresh_id())
+        self.apply(data.draw(replica_operations(self.directory)), op_id or self.fresh_id())
 
     def some_channel(self, which: int) -> Channel | None:
         channels = [self.directory.tables.channels[one] for one in sorted(self.directory.tables.channels)]

@@ -10,17 +10,17 @@ from stampede_rt.cli.diagnosis import refusal
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import encode_command
-from stampede_rt_supernode.core.commands import BeginTenure, Command, Deed, DeleteChannel
+from stampede_rt_supernode.core.commands import BeginTenure, Command, DeleteChannel, Operation
 from stampede_rt_supernode.replica import DirectoryReplica
-from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.node import Node, running_node
+from tests.unit.supernode.operations import TTL_NANOS, id_of
 
 TENURE = BeginTenure(tenure=1, supernode_id="s1", new_cluster_id="c", new_lease_ttl_nanos=TTL_NANOS)
 UNKNOWN = b"\xff\xff what no release knows"
 
 
-def encoded(number: int, deed: Deed) -> bytes:
-    return encode_command(Command(op_id=id_of(number), time_unix_nano=number, deed=deed))
+def encoded(number: int, operation: Operation) -> bytes:
+    return encode_command(Command(op_id=id_of(number), time_unix_nano=number, operation=operation))
 
 
 def done(*commands: bytes) -> DirectoryReplica:

@@ -11,7 +11,7 @@ from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, encode_s
 from stampede_rt_supernode.core.change_ring import CHANGES_MAX
 from stampede_rt_supernode.core.frozen_directory import frozen
 from stampede_rt_supernode.replica import DirectoryReplica
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.operations import (
     Log,
     delete,
     deregister,

@@ -6,12 +6,12 @@ import pytest
 
 from stampede_rt.v1 import directory_command_pb2
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import ChannelOpened, Deed, Refused
+from stampede_rt_supernode.core.commands import ChannelOpened, Operation, Refused
 from stampede_rt_supernode.core.groups import transitions as group_transitions
 from stampede_rt_supernode.core.groups.commands import GroupOpened, GroupUpdated
 from stampede_rt_supernode.core.groups.queries import group_page, group_view
 from stampede_rt_supernode.core.records import Group
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.operations import (
     Log,
     delete,
     delete_group,
@@ -44,8 +44,8 @@ def group(log: Log, name: str, *members: bytes, incarnation: int = 88, **spec: A
     return opened.group
 
 
-def refusal(log: Log, deed: Deed) -> Refused:
-    result = log.apply(deed)
+def refusal(log: Log, operation: Operation) -> Refused:
+    result = log.apply(operation)
     assert isinstance(result, Refused)
     return result
 
@@ -83,7 +83,7 @@ def test_members_must_exist(log: Log) -> None:
 
 def test_a_set_up_that_makes_no_sense_is_refused(log: Log) -> None:
     left = channel(log, "left")
-    for deed in (
+    for operation in (
         open_group("pair", ()),
         open_group("pair", (left, left)),
         open_group("pair", (left,), reference_channel_id=id_of(99)),
@@ -91,7 +91,7 @@ def test_a_set_up_that_makes_no_sense_is_refused(log: Log) -> None:
         open_group("pair", (left,), max_lead_nanos=-1),
         open_group("pair", tuple(id_of(number) for number in range(65))),
     ):
-        refused = refusal(log, deed)
+        refused = refusal(log, operation)
         assert refused.reason == "INVALID_ARGUMENT"
         assert "group pair" in refused.message
 

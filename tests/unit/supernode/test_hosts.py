@@ -15,7 +15,7 @@ from stampede_rt_supernode.core.commands import (
 )
 from stampede_rt_supernode.core.queries import host_page
 from stampede_rt_supernode.core.records import Channel, Endpoint, Host
-from tests.unit.supernode.deeds import Log, begin_tenure, deregister, expire, id_of, open_channel, register
+from tests.unit.supernode.operations import Log, begin_tenure, deregister, expire, id_of, open_channel, register
 
 
 @pytest.fixture
@@ -23,8 +23,8 @@ def log() -> Log:
     return Log()
 
 
-def registered(log: Log, deed: RegisterHost) -> Host:
-    result = log.apply(deed)
+def registered(log: Log, operation: RegisterHost) -> Host:
+    result = log.apply(operation)
     assert isinstance(result, HostRegistered), result
     return result.host
 
@@ -124,8 +124,8 @@ def test_an_expiry_counts_only_for_its_boot_registration_and_tenure(log: Log) ->
     late = expire(1, registered_index=first.registered_index)
     stranger = expire(1, boot=9, registered_index=again.registered_index)
     deposed = expire(1, registered_index=again.registered_index, tenure=2)
-    for deed in (late, stranger, deposed, expire(7, registered_index=1)):
-        assert log.apply(deed) == HostExpired(expired=False)
+    for operation in (late, stranger, deposed, expire(7, registered_index=1)):
+        assert log.apply(operation) == HostExpired(expired=False)
     assert log.directory.tables.hosts[id_of(1)].alive
     assert log.apply(expire(1, registered_index=again.registered_index)) == HostExpired(expired=True)
     assert not log.directory.tables.hosts[id_of(1)].alive

@@ -17,11 +17,12 @@ import pytest_asyncio
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
 from stampede_rt_supernode.core.answered import MARKS_KEPT
-from stampede_rt_supernode.core.commands import ChannelOpened, Deed, Refused, Result
+from stampede_rt_supernode.core.commands import ChannelOpened, Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
 from stampede_rt_supernode.core.late_opens import Open
 from stampede_rt_supernode.core.queues.commands import QueueOpened
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.node import Node, reason_of, running_node
+from tests.unit.supernode.operations import (
     Log,
     delete,
     delete_group,
@@ -33,7 +34,6 @@ from tests.unit.supernode.deeds import (
     register,
     register_peer,
 )
-from tests.unit.supernode.node import Node, reason_of, running_node
 
 
 @pytest_asyncio.fixture
@@ -93,7 +93,7 @@ def log() -> Log:
     return log
 
 
-def delete_what(log: Log, opened: Result) -> Deed:
+def delete_what(log: Log, opened: Result) -> Operation:
     match opened:
         case ChannelOpened(channel=channel):
             return delete(channel.channel_id)
@@ -150,7 +150,7 @@ def test_an_open_of_what_is_there_is_never_late(log: Log) -> None:
 
 
 @pytest.mark.parametrize("made", [register, partial(register_peer, proof=1)])
-def test_a_registration_of_a_process_that_was_started_again_since_is_refused(made: Callable[..., Deed]) -> None:
+def test_a_registration_of_a_process_that_was_started_again_since_is_refused(made: Callable[..., Operation]) -> None:
     log = Log()
     log.apply(register(9, name="nine"))
     before = log.apply(made(1, name="it", boot=1))

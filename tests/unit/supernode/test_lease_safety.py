@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from stampede_rt_supernode.core.commands import ExpireHost, HostExpired
 from stampede_rt_supernode.core.lease import LeaseTable
 from stampede_rt_supernode.core.records import Host
-from tests.unit.supernode.deeds import Log, begin_tenure, id_of, register
+from tests.unit.supernode.operations import Log, begin_tenure, id_of, register
 
 SECOND = 10**9
 TTL = 5 * SECOND

@@ -1,4 +1,4 @@
-"""Repeating a request id repeats the answer, not the deed."""
+"""Repeating a request id repeats the answer, not the operation."""
 
 import itertools
 
@@ -22,7 +22,7 @@ from stampede_rt_supernode.core.commands import (
     TenureBegun,
     TimeMarked,
 )
-from tests.unit.supernode.deeds import Log, begin_tenure, delete, id_of, open_channel, register
+from tests.unit.supernode.operations import Log, begin_tenure, delete, id_of, open_channel, register
 
 
 def test_a_repeated_operation_gives_the_same_answer_although_other_ids_were_drawn_for_it() -> None:

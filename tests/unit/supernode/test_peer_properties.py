@@ -18,8 +18,8 @@ from stampede_rt_supernode.core.peers.commands import (
     RegisterPeer,
 )
 from stampede_rt_supernode.core.records import Change, ChangeKind, Peer, Queue
-from tests.unit.supernode.deeds import begin_tenure, deregister, open_queue, register
-from tests.unit.supernode.drawn_peers import endings, queue_deeds, registrations
+from tests.unit.supernode.drawn_peers import endings, queue_operations, registrations
+from tests.unit.supernode.operations import begin_tenure, deregister, open_queue, register
 from tests.unit.supernode.three_directories import ThreeDirectories
 
 T = TypeVar("T")
@@ -32,25 +32,27 @@ class Owners:
         self.living: dict[bytes, RegisterPeer] = {}
         self.registered: dict[bytes, int] = {}
 
-    def register(self, deed: RegisterPeer, result: Result) -> None:
-        displaced = [one for one in self.living.values() if one.peer_id == deed.peer_id or one.name == deed.name != ""]
-        may = all(self._may_displace(one, deed) for one in displaced)
+    def register(self, operation: RegisterPeer, result: Result) -> None:
+        displaced = [
+            one for one in self.living.values() if one.peer_id == operation.peer_id or one.name == operation.name != ""
+        ]
+        may = all(self._may_displace(one, operation) for one in displaced)
         if isinstance(result, PeerRegistered):
             assert may, "a live peer lost its place to somebody without its proof"
             for one in displaced:
                 del self.living[one.peer_id]
-            self.living[deed.peer_id] = deed
-            self.registered[deed.peer_id] = result.peer.registered_index
+            self.living[operation.peer_id] = operation
+            self.registered[operation.peer_id] = result.peer.registered_index
         elif isinstance(result, Refused):
             assert not (may and result.reason == "PEER_EXISTS"), "its own place was refused to a peer"
 
-    def end(self, deed: DeregisterPeer | ExpirePeers, tenure: int) -> set[bytes]:
-        """The ids of those that are out by `deed`."""
-        if isinstance(deed, DeregisterPeer):
-            boots = {(deed.peer_id, deed.boot_incarnation, self.registered.get(deed.peer_id))}
+    def end(self, operation: DeregisterPeer | ExpirePeers, tenure: int) -> set[bytes]:
+        """The ids of those that are out by `operation`."""
+        if isinstance(operation, DeregisterPeer):
+            boots = {(operation.peer_id, operation.boot_incarnation, self.registered.get(operation.peer_id))}
         else:
-            boots = {(one.peer_id, one.boot_incarnation, one.registered_index) for one in deed.leases}
-        if isinstance(deed, ExpirePeers) and deed.tenure != tenure:
+            boots = {(one.peer_id, one.boot_incarnation, one.registered_index) for one in operation.leases}
+        if isinstance(operation, ExpirePeers) and operation.tenure != tenure:
             return set()
         held = self.living.items()
         gone = {one for one, entry in held if (one, entry.boot_incarnation, self.registered[one]) in boots}
@@ -59,10 +61,10 @@ class Owners:
         return gone
 
     @staticmethod
-    def _may_displace(one: RegisterPeer, deed: RegisterPeer) -> bool:
-        if one.proof_sha256 or deed.proof_sha256:
-            return one.proof_sha256 == deed.proof_sha256
-        same_process = (one.peer_id, one.boot_incarnation) == (deed.peer_id, deed.boot_incarnation)
+    def _may_displace(one: RegisterPeer, operation: RegisterPeer) -> bool:
+        if one.proof_sha256 or operation.proof_sha256:
+            return one.proof_sha256 == operation.proof_sha256
+        same_process = (one.peer_id, one.boot_incarnation) == (operation.peer_id, operation.boot_incarnation)
         return same_process or not one.name
 
 
@@ -83,22 +85,22 @@ class PeerMachine(ThreeDirectories):
 
     @rule(data=st.data())
     def change_queue(self, data: st.DataObject) -> None:
-        self.apply(data.draw(queue_deeds(self.directory, self.fresh_id())), self.fresh_id())
+        self.apply(data.draw(queue_operations(self.directory, self.fresh_id())), self.fresh_id())
 
     @rule(data=st.data(), again=st.sampled_from([False, False, True]))
     def register_peer(self, data: st.DataObject, again: bool) -> None:
-        deed, op_id = data.draw(registrations(self.directory, self.fresh_id())), self.fresh_id()
-        result = self.apply(deed, op_id)
-        self.owners.register(deed, result)
+        operation, op_id = data.draw(registrations(self.directory, self.fresh_id())), self.fresh_id()
+        result = self.apply(operation, op_id)
+        self.owners.register(operation, result)
         if again and isinstance(result, PeerRegistered):
-            assert self.apply(deed, op_id) == result, "repeated, it is answered and not done"
+            assert self.apply(operation, op_id) == result, "repeated, it is answered and not done"
 
     @rule(data=st.data())
     def end_peers(self, data: st.DataObject) -> None:
-        deed = data.draw(endings(self.directory))
+        operation = data.draw(endings(self.directory))
         before = dict(self.directory.tables.peers.by_id)
-        gone = self.owners.end(deed, self.directory.tenure)
-        result = self.apply(deed, self.fresh_id())
+        gone = self.owners.end(operation, self.directory.tenure)
+        result = self.apply(operation, self.fresh_id())
         if isinstance(result, PeersExpired):
             assert result.expired == len(gone)
             assert all(self.directory.tables.peers.by_id[one].name == before[one].name for one in gone)
@@ -106,13 +108,13 @@ class PeerMachine(ThreeDirectories):
     @rule(number=st.integers(1, 3), boot=st.integers(1, 2), leaves=st.booleans())
     def change_host(self, number: int, boot: int, leaves: bool) -> None:
         name = "abc"[number - 1]
-        deed = deregister(number, boot=boot) if leaves else register(number, name=name, boot=boot)
-        self.apply(deed, self.fresh_id())
+        operation = deregister(number, boot=boot) if leaves else register(number, name=name, boot=boot)
+        self.apply(operation, self.fresh_id())
 
     @invariant()
     def the_living_are_those_that_the_answers_told_of(self) -> None:
         tables = self.directory.tables
-        told = {one: (deed.name, deed.boot_incarnation) for one, deed in self.owners.living.items()}
+        told = {one: (operation.name, operation.boot_incarnation) for one, operation in self.owners.living.items()}
         assert {one.peer_id: (one.name, one.boot_incarnation) for one in tables.peers.live()} == told
         assert dict(tables.peers.ids) == {name: one for one, (name, _) in told.items() if name}
         assert len(tables.peers.ids) == sum(bool(name) for name, _ in told.values()), "a name has one live owner"

@@ -10,8 +10,8 @@ import pytest_asyncio
 from stampede_rt.v1 import directory_pb2, peer_pb2
 from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
-from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.node import Node, reason_of, running_node
+from tests.unit.supernode.operations import TTL_NANOS, id_of
 
 PROOF, OTHER_PROOF = b"p" * 32, b"q" * 32
 

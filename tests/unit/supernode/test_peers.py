@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import Deed, Refused
+from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.peers import table, transitions
 from stampede_rt_supernode.core.peers.commands import PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.peers.queries import BEGINNING, peer_page
 from stampede_rt_supernode.core.records import Peer, Queue, QueueSpec
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.operations import (
     Log,
     delete_queue,
     deregister,
@@ -46,8 +46,8 @@ def mailbox(log: Log, number: int, name: str, **how: Any) -> Queue:
     return made
 
 
-def refusal(log: Log, deed: Deed) -> Refused:
-    result = log.apply(deed)
+def refusal(log: Log, operation: Operation) -> Refused:
+    result = log.apply(operation)
     assert isinstance(result, Refused)
     return result
 

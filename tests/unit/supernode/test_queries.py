@@ -4,7 +4,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt_supernode.core import page_tokens, queries
 from stampede_rt_supernode.core.glob import matcher
 from stampede_rt_supernode.core.queries import channel_page, channels_of, host_page
-from tests.unit.supernode.deeds import Log, deregister, id_of, open_channel, register
+from tests.unit.supernode.operations import Log, deregister, id_of, open_channel, register
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ from stampede_rt.v1 import directory_pb2, queue_pb2
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import peer_service_pb2 as peers_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
-from tests.unit.supernode.deeds import id_of
 from tests.unit.supernode.memory_log import Fate
 from tests.unit.supernode.node import Node, reason_of, running_node
+from tests.unit.supernode.operations import id_of
 
 
 @pytest_asyncio.fixture

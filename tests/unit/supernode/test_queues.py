@@ -8,12 +8,12 @@ import pytest
 
 from stampede_rt.v1 import directory_command_pb2
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.commands import Deed, Refused
+from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.queues import transitions
 from stampede_rt_supernode.core.queues.commands import QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.queues.queries import BEGINNING, queue_page
 from stampede_rt_supernode.core.records import Queue, QueueSpec
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.operations import (
     Log,
     delete_queue,
     deregister,
@@ -41,8 +41,8 @@ def queue(log: Log, name: str, **how: Any) -> Queue:
     return opened.queue
 
 
-def refusal(log: Log, deed: Deed) -> Refused:
-    result = log.apply(deed)
+def refusal(log: Log, operation: Operation) -> Refused:
+    result = log.apply(operation)
     assert isinstance(result, Refused)
     return result
 

@@ -12,9 +12,9 @@ from stampede_rt.v1 import channel_pb2, directory_pb2, group_pb2, replica_pb2, s
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import group_directory_service_pb2 as groups_pb
 from stampede_rt.v1 import replica_directory_service_pb2 as replicas_pb
-from tests.unit.supernode.deeds import id_of
 from tests.unit.supernode.memory_log import Fate
 from tests.unit.supernode.node import Node, reason_of, running_node
+from tests.unit.supernode.operations import id_of
 
 PROXY, WARM = replica_pb2.REPLICA_KIND_PROXY, replica_pb2.REPLICA_KIND_WARM
 

@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
-from stampede_rt_supernode.core.commands import ChannelOpened, Deed, Refused
+from stampede_rt_supernode.core.commands import ChannelOpened, Operation, Refused
 from stampede_rt_supernode.core.records import Channel, Replica, ReplicaKind
 from stampede_rt_supernode.core.replicas import transitions as replica_transitions
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.core.replicas.loads import LOAD_AGE_NANOS_MAX, ReplicaLoad, ReplicaLoads
-from tests.unit.supernode.deeds import (
+from tests.unit.supernode.operations import (
     Log,
     add_replica,
     delete,
@@ -43,14 +43,14 @@ def copies(log: Log) -> tuple[Replica, ...]:
     return log.directory.tables.replicas.of(cam(log).channel_id)
 
 
-def added(log: Log, deed: Deed) -> Replica:
-    result = log.apply(deed)
+def added(log: Log, operation: Operation) -> Replica:
+    result = log.apply(operation)
     assert isinstance(result, ReplicaAdded), result
     return result.replica
 
 
-def refusal(log: Log, deed: Deed) -> Refused:
-    result = log.apply(deed)
+def refusal(log: Log, operation: Operation) -> Refused:
+    result = log.apply(operation)
     assert isinstance(result, Refused)
     return result
 
@@ -80,7 +80,7 @@ def test_the_directory_chooses_the_host_with_the_fewest_channels_and_copies(log:
 def test_a_copy_that_makes_no_sense_is_refused(log: Log) -> None:
     channel_id = cam(log).channel_id
     added(log, add_replica(channel_id, 2))
-    for deed, reason in (
+    for operation, reason in (
         (add_replica(id_of(99), 3), "CHANNEL_NOT_FOUND"),
         (add_replica(channel_id, 3, epoch=2), "WRONG_EPOCH"),
         (add_replica(channel_id, 9), "HOST_NOT_FOUND"),
@@ -90,7 +90,7 @@ def test_a_copy_that_makes_no_sense_is_refused(log: Log) -> None:
         (add_replica(channel_id, 3, source=2, warm=True), "INVALID_ARGUMENT"),
         (add_replica(channel_id, 3, acknowledged=True), "INVALID_ARGUMENT"),
     ):
-        assert refusal(log, deed).reason == reason, deed
+        assert refusal(log, operation).reason == reason, operation
 
 
 def test_a_channel_has_a_bounded_number_of_copies(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,18 +117,18 @@ def test_the_flag_is_set_by_the_owner_of_the_epoch_for_one_boot_of_the_copy(log:
     done = log.apply(set_in_sync(channel_id, 2))
     assert isinstance(done, ReplicaInSyncSet)
     assert done.replica.in_sync
-    for deed, reason in (
+    for operation, reason in (
         (set_in_sync(channel_id, 2, False, epoch=2), "WRONG_EPOCH"),
         (set_in_sync(channel_id, 2, False, boot=2), "HOST_NOT_FOUND"),
         (set_in_sync(channel_id, 4), "HOST_NOT_FOUND"),
         (set_in_sync(channel_id, 3), "INVALID_ARGUMENT"),
         (set_in_sync(id_of(99), 2), "CHANNEL_NOT_FOUND"),
     ):
-        assert refusal(log, deed).reason == reason, deed
+        assert refusal(log, operation).reason == reason, operation
     assert copies(log)[0].in_sync
 
 
-ENDINGS: dict[str, Callable[[int], Deed]] = {
+ENDINGS: dict[str, Callable[[int], Operation]] = {
     "expired": lambda number: expire(number, registered_index=number + 1),
     "left": deregister,
     "restarted": lambda number: register(number, boot=2),
@@ -137,7 +137,7 @@ ENDINGS: dict[str, Callable[[int], Deed]] = {
 
 @pytest.mark.parametrize("end", ENDINGS.values(), ids=ENDINGS)
 def test_a_warm_replica_in_sync_takes_over_when_the_owners_registration_ends(
-    log: Log, end: Callable[[int], Deed]
+    log: Log, end: Callable[[int], Operation]
 ) -> None:
     before = cam(log)
     warm_in_sync(log, 2)
@@ -153,7 +153,7 @@ def test_a_warm_replica_in_sync_takes_over_when_the_owners_registration_ends(
 
 
 @pytest.mark.parametrize("end", [ENDINGS["expired"], ENDINGS["left"]], ids=["expired", "left"])
-def test_a_replica_that_is_not_in_sync_never_takes_over(log: Log, end: Callable[[int], Deed]) -> None:
+def test_a_replica_that_is_not_in_sync_never_takes_over(log: Log, end: Callable[[int], Operation]) -> None:
     warm_in_sync(log, 2)
     log.apply(set_in_sync(cam(log).channel_id, 2, False))
     added(log, add_replica(cam(log).channel_id, 3))
@@ -164,7 +164,7 @@ def test_a_replica_that_is_not_in_sync_never_takes_over(log: Log, end: Callable[
 
 
 @pytest.mark.parametrize("end", ENDINGS.values(), ids=ENDINGS)
-def test_a_copy_goes_with_the_registration_of_its_host(log: Log, end: Callable[[int], Deed]) -> None:
+def test_a_copy_goes_with_the_registration_of_its_host(log: Log, end: Callable[[int], Operation]) -> None:
     warm_in_sync(log, 2)
     added(log, add_replica(cam(log).channel_id, 3))
     log.apply(end(2))

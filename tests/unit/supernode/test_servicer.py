@@ -12,9 +12,9 @@ from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.servicers import submission
-from tests.unit.supernode.deeds import TTL_NANOS, id_of
 from tests.unit.supernode.memory_log import Fate
 from tests.unit.supernode.node import Node, reason_of, running_node, spec
+from tests.unit.supernode.operations import TTL_NANOS, id_of
 
 BLOCK_FOR_EVER = channel_pb2.ChannelSpec(on_full=channel_pb2.ON_FULL_BLOCK)
 LONG_TYPE = channel_pb2.ChannelSpec(content_type="x" * 256)

@@ -7,9 +7,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.answered import Answered
-from stampede_rt_supernode.core.commands import Command, Deed, MarkTime, Refused, Result
+from stampede_rt_supernode.core.commands import Command, MarkTime, Operation, Refused, Result
 from stampede_rt_supernode.core.directory import Directory
-from tests.unit.supernode.deeds import id_of
+from tests.unit.supernode.operations import id_of
 
 
 class ThreeDirectories(RuleBasedStateMachine):
@@ -26,10 +26,10 @@ class ThreeDirectories(RuleBasedStateMachine):
         self.drawn += 1
         return id_of(1000 + self.drawn)
 
-    def apply(self, deed: Deed, op_id: bytes, skip: int = 1) -> Result:
+    def apply(self, operation: Operation, op_id: bytes, skip: int = 1) -> Result:
         as_of_index = max(0, self.index - self.drawn % 4)
         self.index += skip
-        command = Command(op_id=op_id, time_unix_nano=0, deed=deed, as_of_index=as_of_index)
+        command = Command(op_id=op_id, time_unix_nano=0, operation=operation, as_of_index=as_of_index)
         before = encode_snapshot(self.directory)
         result = self.directory.apply(self.index, command)
         again = decode_command(encode_command(command))

@@ -7,29 +7,29 @@ from google.protobuf.message import DecodeError
 from stampede_rt.errors import InvalidArgument, StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs.group_codec import (
-    GROUP_DEEDS,
+    GROUP_OPERATIONS,
     GROUP_OUTCOMES,
     group_result_message,
-    read_group_deed,
+    read_group_operation,
     read_group_result,
-    write_group_deed,
+    write_group_operation,
 )
 from stampede_rt_supernode.codecs.host_codec import endpoint_message, endpoints_from, host_entry, host_from
 from stampede_rt_supernode.codecs.peer_codec import (
-    PEER_DEEDS,
+    PEER_OPERATIONS,
     PEER_OUTCOMES,
     peer_result_message,
-    read_peer_deed,
+    read_peer_operation,
     read_peer_result,
-    write_peer_deed,
+    write_peer_operation,
 )
 from stampede_rt_supernode.codecs.queue_codec import (
-    QUEUE_DEEDS,
+    QUEUE_OPERATIONS,
     QUEUE_OUTCOMES,
     queue_result_message,
-    read_queue_deed,
+    read_queue_operation,
     read_queue_result,
-    write_queue_deed,
+    write_queue_operation,
 )
 from stampede_rt_supernode.codecs.record_codec import (
     channel_from,
@@ -38,12 +38,12 @@ from stampede_rt_supernode.codecs.record_codec import (
     spec_of,
 )
 from stampede_rt_supernode.codecs.replica_codec import (
-    REPLICA_DEEDS,
+    REPLICA_OPERATIONS,
     REPLICA_OUTCOMES,
-    read_replica_deed,
+    read_replica_operation,
     read_replica_result,
     replica_result_message,
-    write_replica_deed,
+    write_replica_operation,
 )
 from stampede_rt_supernode.core.commands import (
     BeginTenure,
@@ -51,7 +51,6 @@ from stampede_rt_supernode.core.commands import (
     ChannelOpened,
     ChannelUpdated,
     Command,
-    Deed,
     DeleteChannel,
     DeregisterHost,
     ExpireHost,
@@ -60,6 +59,7 @@ from stampede_rt_supernode.core.commands import (
     HostRegistered,
     MarkTime,
     OpenChannel,
+    Operation,
     Refused,
     RegisterHost,
     Result,
@@ -106,79 +106,79 @@ def encode_command(command: Command) -> bytes:
     message = pb.DirectoryCommand(
         op_id=command.op_id, time_unix_nano=command.time_unix_nano, as_of_index=command.as_of_index
     )
-    _write_deed(message, command.deed)
+    _write_operation(message, command.operation)
     return message.SerializeToString()
 
 
-def _write_deed(message: pb.DirectoryCommand, deed: Deed) -> None:
-    match deed:
+def _write_operation(message: pb.DirectoryCommand, operation: Operation) -> None:
+    match operation:
         case OpenChannel():
-            message.open_channel.CopyFrom(_open_message(deed))
+            message.open_channel.CopyFrom(_open_message(operation))
         case UpdateChannel(channel_id=channel_id, epoch=epoch, policy=policy):
             update = pb.UpdateChannelCommand(channel_id=channel_id, epoch=epoch, spec=spec_of(policy))
             message.update_channel.CopyFrom(update)
         case DeleteChannel(channel_id=channel_id):
             message.delete_channel.CopyFrom(pb.DeleteChannelCommand(channel_id=channel_id))
         case RegisterHost():
-            message.register_host.CopyFrom(_register_message(deed))
+            message.register_host.CopyFrom(_register_message(operation))
         case DeregisterHost(host_id=host_id, boot_incarnation=boot):
             leave = pb.DeregisterHostCommand(host_id=host_id, boot_incarnation=boot)
             message.deregister_host.CopyFrom(leave)
         case ExpireHost():
-            message.expire_host.CopyFrom(_expire_message(deed))
+            message.expire_host.CopyFrom(_expire_message(operation))
         case BeginTenure():
-            message.begin_tenure.CopyFrom(_tenure_message(deed))
+            message.begin_tenure.CopyFrom(_tenure_message(operation))
         case MarkTime(tenure=tenure, after_index=after_index):
             message.mark_time.CopyFrom(pb.MarkTimeCommand(tenure=tenure, after_index=after_index))
         case OpenGroup() | UpdateGroup() | DeleteGroup():
-            write_group_deed(message, deed)
+            write_group_operation(message, operation)
         case AddReplica() | RemoveReplica() | SetReplicaInSync():
-            write_replica_deed(message, deed)
+            write_replica_operation(message, operation)
         case OpenQueue() | UpdateQueue() | DeleteQueue():
-            write_queue_deed(message, deed)
+            write_queue_operation(message, operation)
         case RegisterPeer() | DeregisterPeer() | ExpirePeers():
-            write_peer_deed(message, deed)
+            write_peer_operation(message, operation)
 
 
-def _open_message(deed: OpenChannel) -> pb.OpenChannelCommand:
+def _open_message(operation: OpenChannel) -> pb.OpenChannelCommand:
     return pb.OpenChannelCommand(
-        name=deed.name,
-        spec=spec_of(deed.policy),
-        create=deed.create,
-        host_name=deed.host_name,
-        new_channel_id=deed.new_channel_id,
-        new_incarnation=deed.new_incarnation,
+        name=operation.name,
+        spec=spec_of(operation.policy),
+        create=operation.create,
+        host_name=operation.host_name,
+        new_channel_id=operation.new_channel_id,
+        new_incarnation=operation.new_incarnation,
     )
 
 
-def _register_message(deed: RegisterHost) -> pb.RegisterHostCommand:
+def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
     return pb.RegisterHostCommand(
-        host_id=deed.host_id,
-        name=deed.name,
-        gatekeepers=[endpoint_message(endpoint) for endpoint in deed.gatekeepers],
-        boot_incarnation=deed.boot_incarnation,
-        version=deed.version,
-        new_incarnation=deed.new_incarnation,
+        host_id=operation.host_id,
+        name=operation.name,
+        gatekeepers=[endpoint_message(endpoint) for endpoint in operation.gatekeepers],
+        boot_incarnation=operation.boot_incarnation,
+        version=operation.version,
+        new_incarnation=operation.new_incarnation,
     )
 
 
-def _expire_message(deed: ExpireHost) -> pb.ExpireHostCommand:
+def _expire_message(operation: ExpireHost) -> pb.ExpireHostCommand:
     return pb.ExpireHostCommand(
-        host_id=deed.host_id,
-        boot_incarnation=deed.boot_incarnation,
-        registered_index=deed.registered_index,
-        tenure=deed.tenure,
+        host_id=operation.host_id,
+        boot_incarnation=operation.boot_incarnation,
+        registered_index=operation.registered_index,
+        tenure=operation.tenure,
     )
 
 
-def _tenure_message(deed: BeginTenure) -> pb.BeginTenureCommand:
+def _tenure_message(operation: BeginTenure) -> pb.BeginTenureCommand:
     return pb.BeginTenureCommand(
-        tenure=deed.tenure,
-        supernode_id=deed.supernode_id,
-        new_cluster_id=deed.new_cluster_id,
-        new_lease_ttl_nanos=deed.new_lease_ttl_nanos,
-        founded_anew=deed.founded_anew,
-        takes_over=deed.takes_over,
+        tenure=operation.tenure,
+        supernode_id=operation.supernode_id,
+        new_cluster_id=operation.new_cluster_id,
+        new_lease_ttl_nanos=operation.new_lease_ttl_nanos,
+        founded_anew=operation.founded_anew,
+        takes_over=operation.takes_over,
     )
 
 
@@ -193,12 +193,12 @@ def decode_command(encoded: bytes) -> Command:
     return Command(
         op_id=message.op_id,
         time_unix_nano=message.time_unix_nano,
-        deed=_read_deed(message),
+        operation=_read_operation(message),
         as_of_index=message.as_of_index,
     )
 
 
-def _read_deed(message: pb.DirectoryCommand) -> Deed:
+def _read_operation(message: pb.DirectoryCommand) -> Operation:
     match message.WhichOneof("kind"):
         case "open_channel":
             return _read_open(message.open_channel)
@@ -218,14 +218,14 @@ def _read_deed(message: pb.DirectoryCommand) -> Deed:
             return _read_tenure(message.begin_tenure)
         case "mark_time":
             return MarkTime(tenure=message.mark_time.tenure, after_index=message.mark_time.after_index)
-        case kind if kind in GROUP_DEEDS:
-            return read_group_deed(message)
-        case kind if kind in REPLICA_DEEDS:
-            return read_replica_deed(message)
-        case kind if kind in QUEUE_DEEDS:
-            return read_queue_deed(message)
-        case kind if kind in PEER_DEEDS:
-            return read_peer_deed(message)
+        case kind if kind in GROUP_OPERATIONS:
+            return read_group_operation(message)
+        case kind if kind in REPLICA_OPERATIONS:
+            return read_replica_operation(message)
+        case kind if kind in QUEUE_OPERATIONS:
+            return read_queue_operation(message)
+        case kind if kind in PEER_OPERATIONS:
+            return read_peer_operation(message)
         case _:
             raise VersionMismatch(
                 "this supernode does not know that kind of directory command; bring all supernodes to one version"

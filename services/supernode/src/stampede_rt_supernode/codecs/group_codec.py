@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import group_pb2
-from stampede_rt_supernode.core.commands import GroupDeed, GroupSuccess
+from stampede_rt_supernode.core.commands import GroupOperation, GroupSuccess
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -24,7 +24,7 @@ _BOUNDS_FROM_WIRE = {
 _BOUNDS_TO_WIRE = {"start": group_pb2.GROUP_BOUND_START, "end": group_pb2.GROUP_BOUND_END}
 _OLDEST = (group_pb2.GROUP_REFERENCE_UNSPECIFIED, group_pb2.GROUP_REFERENCE_OLDEST)
 
-GROUP_DEEDS = ("open_group", "update_group", "delete_group")
+GROUP_OPERATIONS = ("open_group", "update_group", "delete_group")
 GROUP_OUTCOMES = ("group_opened", "group_updated", "group_deleted")
 
 
@@ -101,35 +101,35 @@ def group_entry_from(entry: pb.GroupEntry) -> tuple[Group, tuple[bytes, ...]]:
     return group_from(entry.record), tuple(entry.witness_host_ids)
 
 
-def write_group_deed(message: pb.DirectoryCommand, deed: GroupDeed) -> None:
+def write_group_operation(message: pb.DirectoryCommand, operation: GroupOperation) -> None:
     """Into the command's oneof."""
-    match deed:
+    match operation:
         case OpenGroup():
-            message.open_group.CopyFrom(_open_message(deed))
+            message.open_group.CopyFrom(_open_message(operation))
         case UpdateGroup():
             change = pb.UpdateGroupCommand(
-                group_id=deed.group_id,
-                add_channel_ids=deed.add_channel_ids,
-                remove_channel_ids=deed.remove_channel_ids,
-                spec_version=deed.spec_version,
+                group_id=operation.group_id,
+                add_channel_ids=operation.add_channel_ids,
+                remove_channel_ids=operation.remove_channel_ids,
+                spec_version=operation.spec_version,
             )
             message.update_group.CopyFrom(change)
         case DeleteGroup(group_id=group_id):
             message.delete_group.CopyFrom(pb.DeleteGroupCommand(group_id=group_id))
 
 
-def _open_message(deed: OpenGroup) -> pb.OpenGroupCommand:
+def _open_message(operation: OpenGroup) -> pb.OpenGroupCommand:
     return pb.OpenGroupCommand(
-        name=deed.name,
-        spec=None if deed.spec is None else group_spec_message(deed.spec),
-        create=deed.create,
-        new_group_id=deed.new_group_id,
-        new_incarnation=deed.new_incarnation,
+        name=operation.name,
+        spec=None if operation.spec is None else group_spec_message(operation.spec),
+        create=operation.create,
+        new_group_id=operation.new_group_id,
+        new_incarnation=operation.new_incarnation,
     )
 
 
-def read_group_deed(message: pb.DirectoryCommand) -> GroupDeed:
-    """Of a command whose kind is one of GROUP_DEEDS. Raises InvalidArgument."""
+def read_group_operation(message: pb.DirectoryCommand) -> GroupOperation:
+    """Of a command whose kind is one of GROUP_OPERATIONS. Raises InvalidArgument."""
     if message.HasField("open_group"):
         return _read_open(message.open_group)
     if message.HasField("update_group"):

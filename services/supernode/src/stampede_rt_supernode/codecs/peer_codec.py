@@ -16,7 +16,7 @@ from stampede_rt_supernode.codecs.queue_codec import (
     queue_spec_from,
     queue_spec_message,
 )
-from stampede_rt_supernode.core.commands import PeerDeed, PeerSuccess
+from stampede_rt_supernode.core.commands import PeerOperation, PeerSuccess
 from stampede_rt_supernode.core.peers.commands import (
     DeregisterPeer,
     ExpirePeers,
@@ -28,7 +28,7 @@ from stampede_rt_supernode.core.peers.commands import (
 )
 from stampede_rt_supernode.core.records import Peer
 
-PEER_DEEDS = ("register_peer", "deregister_peer", "expire_peers")
+PEER_OPERATIONS = ("register_peer", "deregister_peer", "expire_peers")
 PEER_OUTCOMES = ("peer_registered", "peer_deregistered", "peers_expired")
 
 
@@ -83,11 +83,11 @@ def peer_from(entry: pb.PeerEntry) -> Peer:
     )
 
 
-def write_peer_deed(message: pb.DirectoryCommand, deed: PeerDeed) -> None:
+def write_peer_operation(message: pb.DirectoryCommand, operation: PeerOperation) -> None:
     """Into the command's oneof."""
-    match deed:
+    match operation:
         case RegisterPeer():
-            message.register_peer.CopyFrom(_register_message(deed))
+            message.register_peer.CopyFrom(_register_message(operation))
         case DeregisterPeer(peer_id=peer_id, boot_incarnation=boot):
             message.deregister_peer.CopyFrom(pb.DeregisterPeerCommand(peer_id=peer_id, boot_incarnation=boot))
         case ExpirePeers(leases=leases, tenure=tenure):
@@ -100,25 +100,25 @@ def write_peer_deed(message: pb.DirectoryCommand, deed: PeerDeed) -> None:
             message.expire_peers.CopyFrom(pb.ExpirePeersCommand(leases=ended, tenure=tenure))
 
 
-def _register_message(deed: RegisterPeer) -> pb.RegisterPeerCommand:
+def _register_message(operation: RegisterPeer) -> pb.RegisterPeerCommand:
     return pb.RegisterPeerCommand(
-        peer_id=deed.peer_id,
-        name=deed.name,
-        boot_incarnation=deed.boot_incarnation,
-        proof_sha256=deed.proof_sha256,
-        mailbox=None if deed.mailbox is None else queue_spec_message(deed.mailbox),
-        mailbox_host_name=deed.mailbox_host_name,
-        host_id=deed.host_id or b"",
-        zone=deed.zone,
-        version=deed.version,
-        attributes=dict(deed.attributes),
-        new_mailbox_id=deed.new_mailbox_id,
-        new_incarnation=deed.new_incarnation,
+        peer_id=operation.peer_id,
+        name=operation.name,
+        boot_incarnation=operation.boot_incarnation,
+        proof_sha256=operation.proof_sha256,
+        mailbox=None if operation.mailbox is None else queue_spec_message(operation.mailbox),
+        mailbox_host_name=operation.mailbox_host_name,
+        host_id=operation.host_id or b"",
+        zone=operation.zone,
+        version=operation.version,
+        attributes=dict(operation.attributes),
+        new_mailbox_id=operation.new_mailbox_id,
+        new_incarnation=operation.new_incarnation,
     )
 
 
-def read_peer_deed(message: pb.DirectoryCommand) -> PeerDeed:
-    """Of a command whose kind is one of PEER_DEEDS. Raises InvalidArgument."""
+def read_peer_operation(message: pb.DirectoryCommand) -> PeerOperation:
+    """Of a command whose kind is one of PEER_OPERATIONS. Raises InvalidArgument."""
     if message.HasField("register_peer"):
         return _read_register(message.register_peer)
     if message.HasField("deregister_peer"):

@@ -8,7 +8,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
-from stampede_rt_supernode.core.commands import QueueDeed, QueueSuccess
+from stampede_rt_supernode.core.commands import QueueOperation, QueueSuccess
 from stampede_rt_supernode.core.queues.commands import (
     DeleteQueue,
     OpenQueue,
@@ -37,7 +37,7 @@ _SPEC_FIELDS = (
     "max_item_bytes",
 )
 
-QUEUE_DEEDS = ("open_queue", "update_queue", "delete_queue")
+QUEUE_OPERATIONS = ("open_queue", "update_queue", "delete_queue")
 QUEUE_OUTCOMES = ("queue_opened", "queue_updated", "queue_deleted")
 
 
@@ -85,17 +85,17 @@ def queue_from(record: queue_pb2.QueueRecord) -> Queue:
     )
 
 
-def write_queue_deed(message: pb.DirectoryCommand, deed: QueueDeed) -> None:
+def write_queue_operation(message: pb.DirectoryCommand, operation: QueueOperation) -> None:
     """Into the command's oneof."""
-    match deed:
+    match operation:
         case OpenQueue():
             opening = pb.OpenQueueCommand(
-                name=deed.name,
-                spec=queue_spec_message(deed.spec),
-                create=deed.create,
-                host_name=deed.host_name,
-                new_queue_id=deed.new_queue_id,
-                new_incarnation=deed.new_incarnation,
+                name=operation.name,
+                spec=queue_spec_message(operation.spec),
+                create=operation.create,
+                host_name=operation.host_name,
+                new_queue_id=operation.new_queue_id,
+                new_incarnation=operation.new_incarnation,
             )
             message.open_queue.CopyFrom(opening)
         case UpdateQueue(queue_id=queue_id, epoch=epoch, spec=spec):
@@ -105,8 +105,8 @@ def write_queue_deed(message: pb.DirectoryCommand, deed: QueueDeed) -> None:
             message.delete_queue.CopyFrom(pb.DeleteQueueCommand(queue_id=queue_id))
 
 
-def read_queue_deed(message: pb.DirectoryCommand) -> QueueDeed:
-    """Of a command whose kind is one of QUEUE_DEEDS. Raises InvalidArgument."""
+def read_queue_operation(message: pb.DirectoryCommand) -> QueueOperation:
+    """Of a command whose kind is one of QUEUE_OPERATIONS. Raises InvalidArgument."""
     if message.HasField("open_queue"):
         opening = message.open_queue
         return OpenQueue(

@@ -6,7 +6,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import replica_pb2, subject_pb2
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
-from stampede_rt_supernode.core.commands import ReplicaDeed, ReplicaSuccess
+from stampede_rt_supernode.core.commands import ReplicaOperation, ReplicaSuccess
 from stampede_rt_supernode.core.records import Replica, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
@@ -24,7 +24,7 @@ _KINDS_TO_WIRE = {
 }
 _KINDS_FROM_WIRE = {wire: kind for kind, wire in _KINDS_TO_WIRE.items()}
 
-REPLICA_DEEDS = ("add_replica", "remove_replica", "set_replica_in_sync")
+REPLICA_OPERATIONS = ("add_replica", "remove_replica", "set_replica_in_sync")
 REPLICA_OUTCOMES = ("replica_added", "replica_removed", "replica_in_sync_set")
 
 
@@ -104,38 +104,38 @@ def load_from(message: replica_pb2.ReplicaLoad) -> ReplicaLoad:
     )
 
 
-def write_replica_deed(message: pb.DirectoryCommand, deed: ReplicaDeed) -> None:
+def write_replica_operation(message: pb.DirectoryCommand, operation: ReplicaOperation) -> None:
     """Into the command's oneof."""
-    subject = subject_of(deed.channel_id)
-    match deed:
+    subject = subject_of(operation.channel_id)
+    match operation:
         case AddReplica():
-            message.add_replica.CopyFrom(_add_message(deed))
+            message.add_replica.CopyFrom(_add_message(operation))
         case RemoveReplica(host_id=host_id):
             message.remove_replica.CopyFrom(pb.RemoveReplicaCommand(subject=subject, host_id=host_id))
         case SetReplicaInSync():
             said = pb.SetReplicaInSyncCommand(
                 subject=subject,
-                epoch=deed.epoch,
-                host_id=deed.host_id,
-                boot_incarnation=deed.boot_incarnation,
-                in_sync=deed.in_sync,
+                epoch=operation.epoch,
+                host_id=operation.host_id,
+                boot_incarnation=operation.boot_incarnation,
+                in_sync=operation.in_sync,
             )
             message.set_replica_in_sync.CopyFrom(said)
 
 
-def _add_message(deed: AddReplica) -> pb.AddReplicaCommand:
+def _add_message(operation: AddReplica) -> pb.AddReplicaCommand:
     return pb.AddReplicaCommand(
-        subject=subject_of(deed.channel_id),
-        epoch=deed.epoch,
-        host_id=deed.host_id,
-        kind=_KINDS_TO_WIRE[deed.kind],
-        source_host_id=deed.source_host_id,
-        acknowledged=deed.acknowledged,
+        subject=subject_of(operation.channel_id),
+        epoch=operation.epoch,
+        host_id=operation.host_id,
+        kind=_KINDS_TO_WIRE[operation.kind],
+        source_host_id=operation.source_host_id,
+        acknowledged=operation.acknowledged,
     )
 
 
-def read_replica_deed(message: pb.DirectoryCommand) -> ReplicaDeed:
-    """Of a command whose kind is one of REPLICA_DEEDS. Raises InvalidArgument."""
+def read_replica_operation(message: pb.DirectoryCommand) -> ReplicaOperation:
+    """Of a command whose kind is one of REPLICA_OPERATIONS. Raises InvalidArgument."""
     if message.HasField("add_replica"):
         return _read_add(message.add_replica)
     if message.HasField("remove_replica"):

@@ -1,4 +1,4 @@
-"""The deeds done lately, by operation id, so that a repeated request repeats the answer and not the deed. Pure.
+"""The operations done lately, by operation id. A repeated request repeats the answer, not the operation. Pure.
 
 How long ago something was done, no clock tells that all replicas share. So the leader marks the time in the log, once
 in MARK_NANOS of its own clock: what was done before the last MARKS_KEPT marks is forgotten, by every replica at the

@@ -29,33 +29,33 @@ from stampede_rt_supernode.core.validation import check_id, check_incarnation, c
 CHANNELS_MAX = 200_000
 
 
-def check_open(deed: OpenChannel) -> None:
+def check_open(operation: OpenChannel) -> None:
     """What can be said without the tables. Raises InvalidName or InvalidArgument."""
-    check_name(deed.name, "channel")
-    if deed.host_name:
-        check_name(deed.host_name, "host")
-    check_ranges(deed.name, deed.policy)
-    check_id(deed.new_channel_id, "new_channel_id")
-    check_incarnation(deed.new_incarnation, "new_incarnation")
+    check_name(operation.name, "channel")
+    if operation.host_name:
+        check_name(operation.host_name, "host")
+    check_ranges(operation.name, operation.policy)
+    check_id(operation.new_channel_id, "new_channel_id")
+    check_incarnation(operation.new_incarnation, "new_incarnation")
 
 
-def check_update(deed: UpdateChannel) -> None:
+def check_update(operation: UpdateChannel) -> None:
     """What can be said without the tables. Raises InvalidArgument."""
-    check_id(deed.channel_id, "channel_id")
-    check_ranges(deed.channel_id.hex(), deed.policy)
+    check_id(operation.channel_id, "channel_id")
+    check_ranges(operation.channel_id.hex(), operation.policy)
 
 
-def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
+def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     """Get or create; a channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
-    check_open(deed)
-    channel = tables.channel_named(deed.name)
+    check_open(operation)
+    channel = tables.channel_named(operation.name)
     if channel is None:
-        return _create(tables, deed)
-    check_host_agrees("channel", channel.name, tables.hosts[channel.host_id], deed.host_name)
-    policy = agree(channel.name, channel.policy, deed.policy)
+        return _create(tables, operation)
+    check_host_agrees("channel", channel.name, tables.hosts[channel.host_id], operation.host_name)
+    policy = agree(channel.name, channel.policy, operation.policy)
     opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
     if not tables.hosts[channel.host_id].alive:
-        give_owner(tables, channel, _place_anew(tables, opened, deed))
+        give_owner(tables, channel, _place_anew(tables, opened, operation))
         note_lost_cuts(tables, [channel.channel_id])
     elif opened != channel:
         tables.replace_channel(opened)
@@ -63,28 +63,28 @@ def open_channel(tables: Tables, deed: OpenChannel) -> ChannelOpened:
     return ChannelOpened(channel=opened, host=tables.hosts[opened.host_id], created=False)
 
 
-def open_unchanged(tables: Tables, deed: OpenChannel) -> ChannelOpened | None:
-    """The answer to `deed` if it changes nothing, else None. Raises as `open_channel` does where that is certain."""
-    check_open(deed)
-    channel = tables.channel_named(deed.name)
+def open_unchanged(tables: Tables, operation: OpenChannel) -> ChannelOpened | None:
+    """The answer to `operation` if it changes nothing, else None. Raises as `open_channel`, if that is certain."""
+    check_open(operation)
+    channel = tables.channel_named(operation.name)
     if channel is None:
-        if not deed.create:
-            raise no_such_channel(deed.name)
-        check_policy(deed.name, deed.policy)
+        if not operation.create:
+            raise no_such_channel(operation.name)
+        check_policy(operation.name, operation.policy)
         return None
     host = tables.hosts[channel.host_id]
-    check_host_agrees("channel", channel.name, host, deed.host_name)
-    unchanged = agree(channel.name, channel.policy, deed.policy) == channel.policy
+    check_host_agrees("channel", channel.name, host, operation.host_name)
+    unchanged = agree(channel.name, channel.policy, operation.policy) == channel.policy
     return ChannelOpened(channel=channel, host=host, created=False) if unchanged and host.alive else None
 
 
-def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
+def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
     """Change the stated fields; others stay."""
-    check_update(deed)
-    channel = channel_by_id(tables, deed.channel_id)
-    check_epoch(channel, deed.epoch)
-    check_fixed(channel.name, channel.policy, deed.policy)
-    policy = merge(channel.policy, deed.policy)
+    check_update(operation)
+    channel = channel_by_id(tables, operation.channel_id)
+    check_epoch(channel, operation.epoch)
+    check_fixed(channel.name, channel.policy, operation.policy)
+    policy = merge(channel.policy, operation.policy)
     check_policy(channel.name, policy)
     if policy != channel.policy:
         channel = replace(channel, policy=policy, policy_version=channel.policy_version + 1)
@@ -92,44 +92,44 @@ def update_channel(tables: Tables, deed: UpdateChannel) -> ChannelUpdated:
     return ChannelUpdated(channel=channel)
 
 
-def delete_channel(tables: Tables, deed: DeleteChannel) -> ChannelDeleted:
+def delete_channel(tables: Tables, operation: DeleteChannel) -> ChannelDeleted:
     """Forget it; its name is free again."""
-    channel = channel_by_id(tables, deed.channel_id)
+    channel = channel_by_id(tables, operation.channel_id)
     forget_channel(tables, channel)
     return ChannelDeleted(channel=channel)
 
 
-def _create(tables: Tables, deed: OpenChannel) -> ChannelOpened:
-    if not deed.create:
-        raise no_such_channel(deed.name)
-    check_policy(deed.name, deed.policy)
+def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
+    if not operation.create:
+        raise no_such_channel(operation.name)
+    check_policy(operation.name, operation.policy)
     if len(tables.channels) >= CHANNELS_MAX:
         raise Overloaded(
-            f"channel {deed.name} cannot be made: the directory holds {CHANNELS_MAX} channels, which is the most; "
+            f"channel {operation.name} cannot be made: the directory holds {CHANNELS_MAX} channels, which is the most; "
             "delete some",
-            metadata={"channel": deed.name},
+            metadata={"channel": operation.name},
         )
-    host = _choose_host(tables, deed)
+    host = _choose_host(tables, operation)
     channel = Channel(
-        channel_id=deed.new_channel_id,
-        name=deed.name,
+        channel_id=operation.new_channel_id,
+        name=operation.name,
         host_id=host.host_id,
         epoch=1,
-        incarnation=deed.new_incarnation,
-        policy=deed.policy,
+        incarnation=operation.new_incarnation,
+        policy=operation.policy,
         policy_version=1,
     )
     tables.add_channel(channel)
     return ChannelOpened(channel=channel, host=tables.hosts[host.host_id], created=True)
 
 
-def _place_anew(tables: Tables, channel: Channel, deed: OpenChannel) -> Channel:
-    host = _choose_host(tables, deed, former=tables.hosts[channel.host_id].name)
+def _place_anew(tables: Tables, channel: Channel, operation: OpenChannel) -> Channel:
+    host = _choose_host(tables, operation, former=tables.hosts[channel.host_id].name)
     return replace(
         channel,
         host_id=host.host_id,
         epoch=channel.epoch + 1,
-        incarnation=fresh_incarnation(channel, deed.new_incarnation),
+        incarnation=fresh_incarnation(channel, operation.new_incarnation),
     )
 
 
@@ -138,17 +138,17 @@ def fresh_incarnation(channel: Channel, proposed: int) -> int:
     return proposed if proposed != channel.incarnation else (proposed ^ 1) or 2
 
 
-def _choose_host(tables: Tables, deed: OpenChannel, former: str | None = None) -> Host:
+def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> Host:
     """The host asked for; else the live one that bears the `former` owner's name, which is that host restarted without
     its data folder; else the live one with the fewest channels, the first by name of several."""
-    if deed.host_name:
-        return host_by_name(tables, deed.host_name)
+    if operation.host_name:
+        return host_by_name(tables, operation.host_name)
     successor = tables.live_host_named(former) if former is not None else None
     least = successor or min(tables.live_hosts(), key=lambda host: host.channels, default=None)
     if least is None:
         raise Unavailable(
-            f"no live host is there to take channel {deed.name}; start one with `stampede host`, or wait for it",
+            f"no live host is there to take channel {operation.name}; start one with `stampede host`, or wait for it",
             reason="NO_HOST",
-            metadata={"channel": deed.name},
+            metadata={"channel": operation.name},
         )
     return least

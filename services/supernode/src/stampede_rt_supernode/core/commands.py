@@ -131,13 +131,15 @@ class MarkTime:
     after_index: int
 
 
-ChannelDeed: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
-HostDeed: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure | MarkTime
-GroupDeed: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
-ReplicaDeed: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
-QueueDeed: TypeAlias = OpenQueue | UpdateQueue | DeleteQueue
-PeerDeed: TypeAlias = RegisterPeer | DeregisterPeer | ExpirePeers
-Deed: TypeAlias = ChannelDeed | HostDeed | GroupDeed | ReplicaDeed | QueueDeed | PeerDeed
+ChannelOperation: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
+HostOperation: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure | MarkTime
+GroupOperation: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
+ReplicaOperation: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
+QueueOperation: TypeAlias = OpenQueue | UpdateQueue | DeleteQueue
+PeerOperation: TypeAlias = RegisterPeer | DeregisterPeer | ExpirePeers
+Operation: TypeAlias = (
+    ChannelOperation | HostOperation | GroupOperation | ReplicaOperation | QueueOperation | PeerOperation
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -149,14 +151,14 @@ class Command:
 
     op_id: bytes
     time_unix_nano: int
-    deed: Deed
+    operation: Operation
     as_of_index: int = 0
 
 
-def subject_of(deed: Deed) -> str:
-    """What a deed is about, kind and thing: an operation id that comes back with another subject is a mistake."""
-    kind = type(deed).__name__
-    match deed:
+def subject_of(operation: Operation) -> str:
+    """What an operation is about, kind and thing: an operation id that comes back with another subject is a mistake."""
+    kind = type(operation).__name__
+    match operation:
         case OpenChannel(name=name) | OpenGroup(name=name) | OpenQueue(name=name):
             return f"{kind} {name}"
         case UpdateChannel(channel_id=thing) | DeleteChannel(channel_id=thing):
@@ -168,7 +170,7 @@ def subject_of(deed: Deed) -> str:
         case UpdateGroup(group_id=thing) | DeleteGroup(group_id=thing):
             return f"{kind} {thing.hex()}"
         case AddReplica() | RemoveReplica() | SetReplicaInSync():
-            return f"{kind} {deed.channel_id.hex()} {deed.host_id.hex()}"
+            return f"{kind} {operation.channel_id.hex()} {operation.host_id.hex()}"
         case UpdateQueue(queue_id=thing) | DeleteQueue(queue_id=thing):
             return f"{kind} {thing.hex()}"
         case RegisterPeer(peer_id=thing) | DeregisterPeer(peer_id=thing):

@@ -23,7 +23,6 @@ from stampede_rt_supernode.core.channel_transitions import (
 from stampede_rt_supernode.core.commands import (
     BeginTenure,
     Command,
-    Deed,
     DeleteChannel,
     DeregisterHost,
     ExpireHost,
@@ -32,6 +31,7 @@ from stampede_rt_supernode.core.commands import (
     HostRegistered,
     MarkTime,
     OpenChannel,
+    Operation,
     Refused,
     RegisterHost,
     Result,
@@ -84,27 +84,27 @@ from stampede_rt_supernode.core.validation import check_id
 FORMER_MAX = 16
 DIGEST_BYTES = 16
 
-_CHECKS: Mapping[type[Deed], Callable[[Any], None]] = {
+_CHECKS: Mapping[type[Operation], Callable[[Any], None]] = {
     OpenChannel: check_open,
     UpdateChannel: check_update,
-    DeleteChannel: lambda deed: check_id(deed.channel_id, "channel_id"),
+    DeleteChannel: lambda operation: check_id(operation.channel_id, "channel_id"),
     RegisterHost: check_register,
-    DeregisterHost: lambda deed: check_id(deed.host_id, "host_id"),
+    DeregisterHost: lambda operation: check_id(operation.host_id, "host_id"),
     OpenGroup: check_open_group,
     UpdateGroup: check_update_group,
-    DeleteGroup: lambda deed: check_id(deed.group_id, "group_id"),
+    DeleteGroup: lambda operation: check_id(operation.group_id, "group_id"),
     AddReplica: check_add_replica,
     RemoveReplica: check_remove_replica,
     SetReplicaInSync: check_set_in_sync,
     OpenQueue: check_open_queue,
     UpdateQueue: check_update_queue,
-    DeleteQueue: lambda deed: check_id(deed.queue_id, "queue_id"),
+    DeleteQueue: lambda operation: check_id(operation.queue_id, "queue_id"),
     RegisterPeer: check_register_peer,
-    DeregisterPeer: lambda deed: check_id(deed.peer_id, "peer_id"),
+    DeregisterPeer: lambda operation: check_id(operation.peer_id, "peer_id"),
 }  # what supernodes make themselves needs no check
 
-# What a deed does that concerns the tables alone.
-_TRANSITIONS: Mapping[type[Deed], Callable[[Tables, Any], Success]] = {
+# What an operation does that concerns the tables alone.
+_TRANSITIONS: Mapping[type[Operation], Callable[[Tables, Any], Success]] = {
     OpenChannel: open_channel,
     UpdateChannel: update_channel,
     DeleteChannel: delete_channel,
@@ -120,14 +120,14 @@ _TRANSITIONS: Mapping[type[Deed], Callable[[Tables, Any], Success]] = {
 }
 
 
-def check_deed(deed: Deed) -> None:
-    """What can be said of `deed` without any state, so that what cannot be meant never comes into the log.
+def check_operation(operation: Operation) -> None:
+    """What can be said of `operation` without any state, so that what cannot be meant never comes into the log.
 
-    A deed that passes fits into a log entry. Raises InvalidName or InvalidArgument.
+    An operation that passes fits into a log entry. Raises InvalidName or InvalidArgument.
     """
-    check = _CHECKS.get(type(deed))
+    check = _CHECKS.get(type(operation))
     if check is not None:
-        check(deed)
+        check(operation)
 
 
 class Directory:
@@ -191,52 +191,52 @@ class Directory:
 
     def _answer(self, index: int, command: Command) -> Success:
         check_id(command.op_id, "request_id")
-        subject = subject_of(command.deed)
+        subject = subject_of(command.operation)
         found = self.answered.find(command.op_id, subject)
         if found is not None:
             return found
-        if isinstance(command.deed, MarkTime):
-            return self._mark_time(index, command.deed)
+        if isinstance(command.operation, MarkTime):
+            return self._mark_time(index, command.operation)
         self.answered.check_in_time(command.as_of_index)
-        if not isinstance(command.deed, (BeginTenure, ExpireHost, ExpirePeers)):  # no caller's, and never too many
+        if not isinstance(command.operation, (BeginTenure, ExpireHost, ExpirePeers)):  # no caller's, and never too many
             self.answered.check_room()
         result = self._do(command)
         self.answered.remember(Answer(command.op_id, index, subject, result))
         return result
 
     def _do(self, command: Command) -> Success:
-        deed = command.deed
-        if isinstance(deed, (OpenChannel, OpenGroup, OpenQueue)):
-            check_in_time(self.tables, self.answered, deed, command.as_of_index)
-        if isinstance(deed, (RegisterHost, RegisterPeer)):
-            late_registrations.check_in_time(self.tables, deed, command.as_of_index)
-        transition = _TRANSITIONS.get(type(deed))
+        operation = command.operation
+        if isinstance(operation, (OpenChannel, OpenGroup, OpenQueue)):
+            check_in_time(self.tables, self.answered, operation, command.as_of_index)
+        if isinstance(operation, (RegisterHost, RegisterPeer)):
+            late_registrations.check_in_time(self.tables, operation, command.as_of_index)
+        transition = _TRANSITIONS.get(type(operation))
         if transition is not None:
-            return transition(self.tables, deed)
-        match deed:
+            return transition(self.tables, operation)
+        match operation:
             case RegisterHost():
                 self._check_founded()
-                return HostRegistered(host=register_host(self.tables, deed), cluster_id=self.cluster_id)
+                return HostRegistered(host=register_host(self.tables, operation), cluster_id=self.cluster_id)
             case DeregisterHost():
-                deregister_host(self.tables, deed)
+                deregister_host(self.tables, operation)
                 return HostDeregistered()
             case ExpireHost():
-                return HostExpired(expired=expire_host(self.tables, deed, self.tenure, command.time_unix_nano))
+                return HostExpired(expired=expire_host(self.tables, operation, self.tenure, command.time_unix_nano))
             case BeginTenure():
-                return self._begin_tenure(deed)
+                return self._begin_tenure(operation)
             case RegisterPeer():
                 self._check_founded()
-                return register_peer(self.tables, deed, command.time_unix_nano, self.cluster_id)
+                return register_peer(self.tables, operation, command.time_unix_nano, self.cluster_id)
             case DeregisterPeer():
-                deregister_peer(self.tables, deed)
+                deregister_peer(self.tables, operation)
                 return PeerDeregistered()
             case ExpirePeers():
-                return PeersExpired(expired=expire_peers(self.tables, deed, self.tenure))
-        raise NotImplementedError(f"nothing is known to do for a {type(deed).__name__}")
+                return PeersExpired(expired=expire_peers(self.tables, operation, self.tenure))
+        raise NotImplementedError(f"nothing is known to do for a {type(operation).__name__}")
 
-    def _mark_time(self, index: int, deed: MarkTime) -> TimeMarked:
+    def _mark_time(self, index: int, operation: MarkTime) -> TimeMarked:
         """It is not remembered: a repeated one does not follow the last mark any more."""
-        marked = deed.tenure == self.tenure and deed.after_index == self.answered.last_mark
+        marked = operation.tenure == self.tenure and operation.after_index == self.answered.last_mark
         if marked:
             self.answered.mark(index)
         return TimeMarked(marked=marked)
@@ -246,12 +246,12 @@ class Directory:
             text = "the cluster is just being founded, and no leader grants leases yet; try again in a moment"
             raise Unavailable(text, reason="NO_QUORUM")
 
-    def _begin_tenure(self, deed: BeginTenure) -> TenureBegun:
+    def _begin_tenure(self, operation: BeginTenure) -> TenureBegun:
         """A leader's first entry; one of a leader that was already replaced is without effect."""
-        self.tenure = max(self.tenure, deed.tenure)
-        if deed.founded_anew or not self.cluster_id:
-            if self.cluster_id and deed.takes_over and self.cluster_id != deed.new_cluster_id:
+        self.tenure = max(self.tenure, operation.tenure)
+        if operation.founded_anew or not self.cluster_id:
+            if self.cluster_id and operation.takes_over and self.cluster_id != operation.new_cluster_id:
                 self.former_cluster_ids = (*self.former_cluster_ids, self.cluster_id)[-FORMER_MAX:]
-            self.cluster_id = deed.new_cluster_id
-        self.lease_ttl_nanos = self.lease_ttl_nanos or deed.new_lease_ttl_nanos
+            self.cluster_id = operation.new_cluster_id
+        self.lease_ttl_nanos = self.lease_ttl_nanos or operation.new_lease_ttl_nanos
         return TenureBegun(tenure=self.tenure, cluster_id=self.cluster_id)

@@ -27,76 +27,76 @@ from stampede_rt_supernode.core.validation import (
 HOSTS_MAX = 10_000
 
 
-def register_host(tables: Tables, deed: RegisterHost) -> Host:
+def register_host(tables: Tables, operation: RegisterHost) -> Host:
     """A host enters, or enters again. A new boot incarnation means that it lost its items: in this one step all its
     channels and queues get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where
     they are."""
-    check_register(deed)
-    _check_name_is_free(tables, deed)
-    before = tables.hosts.get(deed.host_id)
+    check_register(operation)
+    _check_name_is_free(tables, operation)
+    before = tables.hosts.get(operation.host_id)
     if before is None and len(tables.hosts) >= HOSTS_MAX:
-        text = f"host {deed.name} cannot register: the directory holds {HOSTS_MAX} hosts, which is the most"
-        raise Overloaded(text, metadata={"host": deed.name})
+        text = f"host {operation.name} cannot register: the directory holds {HOSTS_MAX} hosts, which is the most"
+        raise Overloaded(text, metadata={"host": operation.name})
     tables.put_host(
         Host(
-            host_id=deed.host_id,
-            name=deed.name,
-            gatekeepers=deed.gatekeepers,
-            boot_incarnation=deed.boot_incarnation,
-            version=deed.version,
+            host_id=operation.host_id,
+            name=operation.name,
+            gatekeepers=operation.gatekeepers,
+            boot_incarnation=operation.boot_incarnation,
+            version=operation.version,
             alive=True,
             channels=before.channels if before is not None else 0,
             registered_index=tables.index,
         )
     )
-    tables.find_again(deed.name)
-    if before is not None and before.boot_incarnation != deed.boot_incarnation:
-        end_registration(tables, deed.host_id)
-        _renew_channels(tables, deed)
-        renew_queues(tables, tables.hosts[deed.host_id], deed.new_incarnation)
+    tables.find_again(operation.name)
+    if before is not None and before.boot_incarnation != operation.boot_incarnation:
+        end_registration(tables, operation.host_id)
+        _renew_channels(tables, operation)
+        renew_queues(tables, tables.hosts[operation.host_id], operation.new_incarnation)
     if len(tables.host_ids) == 1:
         house_waiting_mailboxes(tables)
-    return tables.hosts[deed.host_id]
+    return tables.hosts[operation.host_id]
 
 
-def check_register(deed: RegisterHost) -> None:
+def check_register(operation: RegisterHost) -> None:
     """What can be said without the tables. Raises InvalidName or InvalidArgument."""
-    check_id(deed.host_id, "host_id")
-    check_name(deed.name, "host")
-    check_gatekeepers(deed.gatekeepers, deed.name)
-    check_version(deed.version, deed.name)
-    check_incarnation(deed.boot_incarnation, "boot_incarnation")
-    check_incarnation(deed.new_incarnation, "new_incarnation")
+    check_id(operation.host_id, "host_id")
+    check_name(operation.name, "host")
+    check_gatekeepers(operation.gatekeepers, operation.name)
+    check_version(operation.version, operation.name)
+    check_incarnation(operation.boot_incarnation, "boot_incarnation")
+    check_incarnation(operation.new_incarnation, "new_incarnation")
 
 
-def _check_name_is_free(tables: Tables, deed: RegisterHost) -> None:
-    holder = tables.live_host_named(deed.name)
-    if holder is not None and holder.host_id != deed.host_id:
+def _check_name_is_free(tables: Tables, operation: RegisterHost) -> None:
+    holder = tables.live_host_named(operation.name)
+    if holder is not None and holder.host_id != operation.host_id:
         raise HostExists(
-            f"another live host has the name {deed.name}; choose another name, or wait until that host has left or its "
-            "lease has ended",
-            metadata={"host": deed.name, "host_id": holder.host_id.hex()},
+            f"another live host has the name {operation.name}; choose another name, or wait until that host has left "
+            "or its lease has ended",
+            metadata={"host": operation.name, "host_id": holder.host_id.hex()},
         )
 
 
-def _renew_channels(tables: Tables, deed: RegisterHost) -> None:
-    left = tables.channels_at(deed.host_id)
+def _renew_channels(tables: Tables, operation: RegisterHost) -> None:
+    left = tables.channels_at(operation.host_id)
     for channel in left:
-        give_owner(tables, channel, channel.begun_anew(fresh_incarnation(channel, deed.new_incarnation)))
-    note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=deed.host_id)
+        give_owner(tables, channel, channel.begun_anew(fresh_incarnation(channel, operation.new_incarnation)))
+    note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=operation.host_id)
 
 
-def deregister_host(tables: Tables, deed: DeregisterHost) -> None:
+def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
     """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes. Its
     mailboxes go to other hosts.
 
     Who is not there has left already; one that was lost is so no more. Raises LeaseExpired for another boot.
     """
-    check_id(deed.host_id, "host_id")
-    host = tables.hosts.get(deed.host_id)
+    check_id(operation.host_id, "host_id")
+    host = tables.hosts.get(operation.host_id)
     if host is None or not (host.alive or host.is_lost):
         return
-    check_boot(host, deed.boot_incarnation)
+    check_boot(host, operation.boot_incarnation)
     if host.alive:
         _end(tables, host)
     else:
@@ -113,15 +113,15 @@ def check_boot(host: Host, boot_incarnation: int) -> None:
         )
 
 
-def expire_host(tables: Tables, deed: ExpireHost, tenure: int, now_unix_nano: int) -> bool:
+def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nano: int) -> bool:
     """End a lease, unless the words come too late: `tenure` is the one in force. Returns whether it ended.
 
     The host is remembered as lost until it comes back, says that it leaves, or too many others are lost after it.
     """
-    host = tables.hosts.get(deed.host_id)
-    if host is None or not host.alive or deed.tenure != tenure:
+    host = tables.hosts.get(operation.host_id)
+    if host is None or not host.alive or operation.tenure != tenure:
         return False
-    if (host.boot_incarnation, host.registered_index) != (deed.boot_incarnation, deed.registered_index):
+    if (host.boot_incarnation, host.registered_index) != (operation.boot_incarnation, operation.registered_index):
         return False
     _end(tables, host, lost_unix_nano=now_unix_nano)
     return True

@@ -18,48 +18,48 @@ from stampede_rt_supernode.core.tables import Tables
 Open = OpenChannel | OpenGroup | OpenQueue
 
 
-def check_in_time(tables: Tables, answered: Answered, deed: Open, as_of_index: int) -> None:
-    """Raises Unavailable with reason AMBIGUOUS if `deed` would make what may have been deleted since it was asked for.
+def check_in_time(tables: Tables, answered: Answered, operation: Open, as_of_index: int) -> None:
+    """Raises Unavailable with reason AMBIGUOUS if `operation` would make what may have been deleted since the request.
 
     `as_of_index`: how far the state reached when the request came, 0 if that is not told.
     O(entries since then). Deletions are known for as long as answers are remembered; what is older counts as late.
     """
-    if as_of_index == 0 or _is_there(tables, deed):
+    if as_of_index == 0 or _is_there(tables, operation):
         return
     if as_of_index < answered.known_since:
-        raise _late(deed)
+        raise _late(operation)
     for answer in answered.newest_first():
         if answer.index <= as_of_index:
             return
-        if _frees(answer.result, deed):
-            raise _late(deed)
+        if _frees(answer.result, operation):
+            raise _late(operation)
 
 
-def _is_there(tables: Tables, deed: Open) -> bool:
-    match deed:
+def _is_there(tables: Tables, operation: Open) -> bool:
+    match operation:
         case OpenChannel():
-            return tables.channel_named(deed.name) is not None
+            return tables.channel_named(operation.name) is not None
         case OpenGroup():
-            return tables.groups.named(deed.name) is not None
+            return tables.groups.named(operation.name) is not None
         case OpenQueue():
-            return tables.queues.named(deed.name) is not None
+            return tables.queues.named(operation.name) is not None
 
 
-def _frees(result: Success, deed: Open) -> bool:
-    match deed:
+def _frees(result: Success, operation: Open) -> bool:
+    match operation:
         case OpenChannel():
-            return isinstance(result, ChannelDeleted) and result.channel.name == deed.name
+            return isinstance(result, ChannelDeleted) and result.channel.name == operation.name
         case OpenGroup():
             return isinstance(result, (GroupDeleted, ChannelDeleted))  # of which group is not remembered
         case OpenQueue():
-            return isinstance(result, QueueDeleted) and result.queue.name == deed.name
+            return isinstance(result, QueueDeleted) and result.queue.name == operation.name
 
 
-def _late(deed: Open) -> Unavailable:
-    kind = type(deed).__name__.removeprefix("Open").lower()
+def _late(operation: Open) -> Unavailable:
+    kind = type(operation).__name__.removeprefix("Open").lower()
     return Unavailable(
-        f"{kind} {deed.name} may have been deleted while this request was under way; send the request again, with the "
-        "same request id, if it is still wanted",
+        f"{kind} {operation.name} may have been deleted while this request was under way; send the request again, with "
+        "the same request id, if it is still wanted",
         reason="AMBIGUOUS",
-        metadata={kind: deed.name},
+        metadata={kind: operation.name},
     )

@@ -13,24 +13,27 @@ from stampede_rt_supernode.core.records import Host, Peer
 from stampede_rt_supernode.core.tables import Tables
 
 
-def check_in_time(tables: Tables, deed: RegisterHost | RegisterPeer, as_of_index: int) -> None:
+def check_in_time(tables: Tables, operation: RegisterHost | RegisterPeer, as_of_index: int) -> None:
     """Raises Unavailable with reason AMBIGUOUS if another start of the process has registered since this was asked for.
 
     `as_of_index`: how far the state reached when the request came, 0 if that is not told.
     """
-    for before in _places(tables, deed):
-        if before is None or before.boot_incarnation == deed.boot_incarnation:
+    for before in _places(tables, operation):
+        if before is None or before.boot_incarnation == operation.boot_incarnation:
             continue
         if 0 < as_of_index < before.registered_index:
             raise Unavailable(
-                f"{deed.name or 'the peer'} has registered from another process while this request was under way; if "
-                "this process is the newer one, send the request again",
+                f"{operation.name or 'the peer'} has registered from another process while this request was under way; "
+                "if this process is the newer one, send the request again",
                 reason="AMBIGUOUS",
             )
 
 
-def _places(tables: Tables, deed: RegisterHost | RegisterPeer) -> list[Host | None] | list[Peer | None]:
+def _places(tables: Tables, operation: RegisterHost | RegisterPeer) -> list[Host | None] | list[Peer | None]:
     """Whose place it would take."""
-    if isinstance(deed, RegisterHost):
-        return [tables.hosts.get(deed.host_id)]
-    return [tables.peers.by_id.get(deed.peer_id), tables.peers.live_named(deed.name) if deed.name else None]
+    if isinstance(operation, RegisterHost):
+        return [tables.hosts.get(operation.host_id)]
+    return [
+        tables.peers.by_id.get(operation.peer_id),
+        tables.peers.live_named(operation.name) if operation.name else None,
+    ]

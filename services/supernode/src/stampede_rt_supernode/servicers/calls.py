@@ -13,7 +13,7 @@ from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.core import commands
 from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
-from stampede_rt_supernode.core.directory import Directory, check_deed
+from stampede_rt_supernode.core.directory import Directory, check_operation
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
@@ -73,18 +73,18 @@ class DirectoryCalls:
         return self._replica.read(question)
 
     async def submit(
-        self, context: Any, deed: commands.Deed, kind: type[S], op_id: bytes, as_of_index: int | None = None
+        self, context: Any, operation: commands.Operation, kind: type[S], op_id: bytes, as_of_index: int | None = None
     ) -> S:
-        """What came of `deed`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant.
+        """What came of `operation`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant.
 
         `as_of_index`: what `reached` gave when the request came, if it was not just now.
         """
         check_id(op_id, "request_id")
-        check_deed(deed)
+        check_operation(operation)
         check_age(context)
         as_of_index = self.reached() if as_of_index is None else as_of_index
         return await self._submission.submit(
-            deed, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
+            operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
         )
 
     async def confirm(self, context: Any) -> None:

@@ -75,7 +75,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:
         """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
-        deed = commands.OpenChannel(
+        operation = commands.OpenChannel(
             name=request.name,
             policy=policy_from(request.spec),
             create=request.create,
@@ -84,9 +84,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_incarnation=_random_incarnation(),
         )
         check_id(request.request_id, "request_id")
-        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        opened = await self._calls.read(
+            context, lambda directory: _open_again(directory, request.request_id, operation)
+        )
         if opened is None:
-            opened = await self._calls.submit(context, deed, commands.ChannelOpened, request.request_id, as_of)
+            opened = await self._calls.submit(context, operation, commands.ChannelOpened, request.request_id, as_of)
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
         )
@@ -124,17 +126,17 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @refusing
     async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Any) -> pb.UpdateChannelResponse:
         """See the contract."""
-        deed = commands.UpdateChannel(
+        operation = commands.UpdateChannel(
             channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec)
         )
-        updated = await self._calls.submit(context, deed, commands.ChannelUpdated, request.request_id)
+        updated = await self._calls.submit(context, operation, commands.ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 
     @refusing
     async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Any) -> pb.DeleteChannelResponse:
         """See the contract."""
-        deed = commands.DeleteChannel(channel_id=request.channel_id)
-        await self._calls.submit(context, deed, commands.ChannelDeleted, request.request_id)
+        operation = commands.DeleteChannel(channel_id=request.channel_id)
+        await self._calls.submit(context, operation, commands.ChannelDeleted, request.request_id)
         return pb.DeleteChannelResponse()
 
     @refusing
@@ -143,7 +145,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         check_protocol(request.protocol_version, request.version)
         await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id, request.name)
-        deed = commands.RegisterHost(
+        operation = commands.RegisterHost(
             host_id=request.host_id,
             name=request.name,
             gatekeepers=endpoints_from(request.gatekeepers),
@@ -151,7 +153,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             version=request.version,
             new_incarnation=_random_incarnation(),
         )
-        entered = await self._calls.submit(context, deed, commands.HostRegistered, request.request_id)
+        entered = await self._calls.submit(context, operation, commands.HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))
         return pb.RegisterHostResponse(
             host=host_record(entered.host),
@@ -176,8 +178,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Any) -> pb.DeregisterHostResponse:
         """See the contract."""
         self._calls.check_host(context, request.host_id)
-        deed = commands.DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
-        await self._calls.submit(context, deed, commands.HostDeregistered, request.request_id)
+        operation = commands.DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
+        await self._calls.submit(context, operation, commands.HostDeregistered, request.request_id)
         return pb.DeregisterHostResponse()
 
     @refusing
@@ -235,10 +237,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             await abort(context, error)
 
 
-def _open_again(directory: Directory, op_id: bytes, deed: commands.OpenChannel) -> commands.ChannelOpened | None:
+def _open_again(directory: Directory, op_id: bytes, operation: commands.OpenChannel) -> commands.ChannelOpened | None:
     """The answer that this very request got before, or the one it gets because nothing needs to change."""
-    found = directory.answered.find(op_id, commands.subject_of(deed))
-    return found if isinstance(found, commands.ChannelOpened) else open_unchanged(directory.tables, deed)
+    found = directory.answered.find(op_id, commands.subject_of(operation))
+    return found if isinstance(found, commands.ChannelOpened) else open_unchanged(directory.tables, operation)
 
 
 def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[Channel, ...], tuple[Queue, ...]]:

@@ -13,7 +13,7 @@ from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core import page_tokens
 from stampede_rt_supernode.core.commands import subject_of
-from stampede_rt_supernode.core.directory import Directory, check_deed
+from stampede_rt_supernode.core.directory import Directory, check_operation
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -40,7 +40,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Any) -> pb.OpenGroupResponse:
         """See the contract. A group that is there is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
-        deed = OpenGroup(
+        operation = OpenGroup(
             name=request.name,
             spec=group_spec_from(request.spec) if request.HasField("spec") else None,
             create=request.create,
@@ -48,10 +48,12 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             new_incarnation=secrets.randbits(64) or 1,
         )
         check_id(request.request_id, "request_id")
-        check_deed(deed)
-        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        check_operation(operation)
+        opened = await self._calls.read(
+            context, lambda directory: _open_again(directory, request.request_id, operation)
+        )
         if opened is None:
-            opened = await self._calls.submit(context, deed, GroupOpened, request.request_id, as_of)
+            opened = await self._calls.submit(context, operation, GroupOpened, request.request_id, as_of)
         group = opened.group
         view = await self._calls.read(context, lambda directory: group_view(directory.tables, group), stale_ok=True)
         return pb.OpenGroupResponse(
@@ -82,13 +84,13 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     @refusing
     async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Any) -> pb.UpdateGroupResponse:
         """See the contract."""
-        deed = UpdateGroup(
+        operation = UpdateGroup(
             group_id=request.group_id,
             add_channel_ids=tuple(request.add_channel_ids),
             remove_channel_ids=tuple(request.remove_channel_ids),
             spec_version=request.spec_version if request.HasField("spec_version") else None,
         )
-        updated = await self._calls.submit(context, deed, GroupUpdated, request.request_id)
+        updated = await self._calls.submit(context, operation, GroupUpdated, request.request_id)
         return pb.UpdateGroupResponse(group=group_record(updated.group))
 
     @refusing
@@ -115,7 +117,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         )
 
 
-def _open_again(directory: Directory, op_id: bytes, deed: OpenGroup) -> GroupOpened | None:
+def _open_again(directory: Directory, op_id: bytes, operation: OpenGroup) -> GroupOpened | None:
     """The answer that this very request got before, or the one it gets because the group is there."""
-    found = directory.answered.find(op_id, subject_of(deed))
-    return found if isinstance(found, GroupOpened) else open_group_unchanged(directory.tables, deed)
+    found = directory.answered.find(op_id, subject_of(operation))
+    return found if isinstance(found, GroupOpened) else open_group_unchanged(directory.tables, operation)

@@ -111,7 +111,7 @@ class LeaseKeeper:
     async def _take_over(self, status: ReplicationStatus) -> None:
         self._resign()
         cluster_id = self._replica.read(lambda directory: directory.cluster_id)
-        deed = BeginTenure(
+        operation = BeginTenure(
             tenure=status.tenure,
             supernode_id=status.self_id,
             new_cluster_id=self.founding_cluster_id or new_cluster_id(in_memory=self.in_memory),
@@ -120,7 +120,7 @@ class LeaseKeeper:
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
             takes_over=self.takes_over,
         )
-        begun = await self._submission.submit(deed, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
+        begun = await self._submission.submit(operation, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
             return  # another one leads by now
         hosts, ttl_nanos = self._replica.read(lambda directory: (_live(directory), directory.lease_ttl_nanos))
@@ -141,8 +141,8 @@ class LeaseKeeper:
         if last_mark != self._last_mark:
             self._last_mark, self._marked_nanos = last_mark, now
         if kept and now - self._marked_nanos >= MARK_NANOS:
-            deed = MarkTime(tenure=self._hosts.tenure, after_index=last_mark)
-            await self._submission.submit(deed, TimeMarked, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
+            operation = MarkTime(tenure=self._hosts.tenure, after_index=last_mark)
+            await self._submission.submit(operation, TimeMarked, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
 
     async def _end_due_leases(self) -> None:
         now = self._clock.boottime_nanos()
@@ -152,13 +152,13 @@ class LeaseKeeper:
             await asyncio.gather(*(self._end(*lease) for lease in due[start : start + ENDINGS_AT_ONCE_MAX]))
 
     async def _end(self, host_id: bytes, boot_incarnation: int, registered_index: int) -> None:
-        deed = ExpireHost(
+        operation = ExpireHost(
             host_id=host_id,
             boot_incarnation=boot_incarnation,
             registered_index=registered_index,
             tenure=self._hosts.tenure,
         )
-        ended = await self._submission.submit(deed, HostExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
+        ended = await self._submission.submit(operation, HostExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         logger.info("lease ended", extra={"host_id": host_id, "expired": ended.expired})
 
     async def _end_due_peers(self) -> None:
@@ -170,9 +170,9 @@ class LeaseKeeper:
             PeerLease(peer_id=one, boot_incarnation=boot, registered_index=at) for one, boot, at in self._peers.due(now)
         ]
         for start in range(0, len(due), PEERS_PER_ENTRY_MAX):
-            deed = ExpirePeers(leases=tuple(due[start : start + PEERS_PER_ENTRY_MAX]), tenure=self._peers.tenure)
-            ended = await self._submission.submit(deed, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
-            logger.info("leases of peers ended", extra={"due": len(deed.leases), "expired": ended.expired})
+            operation = ExpirePeers(leases=tuple(due[start : start + PEERS_PER_ENTRY_MAX]), tenure=self._peers.tenure)
+            ended = await self._submission.submit(operation, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
+            logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
     def _follow_peers(self, directory: Directory) -> tuple[list[Peer] | None, tuple[int, int]]:
         """The live peers, or None if they are those followed last; and what tells this state of them from others."""

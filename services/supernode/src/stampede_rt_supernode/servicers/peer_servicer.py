@@ -76,8 +76,8 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @refusing
     async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Any) -> pb.DeregisterPeerResponse:
         """See the contract."""
-        deed = DeregisterPeer(peer_id=request.peer_id, boot_incarnation=request.boot_incarnation)
-        await self._calls.submit(context, deed, PeerDeregistered, request.request_id)
+        operation = DeregisterPeer(peer_id=request.peer_id, boot_incarnation=request.boot_incarnation)
+        await self._calls.submit(context, operation, PeerDeregistered, request.request_id)
         return pb.DeregisterPeerResponse()
 
     @refusing

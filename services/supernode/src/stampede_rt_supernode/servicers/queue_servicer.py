@@ -40,7 +40,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Any) -> pb.OpenQueueResponse:
         """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
-        deed = OpenQueue(
+        operation = OpenQueue(
             name=request.name,
             spec=queue_spec_from(request.spec),
             create=request.create,
@@ -49,9 +49,11 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             new_incarnation=secrets.randbits(64) or 1,
         )
         check_id(request.request_id, "request_id")
-        opened = await self._calls.read(context, lambda directory: _open_again(directory, request.request_id, deed))
+        opened = await self._calls.read(
+            context, lambda directory: _open_again(directory, request.request_id, operation)
+        )
         if opened is None:
-            opened = await self._calls.submit(context, deed, QueueOpened, request.request_id, as_of)
+            opened = await self._calls.submit(context, operation, QueueOpened, request.request_id, as_of)
         return pb.OpenQueueResponse(
             queue=queue_record(opened.queue), host=host_record(opened.host), created=opened.created
         )
@@ -70,8 +72,8 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     @refusing
     async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Any) -> pb.UpdateQueueResponse:
         """See the contract."""
-        deed = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
-        updated = await self._calls.submit(context, deed, QueueUpdated, request.request_id)
+        operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
+        updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
 
     @refusing
@@ -101,10 +103,10 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         )
 
 
-def _open_again(directory: Directory, op_id: bytes, deed: OpenQueue) -> QueueOpened | None:
+def _open_again(directory: Directory, op_id: bytes, operation: OpenQueue) -> QueueOpened | None:
     """The answer that this very request got before, or the one it gets because nothing needs to change."""
-    found = directory.answered.find(op_id, subject_of(deed))
-    return found if isinstance(found, QueueOpened) else open_queue_unchanged(directory.tables, deed)
+    found = directory.answered.find(op_id, subject_of(operation))
+    return found if isinstance(found, QueueOpened) else open_queue_unchanged(directory.tables, operation)
 
 
 def _resolved(tables: Tables, request: pb.ResolveQueueRequest) -> Queue:

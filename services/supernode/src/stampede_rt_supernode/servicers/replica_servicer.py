@@ -41,7 +41,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     @refusing
     async def AddReplica(self, request: pb.AddReplicaRequest, context: Any) -> pb.AddReplicaResponse:
         """See the contract."""
-        deed = AddReplica(
+        operation = AddReplica(
             channel_id=channel_id_of(request.subject),
             epoch=request.epoch,
             host_id=request.host_id,
@@ -49,14 +49,14 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
             source_host_id=request.source_host_id,
             acknowledged=request.acknowledged,
         )
-        added = await self._calls.submit(context, deed, ReplicaAdded, request.request_id)
+        added = await self._calls.submit(context, operation, ReplicaAdded, request.request_id)
         return pb.AddReplicaResponse(replica=replica_record(added.replica), host=host_record(added.host))
 
     @refusing
     async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Any) -> pb.RemoveReplicaResponse:
         """See the contract."""
-        deed = RemoveReplica(channel_id=channel_id_of(request.subject), host_id=request.host_id)
-        await self._calls.submit(context, deed, ReplicaRemoved, request.request_id)
+        operation = RemoveReplica(channel_id=channel_id_of(request.subject), host_id=request.host_id)
+        await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
     @refusing
@@ -65,14 +65,14 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
         channel_id = channel_id_of(request.subject)
         owner = await self._calls.read(context, lambda directory: channel_by_id(directory.tables, channel_id).host_id)
         self._calls.check_host(context, owner)
-        deed = SetReplicaInSync(
+        operation = SetReplicaInSync(
             channel_id=channel_id,
             epoch=request.epoch,
             host_id=request.host_id,
             boot_incarnation=request.boot_incarnation,
             in_sync=request.in_sync,
         )
-        done = await self._calls.submit(context, deed, ReplicaInSyncSet, request.request_id)
+        done = await self._calls.submit(context, operation, ReplicaInSyncSet, request.request_id)
         return pb.SetReplicaInSyncResponse(replica=replica_record(done.replica))
 
     @refusing

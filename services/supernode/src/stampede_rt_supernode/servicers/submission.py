@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from stampede_rt import errors
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
-from stampede_rt_supernode.core.commands import Command, Deed, Refused, Result, Success
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 from stampede_rt_supernode.joining.members import why_diverged
 from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, Unavailable
 
@@ -34,8 +34,10 @@ class Submission:
         """From now on nothing is tried again: what is under way ends with SHUTTING_DOWN, unless it succeeds now."""
         self._closed = True
 
-    async def submit(self, deed: Deed, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0) -> R:
-        """Replicate `deed` and return what came of it, a `kind`. Repeated with the same `op_id`, it is done once.
+    async def submit(
+        self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
+    ) -> R:
+        """Replicate `operation` and return what came of it, a `kind`. Repeated with the same `op_id`, it is done once.
 
         `as_of_index`: see Command.
 
@@ -43,12 +45,12 @@ class Submission:
         done, NO_QUORUM if it certainly is not.
         """
         now = self._time_unix_nano()
-        encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, deed=deed, as_of_index=as_of_index))
+        encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
         result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
         if isinstance(result, Refused):
             raise result.error()
         if not isinstance(result, kind):
-            raise errors.StampedeError(f"a {type(deed).__name__} gave a {type(result).__name__}; report this")
+            raise errors.StampedeError(f"a {type(operation).__name__} gave a {type(result).__name__}; report this")
         return result
 
     async def _propose(self, encoded: bytes, timeout: float) -> Result:

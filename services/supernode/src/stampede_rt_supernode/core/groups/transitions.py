@@ -28,69 +28,76 @@ GROUPS_MAX = 10_000
 GROUPS_PER_CHANNEL_MAX = 1_000  # all of them change at once when the channel is deleted
 
 
-def check_open_group(deed: OpenGroup) -> None:
+def check_open_group(operation: OpenGroup) -> None:
     """What can be said without the tables. Raises InvalidName or InvalidArgument."""
-    check_name(deed.name, "group")
-    check_id(deed.new_group_id, "new_group_id")
-    check_incarnation(deed.new_incarnation, "new_incarnation")
-    if deed.spec is not None:
-        check_spec(deed.name, deed.spec)
-    elif deed.create:
+    check_name(operation.name, "group")
+    check_id(operation.new_group_id, "new_group_id")
+    check_incarnation(operation.new_incarnation, "new_incarnation")
+    if operation.spec is not None:
+        check_spec(operation.name, operation.spec)
+    elif operation.create:
         raise InvalidArgument(
-            f"group {deed.name} cannot be made without a set-up; state its members in spec, or open it with "
+            f"group {operation.name} cannot be made without a set-up; state its members in spec, or open it with "
             "create=False to take it as it is",
-            metadata={"group": deed.name, "field": "spec"},
+            metadata={"group": operation.name, "field": "spec"},
         )
 
 
-def check_update_group(deed: UpdateGroup) -> None:
+def check_update_group(operation: UpdateGroup) -> None:
     """What can be said without the tables. Raises InvalidArgument."""
-    check_id(deed.group_id, "group_id")
-    for field, ids in (("add_channel_ids", deed.add_channel_ids), ("remove_channel_ids", deed.remove_channel_ids)):
+    check_id(operation.group_id, "group_id")
+    for field, ids in (
+        ("add_channel_ids", operation.add_channel_ids),
+        ("remove_channel_ids", operation.remove_channel_ids),
+    ):
         if len(ids) > MEMBERS_MAX:
             text = f"{field} has {len(ids)} channels; {MEMBERS_MAX} at most, which is all that a group can have"
             raise InvalidArgument(text, metadata={"field": field})
         for one in ids:
             check_id(one, field)
-    both = set(deed.add_channel_ids) & set(deed.remove_channel_ids)
+    both = set(operation.add_channel_ids) & set(operation.remove_channel_ids)
     if both:
         text = f"channel {min(both).hex()} is both to come in and to go; leave it out of one of the two"
         raise InvalidArgument(text, metadata={"channel_id": min(both).hex()})
 
 
-def open_group(tables: Tables, deed: OpenGroup) -> GroupOpened:
+def open_group(tables: Tables, operation: OpenGroup) -> GroupOpened:
     """Get or create. The name belongs to whoever is first in the log."""
-    check_open_group(deed)
-    opened = open_group_unchanged(tables, deed)
-    return opened if opened is not None else _create(tables, deed)
+    check_open_group(operation)
+    opened = open_group_unchanged(tables, operation)
+    return opened if opened is not None else _create(tables, operation)
 
 
-def open_group_unchanged(tables: Tables, deed: OpenGroup) -> GroupOpened | None:
-    """The answer to `deed` if the group is there; None: it is to be made. Raises as `open_group` does."""
-    check_open_group(deed)
-    group = tables.groups.named(deed.name)
+def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | None:
+    """The answer to `operation` if the group is there; None: it is to be made. Raises as `open_group` does."""
+    check_open_group(operation)
+    group = tables.groups.named(operation.name)
     if group is None:
-        if not deed.create:
-            raise no_such_group(deed.name)
+        if not operation.create:
+            raise no_such_group(operation.name)
         return None
-    if deed.spec is not None and not same_spec(group.spec, deed.spec):
+    if operation.spec is not None and not same_spec(group.spec, operation.spec):
         raise GroupExists(
-            f"group {deed.name} is there with another set-up; leave the set-up out to take it as it is, add and "
+            f"group {operation.name} is there with another set-up; leave the set-up out to take it as it is, add and "
             "remove members, or choose another name",
-            metadata={"group": deed.name, "group_id": group.group_id.hex()},
+            metadata={"group": operation.name, "group_id": group.group_id.hex()},
         )
     return GroupOpened(group=group, created=False)
 
 
-def _create(tables: Tables, deed: OpenGroup) -> GroupOpened:
-    spec = deed.spec
+def _create(tables: Tables, operation: OpenGroup) -> GroupOpened:
+    spec = operation.spec
     assert spec is not None  # check_open_group refuses to create without one
-    _check_members(tables, deed.name, spec.channel_ids)
+    _check_members(tables, operation.name, spec.channel_ids)
     if len(tables.groups) >= GROUPS_MAX:
-        text = f"group {deed.name} cannot be made: the directory holds {GROUPS_MAX} groups, which is the most"
-        raise Overloaded(f"{text}; delete some", metadata={"group": deed.name})
+        text = f"group {operation.name} cannot be made: the directory holds {GROUPS_MAX} groups, which is the most"
+        raise Overloaded(f"{text}; delete some", metadata={"group": operation.name})
     group = Group(
-        group_id=deed.new_group_id, name=deed.name, spec=spec, spec_version=1, incarnation=deed.new_incarnation
+        group_id=operation.new_group_id,
+        name=operation.name,
+        spec=spec,
+        spec_version=1,
+        incarnation=operation.new_incarnation,
     )
     tables.groups.add(group, _hosts_of(tables, group))
     return GroupOpened(group=group, created=True)
@@ -107,19 +114,19 @@ def _check_members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> N
             )
 
 
-def update_group(tables: Tables, deed: UpdateGroup) -> GroupUpdated:
+def update_group(tables: Tables, operation: UpdateGroup) -> GroupUpdated:
     """Add and remove members; the cut stays where it is."""
-    check_update_group(deed)
-    group = group_by_id(tables, deed.group_id)
-    if deed.spec_version is not None and deed.spec_version != group.spec_version:
+    check_update_group(operation)
+    group = group_by_id(tables, operation.group_id)
+    if operation.spec_version is not None and operation.spec_version != group.spec_version:
         raise GroupExists(
-            f"group {group.name} has version {group.spec_version} of its set-up, not {deed.spec_version}: somebody "
-            "changed it; resolve it again and decide anew",
+            f"group {group.name} has version {group.spec_version} of its set-up, not {operation.spec_version}: "
+            "somebody changed it; resolve it again and decide anew",
             metadata={"group": group.name, "spec_version": str(group.spec_version)},
         )
-    coming = [one for one in dict.fromkeys(deed.add_channel_ids) if one not in group.spec.channel_ids]
+    coming = [one for one in dict.fromkeys(operation.add_channel_ids) if one not in group.spec.channel_ids]
     _check_members(tables, group.name, coming)
-    staying = [one for one in group.spec.channel_ids if one not in deed.remove_channel_ids]
+    staying = [one for one in group.spec.channel_ids if one not in operation.remove_channel_ids]
     return GroupUpdated(group=_with_members(tables, group, (*staying, *coming)))
 
 
@@ -132,9 +139,9 @@ def _with_members(tables: Tables, group: Group, channel_ids: tuple[bytes, ...]) 
     return _witnessed(tables, changed)
 
 
-def delete_group(tables: Tables, deed: DeleteGroup) -> GroupDeleted:
+def delete_group(tables: Tables, operation: DeleteGroup) -> GroupDeleted:
     """Forget it; its name is free again."""
-    tables.groups.remove(group_by_id(tables, deed.group_id))
+    tables.groups.remove(group_by_id(tables, operation.group_id))
     return GroupDeleted()
 
 

@@ -42,33 +42,33 @@ def check_clock(clock: ClockOffset | None) -> None:
         raise InvalidArgument(text, metadata={"field": "clock"})
 
 
-def check_register_peer(deed: RegisterPeer) -> None:
+def check_register_peer(operation: RegisterPeer) -> None:
     """What can be said without the tables. Raises InvalidName or InvalidArgument."""
-    check_id(deed.peer_id, "peer_id")
-    check_incarnation(deed.boot_incarnation, "boot_incarnation")
-    check_id(deed.new_mailbox_id, "new_mailbox_id")
-    check_incarnation(deed.new_incarnation, "new_incarnation")
-    if len(deed.proof_sha256) not in (0, SHA256_BYTES):
-        raise InvalidArgument(f"proof_sha256 has {len(deed.proof_sha256)} bytes instead of {SHA256_BYTES}")
-    if deed.host_id is not None:
-        check_id(deed.host_id, "host_id")
-    _check_mailbox(deed)
-    shown = deed.name or deed.peer_id.hex()
-    check_text(deed.zone, f"the zone of peer {shown}", 0, ZONE_CHARACTERS_MAX)
-    check_text(deed.version, f"the version of peer {shown}", 0, VERSION_CHARACTERS_MAX)
-    _check_attributes(shown, deed.attributes)
+    check_id(operation.peer_id, "peer_id")
+    check_incarnation(operation.boot_incarnation, "boot_incarnation")
+    check_id(operation.new_mailbox_id, "new_mailbox_id")
+    check_incarnation(operation.new_incarnation, "new_incarnation")
+    if len(operation.proof_sha256) not in (0, SHA256_BYTES):
+        raise InvalidArgument(f"proof_sha256 has {len(operation.proof_sha256)} bytes instead of {SHA256_BYTES}")
+    if operation.host_id is not None:
+        check_id(operation.host_id, "host_id")
+    _check_mailbox(operation)
+    shown = operation.name or operation.peer_id.hex()
+    check_text(operation.zone, f"the zone of peer {shown}", 0, ZONE_CHARACTERS_MAX)
+    check_text(operation.version, f"the version of peer {shown}", 0, VERSION_CHARACTERS_MAX)
+    _check_attributes(shown, operation.attributes)
 
 
-def _check_mailbox(deed: RegisterPeer) -> None:
-    if deed.name:
-        check_name(deed.name, "peer")
-        if deed.mailbox_host_name:
-            check_name(deed.mailbox_host_name, "host")
-        if deed.mailbox is not None:
-            check_queue_spec(f"of peer {deed.name}", deed.mailbox)
-    elif deed.mailbox is not None or deed.mailbox_host_name:
-        text = f"peer {deed.peer_id.hex()} states a mailbox, but no name, by which it would be found; state a name"
-        raise InvalidArgument(text, metadata={"peer_id": deed.peer_id.hex(), "field": "mailbox"})
+def _check_mailbox(operation: RegisterPeer) -> None:
+    if operation.name:
+        check_name(operation.name, "peer")
+        if operation.mailbox_host_name:
+            check_name(operation.mailbox_host_name, "host")
+        if operation.mailbox is not None:
+            check_queue_spec(f"of peer {operation.name}", operation.mailbox)
+    elif operation.mailbox is not None or operation.mailbox_host_name:
+        text = f"peer {operation.peer_id.hex()} states a mailbox, but no name, by which it would be found; state a name"
+        raise InvalidArgument(text, metadata={"peer_id": operation.peer_id.hex(), "field": "mailbox"})
 
 
 def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> None:
@@ -84,13 +84,13 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
         raise InvalidArgument(text, metadata={"peer": shown, "field": "attributes"})
 
 
-def check_may_follow(before: Peer, deed: RegisterPeer) -> None:
-    """Whether who says `deed` may take the place of a live peer: the same process may, and whoever brings its proof.
+def check_may_follow(before: Peer, operation: RegisterPeer) -> None:
+    """Whether `operation` may take the place of a live peer: the same process may, and a caller with its proof.
 
     A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS.
     """
-    same_proof = before.proof_sha256 == deed.proof_sha256
-    same_process = (before.peer_id, before.boot_incarnation) == (deed.peer_id, deed.boot_incarnation)
+    same_proof = before.proof_sha256 == operation.proof_sha256
+    same_process = (before.peer_id, before.boot_incarnation) == (operation.peer_id, operation.boot_incarnation)
     if same_proof and (before.proof_sha256 or same_process or not before.name):
         return
     raise _peer_exists(before)

@@ -29,23 +29,24 @@ from stampede_rt_supernode.core.validation import check_id
 PEERS_MAX = 100_000  # live ones
 
 
-def register_peer(tables: Tables, deed: RegisterPeer, now_unix_nano: int, cluster_id: str) -> PeerRegistered:
+def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, cluster_id: str) -> PeerRegistered:
     """A peer enters, or enters again. Whoever proves to be the holder of the name takes it over with its mailbox."""
-    check_register_peer(deed)
-    holder = tables.peers.live_named(deed.name) if deed.name else None
-    replaced = _replaced(tables, deed, holder)
-    if deed.host_id is not None:
-        host_by_id(tables, deed.host_id)
+    check_register_peer(operation)
+    holder = tables.peers.live_named(operation.name) if operation.name else None
+    replaced = _replaced(tables, operation, holder)
+    if operation.host_id is not None:
+        host_by_id(tables, operation.host_id)
     if not replaced and tables.peers.live_count >= PEERS_MAX:
-        text = f"peer {deed.name or deed.peer_id.hex()} cannot register: {PEERS_MAX} peers are in, which is the most"
-        raise Overloaded(text, metadata={"peer": deed.name})
+        shown = operation.name or operation.peer_id.hex()
+        text = f"peer {shown} cannot register: {PEERS_MAX} peers are in, which is the most"
+        raise Overloaded(text, metadata={"peer": operation.name})
     former = _mailbox_of(tables, holder) if holder is not None else None
-    mailbox = _planned_mailbox(tables, deed, former) if deed.name else None
+    mailbox = _planned_mailbox(tables, operation, former) if operation.name else None
     for before in replaced:
-        _clear_away(tables, before, deed.peer_id, kept=mailbox)
+        _clear_away(tables, before, operation.peer_id, kept=mailbox)
     if mailbox is not None:
         tables.put_queue(mailbox)
-    peer = _peer(tables, deed, mailbox, now_unix_nano)
+    peer = _peer(tables, operation, mailbox, now_unix_nano)
     tables.peers.put(peer, tables.index)
     return PeerRegistered(
         peer=peer,
@@ -56,12 +57,12 @@ def register_peer(tables: Tables, deed: RegisterPeer, now_unix_nano: int, cluste
     )
 
 
-def _replaced(tables: Tables, deed: RegisterPeer, holder: Peer | None) -> list[Peer]:
+def _replaced(tables: Tables, operation: RegisterPeer, holder: Peer | None) -> list[Peer]:
     """The live peers whose place this one takes: that of its id, and that of its name. Raises PEER_EXISTS."""
-    same_id = tables.peers.by_id.get(deed.peer_id)
+    same_id = tables.peers.by_id.get(operation.peer_id)
     found = {one.peer_id: one for one in (same_id, holder) if one is not None and one.alive}
     for before in found.values():
-        check_may_follow(before, deed)
+        check_may_follow(before, operation)
     return list(found.values())
 
 
@@ -69,35 +70,35 @@ def _mailbox_of(tables: Tables, peer: Peer) -> Queue | None:
     return None if peer.mailbox_queue_id is None else tables.queues.by_id[peer.mailbox_queue_id]
 
 
-def _planned_mailbox(tables: Tables, deed: RegisterPeer, former: Queue | None) -> Queue:
+def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: Queue | None) -> Queue:
     """The mailbox as it will be. Where it is already, it stays, unless that host is gone."""
-    shown = f"the mailbox of peer {deed.name}"
+    shown = f"the mailbox of peer {operation.name}"
     if former is None:
         check_room(tables, shown)
-        spec = MAILBOX_UNSTATED if deed.mailbox is None else deed.mailbox
-        check_dead_letter(tables, deed.new_mailbox_id, f"of peer {deed.name}", spec)
-        return _new_mailbox(deed, spec, choose_host(tables, shown, deed.mailbox_host_name).host_id)
-    spec = merge(former.spec, deed.mailbox or QueueSpec())
+        spec = MAILBOX_UNSTATED if operation.mailbox is None else operation.mailbox
+        check_dead_letter(tables, operation.new_mailbox_id, f"of peer {operation.name}", spec)
+        return _new_mailbox(operation, spec, choose_host(tables, shown, operation.mailbox_host_name).host_id)
+    spec = merge(former.spec, operation.mailbox or QueueSpec())
     if spec != former.spec:
-        check_dead_letter(tables, former.queue_id, f"of peer {deed.name}", spec)
+        check_dead_letter(tables, former.queue_id, f"of peer {operation.name}", spec)
     version = former.spec_version + (spec != former.spec)
-    mailbox = replace(former, spec=spec, spec_version=version, mailbox_peer_id=deed.peer_id)
+    mailbox = replace(former, spec=spec, spec_version=version, mailbox_peer_id=operation.peer_id)
     if tables.hosts[former.host_id].alive:
         return mailbox
-    host = choose_host(tables, shown, deed.mailbox_host_name, tables.hosts[former.host_id].name)
-    return begun_anew(mailbox, host, deed.new_incarnation)
+    host = choose_host(tables, shown, operation.mailbox_host_name, tables.hosts[former.host_id].name)
+    return begun_anew(mailbox, host, operation.new_incarnation)
 
 
-def _new_mailbox(deed: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Queue:
+def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Queue:
     return Queue(
-        queue_id=deed.new_mailbox_id,
+        queue_id=operation.new_mailbox_id,
         name="",
         host_id=host_id,
         epoch=1,
-        incarnation=deed.new_incarnation,
+        incarnation=operation.new_incarnation,
         spec=spec,
         spec_version=1,
-        mailbox_peer_id=deed.peer_id,
+        mailbox_peer_id=operation.peer_id,
     )
 
 
@@ -110,32 +111,32 @@ def _clear_away(tables: Tables, before: Peer, peer_id: bytes, *, kept: Queue | N
         tables.peers.remove(before, tables.index)
 
 
-def _peer(tables: Tables, deed: RegisterPeer, mailbox: Queue | None, now_unix_nano: int) -> Peer:
+def _peer(tables: Tables, operation: RegisterPeer, mailbox: Queue | None, now_unix_nano: int) -> Peer:
     return Peer(
-        peer_id=deed.peer_id,
-        name=deed.name,
-        boot_incarnation=deed.boot_incarnation,
+        peer_id=operation.peer_id,
+        name=operation.name,
+        boot_incarnation=operation.boot_incarnation,
         mailbox_queue_id=None if mailbox is None else mailbox.queue_id,
-        host_id=deed.host_id,
-        zone=deed.zone,
-        version=deed.version,
-        attributes=deed.attributes,
+        host_id=operation.host_id,
+        zone=operation.zone,
+        version=operation.version,
+        attributes=operation.attributes,
         registered_unix_nano=now_unix_nano,
-        proof_sha256=deed.proof_sha256,
+        proof_sha256=operation.proof_sha256,
         registered_index=tables.index,
     )
 
 
-def deregister_peer(tables: Tables, deed: DeregisterPeer) -> None:
+def deregister_peer(tables: Tables, operation: DeregisterPeer) -> None:
     """A peer leaves: its name is free and its mailbox gone. Who is not there has left already.
 
     Raises LeaseExpired for another boot.
     """
-    check_id(deed.peer_id, "peer_id")
-    peer = tables.peers.by_id.get(deed.peer_id)
+    check_id(operation.peer_id, "peer_id")
+    peer = tables.peers.by_id.get(operation.peer_id)
     if peer is None or not peer.alive:
         return
-    check_peer_boot(peer, deed.boot_incarnation)
+    check_peer_boot(peer, operation.boot_incarnation)
     _drop_mailbox(tables, peer)
     tables.peers.remove(peer, tables.index)
 
@@ -151,11 +152,11 @@ def check_peer_boot(peer: Peer, boot_incarnation: int) -> None:
         )
 
 
-def expire_peers(tables: Tables, deed: ExpirePeers, tenure: int) -> int:
+def expire_peers(tables: Tables, operation: ExpirePeers, tenure: int) -> int:
     """End the leases for which the words do not come too late: `tenure` is the one in force. Returns how many."""
-    if deed.tenure != tenure:
+    if operation.tenure != tenure:
         return 0
-    return sum(_expire(tables, lease) for lease in sorted(deed.leases, key=attrgetter("peer_id")))
+    return sum(_expire(tables, lease) for lease in sorted(operation.leases, key=attrgetter("peer_id")))
 
 
 def _expire(tables: Tables, lease: PeerLease) -> bool:

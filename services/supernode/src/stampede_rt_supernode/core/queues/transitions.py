@@ -28,48 +28,48 @@ QUEUES_MAX = 200_000  # mailboxes included
 DEAD_LETTER_STEPS_MAX = 16  # from a queue to its dead-letter queue, to that one's, and so on
 
 
-def check_open_queue(deed: OpenQueue) -> None:
+def check_open_queue(operation: OpenQueue) -> None:
     """What can be said without the tables. Raises InvalidName or InvalidArgument."""
-    check_name(deed.name, "queue")
-    if deed.host_name:
-        check_name(deed.host_name, "host")
-    check_queue_spec(deed.name, deed.spec)
-    check_id(deed.new_queue_id, "new_queue_id")
-    check_incarnation(deed.new_incarnation, "new_incarnation")
+    check_name(operation.name, "queue")
+    if operation.host_name:
+        check_name(operation.host_name, "host")
+    check_queue_spec(operation.name, operation.spec)
+    check_id(operation.new_queue_id, "new_queue_id")
+    check_incarnation(operation.new_incarnation, "new_incarnation")
 
 
-def check_update_queue(deed: UpdateQueue) -> None:
+def check_update_queue(operation: UpdateQueue) -> None:
     """What can be said without the tables. Raises InvalidArgument."""
-    check_id(deed.queue_id, "queue_id")
-    check_queue_spec(deed.queue_id.hex(), deed.spec)
+    check_id(operation.queue_id, "queue_id")
+    check_queue_spec(operation.queue_id.hex(), operation.spec)
 
 
-def open_queue(tables: Tables, deed: OpenQueue) -> QueueOpened:
+def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
     """Get or create; a queue whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
-    check_open_queue(deed)
-    queue = tables.queues.named(deed.name)
+    check_open_queue(operation)
+    queue = tables.queues.named(operation.name)
     if queue is None:
-        return _create(tables, deed)
-    check_host_agrees("queue", queue.name, tables.hosts[queue.host_id], deed.host_name)
-    opened = _agreed(tables, queue, deed.spec)
+        return _create(tables, operation)
+    check_host_agrees("queue", queue.name, tables.hosts[queue.host_id], operation.host_name)
+    opened = _agreed(tables, queue, operation.spec)
     if not tables.hosts[queue.host_id].alive:
-        host = choose_host(tables, f"queue {queue.name}", deed.host_name, tables.hosts[queue.host_id].name)
-        opened = begun_anew(opened, host, deed.new_incarnation)
+        host = choose_host(tables, f"queue {queue.name}", operation.host_name, tables.hosts[queue.host_id].name)
+        opened = begun_anew(opened, host, operation.new_incarnation)
     tables.put_queue(opened)
     return QueueOpened(queue=opened, host=tables.hosts[opened.host_id], created=False)
 
 
-def open_queue_unchanged(tables: Tables, deed: OpenQueue) -> QueueOpened | None:
-    """The answer to `deed` if it changes nothing, else None. Raises as `open_queue` does where that is certain."""
-    check_open_queue(deed)
-    queue = tables.queues.named(deed.name)
+def open_queue_unchanged(tables: Tables, operation: OpenQueue) -> QueueOpened | None:
+    """The answer to `operation` if it changes nothing, else None. Raises as `open_queue` does where that is certain."""
+    check_open_queue(operation)
+    queue = tables.queues.named(operation.name)
     if queue is None:
-        if not deed.create:
-            raise no_such_queue(deed.name)
+        if not operation.create:
+            raise no_such_queue(operation.name)
         return None
     host = tables.hosts[queue.host_id]
-    check_host_agrees("queue", queue.name, host, deed.host_name)
-    unchanged = _agreed(tables, queue, deed.spec) == queue
+    check_host_agrees("queue", queue.name, host, operation.host_name)
+    unchanged = _agreed(tables, queue, operation.spec) == queue
     return QueueOpened(queue=queue, host=host, created=False) if unchanged and host.alive else None
 
 
@@ -85,19 +85,19 @@ def _with_spec(tables: Tables, queue: Queue, spec: QueueSpec) -> Queue:
     return replace(queue, spec=spec, spec_version=queue.spec_version + 1)
 
 
-def _create(tables: Tables, deed: OpenQueue) -> QueueOpened:
-    if not deed.create:
-        raise no_such_queue(deed.name)
-    check_room(tables, f"queue {deed.name}")
-    check_dead_letter(tables, deed.new_queue_id, deed.name, deed.spec)
-    host = choose_host(tables, f"queue {deed.name}", deed.host_name)
+def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
+    if not operation.create:
+        raise no_such_queue(operation.name)
+    check_room(tables, f"queue {operation.name}")
+    check_dead_letter(tables, operation.new_queue_id, operation.name, operation.spec)
+    host = choose_host(tables, f"queue {operation.name}", operation.host_name)
     queue = Queue(
-        queue_id=deed.new_queue_id,
-        name=deed.name,
+        queue_id=operation.new_queue_id,
+        name=operation.name,
         host_id=host.host_id,
         epoch=1,
-        incarnation=deed.new_incarnation,
-        spec=deed.spec,
+        incarnation=operation.new_incarnation,
+        spec=operation.spec,
         spec_version=1,
     )
     tables.put_queue(queue)
@@ -134,12 +134,12 @@ def _bad_dead_letter(queue: str, what: str) -> InvalidArgument:
     return InvalidArgument(text, metadata={"queue": queue, "field": "dead_letter_queue_id"})
 
 
-def update_queue(tables: Tables, deed: UpdateQueue) -> QueueUpdated:
+def update_queue(tables: Tables, operation: UpdateQueue) -> QueueUpdated:
     """Change the stated fields; others stay."""
-    check_update_queue(deed)
-    queue = queue_by_id(tables, deed.queue_id)
-    _check_epoch(queue, deed.epoch)
-    changed = _with_spec(tables, queue, merge(queue.spec, deed.spec))
+    check_update_queue(operation)
+    queue = queue_by_id(tables, operation.queue_id)
+    _check_epoch(queue, operation.epoch)
+    changed = _with_spec(tables, queue, merge(queue.spec, operation.spec))
     tables.put_queue(changed)
     return QueueUpdated(queue=changed)
 
@@ -155,9 +155,9 @@ def _check_epoch(queue: Queue, epoch: int) -> None:
         )
 
 
-def delete_queue(tables: Tables, deed: DeleteQueue) -> QueueDeleted:
+def delete_queue(tables: Tables, operation: DeleteQueue) -> QueueDeleted:
     """Forget it; its name is free again."""
-    queue = queue_by_id(tables, deed.queue_id)
+    queue = queue_by_id(tables, operation.queue_id)
     shown = queue.name or queue.queue_id.hex()
     if queue.mailbox_peer_id is not None:
         text = f"queue {shown} is the mailbox of peer {queue.mailbox_peer_id.hex()} and goes when that leaves"

@@ -25,29 +25,29 @@ from stampede_rt_supernode.core.validation import check_id, check_incarnation
 REPLICAS_MAX = 16  # of one channel
 
 
-def check_add_replica(deed: AddReplica) -> None:
+def check_add_replica(operation: AddReplica) -> None:
     """What can be said without the tables. Raises InvalidArgument."""
-    check_id(deed.channel_id, "subject")
-    if deed.host_id:
-        check_id(deed.host_id, "host_id")
-    if deed.source_host_id:
-        check_id(deed.source_host_id, "source_host_id")
-    if deed.acknowledged and deed.kind is not ReplicaKind.WARM:
+    check_id(operation.channel_id, "subject")
+    if operation.host_id:
+        check_id(operation.host_id, "host_id")
+    if operation.source_host_id:
+        check_id(operation.source_host_id, "source_host_id")
+    if operation.acknowledged and operation.kind is not ReplicaKind.WARM:
         text = "acknowledged is stated for a proxy; puts can wait for a warm replica only: leave it out, or ask for one"
         raise InvalidArgument(text, metadata={"field": "acknowledged"})
 
 
-def check_remove_replica(deed: RemoveReplica) -> None:
+def check_remove_replica(operation: RemoveReplica) -> None:
     """What can be said without the tables. Raises InvalidArgument."""
-    check_id(deed.channel_id, "subject")
-    check_id(deed.host_id, "host_id")
+    check_id(operation.channel_id, "subject")
+    check_id(operation.host_id, "host_id")
 
 
-def check_set_in_sync(deed: SetReplicaInSync) -> None:
+def check_set_in_sync(operation: SetReplicaInSync) -> None:
     """What can be said without the tables. Raises InvalidArgument."""
-    check_id(deed.channel_id, "subject")
-    check_id(deed.host_id, "host_id")
-    check_incarnation(deed.boot_incarnation, "boot_incarnation")
+    check_id(operation.channel_id, "subject")
+    check_id(operation.host_id, "host_id")
+    check_incarnation(operation.boot_incarnation, "boot_incarnation")
 
 
 def check_epoch(channel: Channel, epoch: int) -> None:
@@ -61,16 +61,16 @@ def check_epoch(channel: Channel, epoch: int) -> None:
         )
 
 
-def add_replica(tables: Tables, deed: AddReplica) -> ReplicaAdded:
+def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
     """Note a copy; one of the same kind that is there already is the answer."""
-    check_add_replica(deed)
-    channel = channel_by_id(tables, deed.channel_id)
-    check_epoch(channel, deed.epoch)
+    check_add_replica(operation)
+    channel = channel_by_id(tables, operation.channel_id)
+    check_epoch(channel, operation.epoch)
     held = tables.replicas.of(channel.channel_id)
-    host = _choose_host(tables, channel, deed.host_id)
+    host = _choose_host(tables, channel, operation.host_id)
     there = tables.replicas.at(channel.channel_id, host.host_id)
     if there is not None or host.host_id == channel.host_id:
-        return ReplicaAdded(replica=_same_kind(channel, host, there, deed.kind), host=host)
+        return ReplicaAdded(replica=_same_kind(channel, host, there, operation.kind), host=host)
     if len(held) >= REPLICAS_MAX:
         text = f"channel {channel.name} has {REPLICAS_MAX} copies, which is the most; remove one first"
         raise InvalidArgument(text, metadata={"channel": channel.name})
@@ -78,9 +78,9 @@ def add_replica(tables: Tables, deed: AddReplica) -> ReplicaAdded:
         channel_id=channel.channel_id,
         host_id=host.host_id,
         boot_incarnation=host.boot_incarnation,
-        kind=deed.kind,
-        source_host_id=_source(tables, channel, deed),
-        acknowledged=deed.acknowledged,
+        kind=operation.kind,
+        source_host_id=_source(tables, channel, operation),
+        acknowledged=operation.acknowledged,
         epoch=channel.epoch,
     )
     store(tables, channel, (*held, replica))
@@ -121,11 +121,11 @@ def _same_kind(channel: Channel, host: Host, there: Replica | None, kind: Replic
     )
 
 
-def _source(tables: Tables, channel: Channel, deed: AddReplica) -> bytes:
-    source = deed.source_host_id or channel.host_id
+def _source(tables: Tables, channel: Channel, operation: AddReplica) -> bytes:
+    source = operation.source_host_id or channel.host_id
     if source == channel.host_id:
         return source
-    if deed.kind is ReplicaKind.WARM:
+    if operation.kind is ReplicaKind.WARM:
         text = f"a warm replica of channel {channel.name} is fed by the owner only; leave source_host_id out"
     elif tables.replicas.at(channel.channel_id, source) is None:
         text = f"host {source.hex()} holds no copy of channel {channel.name} to feed another; leave source_host_id out"
@@ -134,11 +134,11 @@ def _source(tables: Tables, channel: Channel, deed: AddReplica) -> bytes:
     raise InvalidArgument(text, metadata={"channel": channel.name, "field": "source_host_id"})
 
 
-def remove_replica(tables: Tables, deed: RemoveReplica) -> ReplicaRemoved:
+def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
     """Take a copy away, if it is there; what it fed is fed by the owner from now on."""
-    check_remove_replica(deed)
-    channel = channel_by_id(tables, deed.channel_id)
-    drop_copy(tables, channel, deed.host_id)
+    check_remove_replica(operation)
+    channel = channel_by_id(tables, operation.channel_id)
+    drop_copy(tables, channel, operation.host_id)
     return ReplicaRemoved()
 
 
@@ -172,21 +172,23 @@ def store(tables: Tables, channel: Channel, replicas: tuple[Replica, ...]) -> No
         tables.replace_channel(told)
 
 
-def set_in_sync(tables: Tables, deed: SetReplicaInSync) -> ReplicaInSyncSet:
+def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet:
     """Compare epoch and boot, and set. Clearing it is in the log before a put is acknowledged without the replica, and
     a late word of a former owner has another epoch: a replica that takes over has everything that was acknowledged."""
-    check_set_in_sync(deed)
-    channel = channel_by_id(tables, deed.channel_id)
-    check_epoch(channel, deed.epoch)
-    replica = tables.replicas.at(channel.channel_id, deed.host_id)
-    if replica is None or replica.boot_incarnation != deed.boot_incarnation:
-        raise _no_copy(channel, deed.host_id, "holds no copy of it since its last start; add the replica again")
+    check_set_in_sync(operation)
+    channel = channel_by_id(tables, operation.channel_id)
+    check_epoch(channel, operation.epoch)
+    replica = tables.replicas.at(channel.channel_id, operation.host_id)
+    if replica is None or replica.boot_incarnation != operation.boot_incarnation:
+        raise _no_copy(channel, operation.host_id, "holds no copy of it since its last start; add the replica again")
     if replica.kind is not ReplicaKind.WARM:
-        text = f"the copy of channel {channel.name} at host {deed.host_id.hex()} is a proxy, which is never in sync"
+        text = (
+            f"the copy of channel {channel.name} at host {operation.host_id.hex()} is a proxy, which is never in sync"
+        )
         raise InvalidArgument(f"{text}; add a warm replica", metadata={"channel": channel.name})
-    if deed.in_sync and not tables.hosts[channel.host_id].alive:
+    if operation.in_sync and not tables.hosts[channel.host_id].alive:
         raise _no_copy(channel, channel.host_id, "owns it without a lease, and can say nothing of it; register again")
-    changed = replace(replica, in_sync=deed.in_sync, epoch=channel.epoch)
+    changed = replace(replica, in_sync=operation.in_sync, epoch=channel.epoch)
     held = tables.replicas.of(channel.channel_id)
     store(tables, channel, tuple(changed if one is replica else one for one in held))
     return ReplicaInSyncSet(replica=changed)
