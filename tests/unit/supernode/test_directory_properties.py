@@ -153,7 +153,7 @@ class DirectoryMachine(ThreeDirectories):
             owned = sorted(channel.channel_id for channel in tables.channels.values() if channel.host_id == one)
             assert [channel.channel_id for channel in tables.channels_at(one)] == owned
             assert host.channels == len(owned)
-            assert host.alive or owned, "a gone host without channels is forgotten, there being no queues"
+            assert host.alive or owned or host.is_lost, "a host that left, and owns nothing, is forgotten"
         assert {channel.host_id for channel in tables.channels.values()} <= set(tables.hosts)
 
     @invariant()

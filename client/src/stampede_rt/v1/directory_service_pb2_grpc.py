@@ -28,7 +28,8 @@ if _version_not_supported:
 class DirectoryServiceStub(object):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
+    answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
@@ -111,7 +112,8 @@ class DirectoryServiceStub(object):
 class DirectoryServiceServicer(object):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
+    answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
@@ -292,7 +294,8 @@ def add_DirectoryServiceServicer_to_server(servicer, server):
 class DirectoryService(object):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
+    answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can

@@ -29,7 +29,8 @@ GRPC_VERSION: str
 class DirectoryServiceStub:
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
+    answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
@@ -78,7 +79,8 @@ class DirectoryServiceStub:
 class DirectoryServiceAsyncStub(DirectoryServiceStub):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
+    answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
@@ -123,7 +125,8 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
 class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
     on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the answer, not the deed.
+    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
+    answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
