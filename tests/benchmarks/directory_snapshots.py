@@ -18,7 +18,10 @@ from typing import Any
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.app import tune_garbage_collection
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
-from stampede_rt_supernode.core.commands import BeginTenure, Command, OpenChannel, Operation, Refused, RegisterHost
+from stampede_rt_supernode.core.channels.commands import OpenChannel
+from stampede_rt_supernode.core.cluster.commands import BeginTenure
+from stampede_rt_supernode.core.commands import Command, Operation, Refused
+from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Member

@@ -170,7 +170,7 @@ MUTANTS = (
     ),
     Mutant(
         name="expire_any_tenure",
-        file=f"{SUPERNODE}/core/host_transitions.py",
+        file=f"{SUPERNODE}/core/hosts/transitions.py",
         edits=(("not host.alive or operation.tenure != tenure:", "not host.alive:"),),
         noticed_by="tests/unit/supernode/test_hosts.py",
     ),

@@ -6,21 +6,12 @@ from itertools import count
 from typing import Any
 
 from stampede_rt.values.model import Policy
-from stampede_rt_supernode.core.commands import (
-    BeginTenure,
-    Command,
-    DeleteChannel,
-    DeregisterHost,
-    ExpireHost,
-    MarkTime,
-    OpenChannel,
-    Operation,
-    RegisterHost,
-    Result,
-    UpdateChannel,
-)
+from stampede_rt_supernode.core.channels.commands import DeleteChannel, OpenChannel, UpdateChannel
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime
+from stampede_rt_supernode.core.commands import Command, Operation, Result
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
+from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, ExpirePeers, PeerLease, RegisterPeer
 from stampede_rt_supernode.core.queues.commands import DeleteQueue, OpenQueue, UpdateQueue
 from stampede_rt_supernode.core.records import Endpoint, GroupSpec, QueueSpec, ReplicaKind

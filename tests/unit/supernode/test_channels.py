@@ -1,8 +1,9 @@
 import pytest
 
 from stampede_rt.values.model import Policy
-from stampede_rt_supernode.core import channel_transitions
-from stampede_rt_supernode.core.commands import ChannelDeleted, ChannelOpened, ChannelUpdated, Refused
+from stampede_rt_supernode.core.channels import transitions
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
+from stampede_rt_supernode.core.commands import Refused
 from tests.unit.supernode.operations import Log, delete, deregister, id_of, open_channel, register, update
 
 
@@ -216,7 +217,7 @@ def test_a_deleted_channel_is_gone_and_its_name_is_free(log: Log) -> None:
 
 
 def test_the_number_of_channels_is_bounded(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(channel_transitions, "CHANNELS_MAX", 1)
+    monkeypatch.setattr(transitions, "CHANNELS_MAX", 1)
     opened(log, "cam/left")
     assert refused(log, "cam/right").reason == "OVERLOADED"
     assert not opened(log, "cam/left").created

@@ -8,22 +8,11 @@ from stampede_rt.v1 import directory_command_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.codecs.command_codec import decode_command, decode_result, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot
-from stampede_rt_supernode.core.commands import (
-    ChannelDeleted,
-    ChannelOpened,
-    ChannelUpdated,
-    Command,
-    HostDeregistered,
-    HostExpired,
-    HostRegistered,
-    MarkTime,
-    Operation,
-    Refused,
-    Result,
-    TenureBegun,
-    TimeMarked,
-)
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
+from stampede_rt_supernode.core.cluster.commands import MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
+from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpired, HostRegistered
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (

@@ -9,15 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import initialize, invariant, rule
 
 from stampede_rt.values.model import Policy
-from stampede_rt_supernode.core.commands import (
-    BeginTenure,
-    DeleteChannel,
-    DeregisterHost,
-    ExpireHost,
-    OpenChannel,
-    RegisterHost,
-    UpdateChannel,
-)
+from stampede_rt_supernode.core.channels.commands import DeleteChannel, OpenChannel, UpdateChannel
+from stampede_rt_supernode.core.cluster.commands import BeginTenure
+from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
 from stampede_rt_supernode.core.records import ChangeKind, Channel, Endpoint, Group, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, SetReplicaInSync
 from tests.unit.supernode.drawn_records import group_changes, open_groups, replica_operations

@@ -10,7 +10,9 @@ from stampede_rt.cli.diagnosis import refusal
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import encode_command
-from stampede_rt_supernode.core.commands import BeginTenure, Command, DeleteChannel, Operation
+from stampede_rt_supernode.core.channels.commands import DeleteChannel
+from stampede_rt_supernode.core.cluster.commands import BeginTenure
+from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.replica import DirectoryReplica
 from tests.unit.supernode.node import Node, running_node
 from tests.unit.supernode.operations import TTL_NANOS, id_of

@@ -3,16 +3,11 @@ from dataclasses import replace
 import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core import host_transitions
-from stampede_rt_supernode.core.commands import (
-    ChannelOpened,
-    HostDeregistered,
-    HostExpired,
-    HostRegistered,
-    Refused,
-    RegisterHost,
-    TenureBegun,
-)
+from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.cluster.commands import TenureBegun
+from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.hosts import transitions
+from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpired, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.queries import host_page
 from stampede_rt_supernode.core.records import Channel, Endpoint, Host
 from tests.unit.supernode.operations import Log, begin_tenure, deregister, expire, id_of, open_channel, register
@@ -226,7 +221,7 @@ def test_a_registration_out_of_range_is_refused(log: Log, change: dict[str, obje
 
 
 def test_the_number_of_hosts_is_bounded(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host_transitions, "HOSTS_MAX", 1)
+    monkeypatch.setattr(transitions, "HOSTS_MAX", 1)
     registered(log, register(1))
     result = log.apply(register(2))
     assert isinstance(result, Refused)

@@ -17,7 +17,8 @@ import pytest_asyncio
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
 from stampede_rt_supernode.core.answered import MARKS_KEPT
-from stampede_rt_supernode.core.commands import ChannelOpened, Operation, Refused, Result
+from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.commands import Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
 from stampede_rt_supernode.core.late_opens import Open
 from stampede_rt_supernode.core.queues.commands import QueueOpened

@@ -12,7 +12,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 
-from stampede_rt_supernode.core.commands import ExpireHost, HostExpired
+from stampede_rt_supernode.core.hosts.commands import ExpireHost, HostExpired
 from stampede_rt_supernode.core.lease import LeaseTable
 from stampede_rt_supernode.core.records import Host
 from tests.unit.supernode.operations import Log, begin_tenure, id_of, register

@@ -13,15 +13,9 @@ from stampede_rt_supernode.core.answered import (
     MARKS_KEPT,
     REPEAT_NANOS_MAX,
 )
-from stampede_rt_supernode.core.commands import (
-    ChannelDeleted,
-    ChannelOpened,
-    MarkTime,
-    Refused,
-    Result,
-    TenureBegun,
-    TimeMarked,
-)
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
+from stampede_rt_supernode.core.cluster.commands import MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.commands import Refused, Result
 from tests.unit.supernode.operations import Log, begin_tenure, delete, id_of, open_channel, register
 
 

@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import pytest
 
-from stampede_rt_supernode.core.commands import ChannelOpened, Operation, Refused
+from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.records import Channel, Replica, ReplicaKind
 from stampede_rt_supernode.core.replicas import transitions as replica_transitions
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved

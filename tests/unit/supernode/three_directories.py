@@ -7,7 +7,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.answered import Answered
-from stampede_rt_supernode.core.commands import Command, MarkTime, Operation, Refused, Result
+from stampede_rt_supernode.core.cluster.commands import MarkTime
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
 from stampede_rt_supernode.core.directory import Directory
 from tests.unit.supernode.operations import id_of
 

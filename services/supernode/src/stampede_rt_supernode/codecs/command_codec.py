@@ -45,28 +45,16 @@ from stampede_rt_supernode.codecs.replica_codec import (
     replica_result_message,
     write_replica_operation,
 )
-from stampede_rt_supernode.core.commands import (
-    BeginTenure,
+from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
     ChannelOpened,
     ChannelUpdated,
-    Command,
     DeleteChannel,
-    DeregisterHost,
-    ExpireHost,
-    HostDeregistered,
-    HostExpired,
-    HostRegistered,
-    MarkTime,
     OpenChannel,
-    Operation,
-    Refused,
-    RegisterHost,
-    Result,
-    TenureBegun,
-    TimeMarked,
     UpdateChannel,
 )
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -74,6 +62,14 @@ from stampede_rt_supernode.core.groups.commands import (
     GroupUpdated,
     OpenGroup,
     UpdateGroup,
+)
+from stampede_rt_supernode.core.hosts.commands import (
+    DeregisterHost,
+    ExpireHost,
+    HostDeregistered,
+    HostExpired,
+    HostRegistered,
+    RegisterHost,
 )
 from stampede_rt_supernode.core.peers.commands import (
     DeregisterPeer,

@@ -12,7 +12,15 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from stampede_rt.errors import StampedeError, error_for
-from stampede_rt.values.model import Policy
+from stampede_rt_supernode.core.channels.commands import (
+    ChannelDeleted,
+    ChannelOpened,
+    ChannelUpdated,
+    DeleteChannel,
+    OpenChannel,
+    UpdateChannel,
+)
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -20,6 +28,14 @@ from stampede_rt_supernode.core.groups.commands import (
     GroupUpdated,
     OpenGroup,
     UpdateGroup,
+)
+from stampede_rt_supernode.core.hosts.commands import (
+    DeregisterHost,
+    ExpireHost,
+    HostDeregistered,
+    HostExpired,
+    HostRegistered,
+    RegisterHost,
 )
 from stampede_rt_supernode.core.peers.commands import (
     DeregisterPeer,
@@ -37,7 +53,6 @@ from stampede_rt_supernode.core.queues.commands import (
     QueueUpdated,
     UpdateQueue,
 )
-from stampede_rt_supernode.core.records import Channel, Endpoint, Host
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
     RemoveReplica,
@@ -46,90 +61,6 @@ from stampede_rt_supernode.core.replicas.commands import (
     ReplicaRemoved,
     SetReplicaInSync,
 )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class OpenChannel:
-    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
-
-    name: str
-    policy: Policy = field(default_factory=Policy)
-    create: bool = True
-    host_name: str = ""
-    new_channel_id: bytes
-    new_incarnation: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class UpdateChannel:
-    """Change the stated fields of a channel's set-up."""
-
-    channel_id: bytes
-    epoch: int
-    policy: Policy
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DeleteChannel:
-    """Forget a channel."""
-
-    channel_id: bytes
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class RegisterHost:
-    """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one."""
-
-    host_id: bytes
-    name: str
-    gatekeepers: tuple[Endpoint, ...]
-    boot_incarnation: int
-    version: str = ""
-    new_incarnation: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class DeregisterHost:
-    """A host leaves of its own accord."""
-
-    host_id: bytes
-    boot_incarnation: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ExpireHost:
-    """The lease of one registration has ended, says the leader of `tenure`."""
-
-    host_id: bytes
-    boot_incarnation: int
-    registered_index: int
-    tenure: int
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BeginTenure:
-    """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
-
-    `founded_anew`: by restoring, so that the id is to replace that of the former cluster; `takes_over`: whose hosts may
-    go over to this one.
-    """
-
-    tenure: int
-    supernode_id: str
-    new_cluster_id: str
-    new_lease_ttl_nanos: int
-    founded_anew: bool = False
-    takes_over: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class MarkTime:
-    """Some time has passed since the last mark, says the leader of `tenure`, which was at `after_index`; see
-    `answered`."""
-
-    tenure: int
-    after_index: int
-
 
 ChannelOperation: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
 HostOperation: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure | MarkTime
@@ -195,64 +126,6 @@ class Refused:
     def error(self) -> StampedeError:
         """The exception to raise to the caller."""
         return error_for(self.reason, self.message, self.metadata)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelOpened:
-    """The channel and its owner; `created` by this very command."""
-
-    channel: Channel
-    host: Host
-    created: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelUpdated:
-    """The channel after the change."""
-
-    channel: Channel
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelDeleted:
-    """The channel as it was last."""
-
-    channel: Channel
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class HostRegistered:
-    """The host is in."""
-
-    host: Host
-    cluster_id: str
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class HostDeregistered:
-    """The host has left."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class HostExpired:
-    """Whether the command ended a lease; False: it came too late and changed nothing."""
-
-    expired: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TenureBegun:
-    """The tenure now in force, and the cluster's id."""
-
-    tenure: int
-    cluster_id: str
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class TimeMarked:
-    """Whether the mark counts; False: another leader's, or a repeated one."""
-
-    marked: bool
 
 
 GroupSuccess: TypeAlias = GroupOpened | GroupUpdated | GroupDeleted

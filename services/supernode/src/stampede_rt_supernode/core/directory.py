@@ -13,34 +13,16 @@ from typing import Any
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt_supernode.core import late_registrations
 from stampede_rt_supernode.core.answered import Answer, Answered
-from stampede_rt_supernode.core.channel_transitions import (
+from stampede_rt_supernode.core.channels.commands import DeleteChannel, OpenChannel, UpdateChannel
+from stampede_rt_supernode.core.channels.transitions import (
     check_open,
     check_update,
     delete_channel,
     open_channel,
     update_channel,
 )
-from stampede_rt_supernode.core.commands import (
-    BeginTenure,
-    Command,
-    DeleteChannel,
-    DeregisterHost,
-    ExpireHost,
-    HostDeregistered,
-    HostExpired,
-    HostRegistered,
-    MarkTime,
-    OpenChannel,
-    Operation,
-    Refused,
-    RegisterHost,
-    Result,
-    Success,
-    TenureBegun,
-    TimeMarked,
-    UpdateChannel,
-    subject_of,
-)
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success, subject_of
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
 from stampede_rt_supernode.core.groups.transitions import (
     check_open_group,
@@ -49,7 +31,15 @@ from stampede_rt_supernode.core.groups.transitions import (
     open_group,
     update_group,
 )
-from stampede_rt_supernode.core.host_transitions import check_register, deregister_host, expire_host, register_host
+from stampede_rt_supernode.core.hosts.commands import (
+    DeregisterHost,
+    ExpireHost,
+    HostDeregistered,
+    HostExpired,
+    HostRegistered,
+    RegisterHost,
+)
+from stampede_rt_supernode.core.hosts.transitions import check_register, deregister_host, expire_host, register_host
 from stampede_rt_supernode.core.late_opens import check_in_time
 from stampede_rt_supernode.core.peers.checks import check_register_peer
 from stampede_rt_supernode.core.peers.commands import (

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.answered import Answered
-from stampede_rt_supernode.core.commands import ChannelDeleted, OpenChannel, Success
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, OpenChannel
+from stampede_rt_supernode.core.commands import Success
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, OpenGroup
 from stampede_rt_supernode.core.queues.commands import OpenQueue, QueueDeleted
 from stampede_rt_supernode.core.tables import Tables

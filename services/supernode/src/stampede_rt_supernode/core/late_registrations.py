@@ -7,7 +7,7 @@ take the name, or the lease, from the one that lives and give it to one that doe
 from __future__ import annotations
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_supernode.core.commands import RegisterHost
+from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.records import Host, Peer
 from stampede_rt_supernode.core.tables import Tables

@@ -20,10 +20,20 @@ from stampede_rt_supernode.codecs.record_codec import (
     channel_record,
     policy_from,
 )
-from stampede_rt_supernode.core import commands, page_tokens
+from stampede_rt_supernode.core import page_tokens
 from stampede_rt_supernode.core.callers import check_protocol
-from stampede_rt_supernode.core.channel_transitions import open_unchanged
+from stampede_rt_supernode.core.channels.commands import (
+    ChannelDeleted,
+    ChannelOpened,
+    ChannelUpdated,
+    DeleteChannel,
+    OpenChannel,
+    UpdateChannel,
+)
+from stampede_rt_supernode.core.channels.transitions import open_unchanged
+from stampede_rt_supernode.core.commands import subject_of
 from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
 from stampede_rt_supernode.core.queries import ChannelPage, HostPage, channel_page, channels_of, host_page
 from stampede_rt_supernode.core.queues.queries import queues_of
@@ -75,7 +85,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:
         """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
-        operation = commands.OpenChannel(
+        operation = OpenChannel(
             name=request.name,
             policy=policy_from(request.spec),
             create=request.create,
@@ -88,7 +98,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             context, lambda directory: _open_again(directory, request.request_id, operation)
         )
         if opened is None:
-            opened = await self._calls.submit(context, operation, commands.ChannelOpened, request.request_id, as_of)
+            opened = await self._calls.submit(context, operation, ChannelOpened, request.request_id, as_of)
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
         )
@@ -126,17 +136,15 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @refusing
     async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Any) -> pb.UpdateChannelResponse:
         """See the contract."""
-        operation = commands.UpdateChannel(
-            channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec)
-        )
-        updated = await self._calls.submit(context, operation, commands.ChannelUpdated, request.request_id)
+        operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec))
+        updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 
     @refusing
     async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Any) -> pb.DeleteChannelResponse:
         """See the contract."""
-        operation = commands.DeleteChannel(channel_id=request.channel_id)
-        await self._calls.submit(context, operation, commands.ChannelDeleted, request.request_id)
+        operation = DeleteChannel(channel_id=request.channel_id)
+        await self._calls.submit(context, operation, ChannelDeleted, request.request_id)
         return pb.DeleteChannelResponse()
 
     @refusing
@@ -145,7 +153,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         check_protocol(request.protocol_version, request.version)
         await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id, request.name)
-        operation = commands.RegisterHost(
+        operation = RegisterHost(
             host_id=request.host_id,
             name=request.name,
             gatekeepers=endpoints_from(request.gatekeepers),
@@ -153,7 +161,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             version=request.version,
             new_incarnation=_random_incarnation(),
         )
-        entered = await self._calls.submit(context, operation, commands.HostRegistered, request.request_id)
+        entered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))
         return pb.RegisterHostResponse(
             host=host_record(entered.host),
@@ -178,8 +186,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Any) -> pb.DeregisterHostResponse:
         """See the contract."""
         self._calls.check_host(context, request.host_id)
-        operation = commands.DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
-        await self._calls.submit(context, operation, commands.HostDeregistered, request.request_id)
+        operation = DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
+        await self._calls.submit(context, operation, HostDeregistered, request.request_id)
         return pb.DeregisterHostResponse()
 
     @refusing
@@ -237,10 +245,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             await abort(context, error)
 
 
-def _open_again(directory: Directory, op_id: bytes, operation: commands.OpenChannel) -> commands.ChannelOpened | None:
+def _open_again(directory: Directory, op_id: bytes, operation: OpenChannel) -> ChannelOpened | None:
     """The answer that this very request got before, or the one it gets because nothing needs to change."""
-    found = directory.answered.find(op_id, commands.subject_of(operation))
-    return found if isinstance(found, commands.ChannelOpened) else open_unchanged(directory.tables, operation)
+    found = directory.answered.find(op_id, subject_of(operation))
+    return found if isinstance(found, ChannelOpened) else open_unchanged(directory.tables, operation)
 
 
 def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[Channel, ...], tuple[Queue, ...]]:

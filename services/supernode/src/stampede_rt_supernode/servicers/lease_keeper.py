@@ -15,16 +15,10 @@ from stampede_rt.values.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.cluster_ids import may_go_over, new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS
-from stampede_rt_supernode.core.commands import (
-    BeginTenure,
-    ExpireHost,
-    HostExpired,
-    MarkTime,
-    TenureBegun,
-    TimeMarked,
-)
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.directory import Directory
-from stampede_rt_supernode.core.host_transitions import check_boot
+from stampede_rt_supernode.core.hosts.commands import ExpireHost, HostExpired
+from stampede_rt_supernode.core.hosts.transitions import check_boot
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.lookups import host_by_id
 from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, PeersExpired

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from stampede_rt.errors import HostNotFound, InvalidArgument, LeaseExpired
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_supernode.core.directory import Directory
-from stampede_rt_supernode.core.host_transitions import check_boot
+from stampede_rt_supernode.core.hosts.transitions import check_boot
 from stampede_rt_supernode.core.lookups import host_by_id
 from stampede_rt_supernode.core.replicas.loads import REPORT_LOADS_MAX, ReplicaLoad, ReplicaLoads
 from stampede_rt_supernode.core.tables import Tables

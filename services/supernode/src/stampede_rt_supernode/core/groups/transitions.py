@@ -1,6 +1,6 @@
 """What opening, changing and forgetting a group does to the tables, and what channels and hosts do to it. Pure.
 
-As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. Groups come
+As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. Groups come
 and go while their channels stay as they are (paper, section 3.3).
 """
 

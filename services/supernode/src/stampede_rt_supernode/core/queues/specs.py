@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
 from stampede_rt.values.timeline import format_duration
-from stampede_rt_supernode.core.policies import CONTENT_TYPE_BYTES_MAX, ITEM_BYTES_MAX
+from stampede_rt_supernode.core.channels.policies import CONTENT_TYPE_BYTES_MAX, ITEM_BYTES_MAX
 from stampede_rt_supernode.core.records import QueueSpec
 from stampede_rt_supernode.core.validation import check_id
 

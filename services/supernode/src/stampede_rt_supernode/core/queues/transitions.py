@@ -1,6 +1,6 @@
 """What opening, changing and forgetting a queue does to the tables (paper, section 3.5). Pure.
 
-As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. Mailboxes
+As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. Mailboxes
 come and go with their peers, see `peers.transitions`.
 """
 

@@ -1,6 +1,6 @@
 """What adding, judging and removing copies of channels does to the tables (paper, section 4.1). Pure.
 
-As in `channel_transitions`, a function either raises a StampedeError and has changed nothing, or is done. What
+As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. What
 becomes of copies when hosts and owners go is in `takeover`.
 """
 

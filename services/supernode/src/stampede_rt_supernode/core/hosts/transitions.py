@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
-from stampede_rt_supernode.core.channel_transitions import fresh_incarnation
-from stampede_rt_supernode.core.commands import DeregisterHost, ExpireHost, RegisterHost
+from stampede_rt_supernode.core.channels.transitions import fresh_incarnation
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
+from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
 from stampede_rt_supernode.core.queues.placement import house_waiting_mailboxes, renew_queues
 from stampede_rt_supernode.core.records import Host
 from stampede_rt_supernode.core.tables import Tables

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import Overloaded, Unavailable
-from stampede_rt_supernode.core.commands import (
+from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
     ChannelOpened,
     ChannelUpdated,
@@ -17,9 +17,9 @@ from stampede_rt_supernode.core.commands import (
     OpenChannel,
     UpdateChannel,
 )
+from stampede_rt_supernode.core.channels.policies import agree, check_fixed, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
-from stampede_rt_supernode.core.policies import agree, check_fixed, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.records import Channel, Host
 from stampede_rt_supernode.core.replicas.transitions import check_epoch
 from stampede_rt_supernode.core.tables import Tables

@@ -1,0 +1,45 @@
+"""What a leader does to the cluster as a whole, and what comes of it. Pure, immutable values; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BeginTenure:
+    """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
+
+    `founded_anew`: by restoring, so that the id is to replace that of the former cluster; `takes_over`: whose hosts may
+    go over to this one.
+    """
+
+    tenure: int
+    supernode_id: str
+    new_cluster_id: str
+    new_lease_ttl_nanos: int
+    founded_anew: bool = False
+    takes_over: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MarkTime:
+    """Some time has passed since the last mark, says the leader of `tenure`, which was at `after_index`; see
+    `answered`."""
+
+    tenure: int
+    after_index: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TenureBegun:
+    """The tenure now in force, and the cluster's id."""
+
+    tenure: int
+    cluster_id: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TimeMarked:
+    """Whether the mark counts; False: another leader's, or a repeated one."""
+
+    marked: bool

@@ -1,0 +1,57 @@
+"""What can be done to hosts, and what comes of it (paper, section 4.2). Pure, immutable values; see `commands`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from stampede_rt_supernode.core.records import Endpoint, Host
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RegisterHost:
+    """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one."""
+
+    host_id: bytes
+    name: str
+    gatekeepers: tuple[Endpoint, ...]
+    boot_incarnation: int
+    version: str = ""
+    new_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DeregisterHost:
+    """A host leaves of its own accord."""
+
+    host_id: bytes
+    boot_incarnation: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ExpireHost:
+    """The lease of one registration has ended, says the leader of `tenure`."""
+
+    host_id: bytes
+    boot_incarnation: int
+    registered_index: int
+    tenure: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostRegistered:
+    """The host is in."""
+
+    host: Host
+    cluster_id: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostDeregistered:
+    """The host has left."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostExpired:
+    """Whether the command ended a lease; False: it came too late and changed nothing."""
+
+    expired: bool
