@@ -10,8 +10,9 @@ import pytest
 
 from stampede_rt.v1 import error_pb2, group_pb2, item_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.groups.exchange import FLOORS_MAX_PER_HOST
 from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.channel_host.rig import MS, S
+from tests.unit.channel_host.rig import MAX_INSTANT, MS, S
 from tests.unit.groups.rig import Cluster, CutReader, GroupedChannel, running_cluster
 
 LOWER, HIGHER = b"a-lower-host-id!", b"b-higher-host-id"
@@ -270,3 +271,47 @@ async def test_what_is_not_a_channel_of_the_teller_changes_nothing(pair: Pair) -
     await pair.synced(t + 1)
     status = await pair.right.host.until_cut(pair.group, t + 1)
     assert status.cut_unix_nano == t + 1
+
+
+async def test_a_host_that_owns_no_member_cannot_move_the_cut(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t)
+    await pair.right.put(t)
+    await pair.synced(t)
+    exchange = pair.left.host.host.groups.exchange
+    stranger = b"not-a-host-at-al"
+    exchange.hear(stranger, pb.TimesUpdate(floors=[floor_of(pair, t + S)]), is_first=True)
+    assert (await pair.left.host.status(pair.group)).cut_unix_nano == t
+    exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, t + 5)]), is_first=False)
+    assert (await pair.left.host.status(pair.group)).cut_unix_nano == t + 5  # the owner of a member may
+
+
+async def test_no_host_can_move_the_cut_further_than_items_may_be_by_now(pair: Pair) -> None:
+    t = pair.start
+    await pair.left.put(t)
+    await pair.right.put(t)
+    await pair.synced(t)
+    exchange = pair.left.host.host.groups.exchange
+    now = pair.left.host.now()
+    lead = 6 * S  # max_lead of 5 s and max_future of 1 s, by default
+    for far in (MAX_INSTANT, now + lead + 60 * S):
+        exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, far)]), is_first=False)
+        assert (await pair.left.host.status(pair.group)).cut_unix_nano == t
+    exchange.hear(HIGHER, pb.TimesUpdate(floors=[floor_of(pair, now + lead)]), is_first=False)
+    assert (await pair.left.host.status(pair.group)).cut_unix_nano == now + lead
+
+
+async def test_floors_of_unknown_groups_are_kept_for_each_host_up_to_a_bound(pair: Pair) -> None:
+    exchange = pair.left.host.host.groups.exchange
+    stranger, floors = b"not-a-host-at-al", [floor_of(pair, pair.start, index) for index in range(1200)]
+    exchange.hear(stranger, pb.TimesUpdate(floors=floors), is_first=False)
+    exchange.hear(HIGHER, pb.TimesUpdate(floors=floors[-1:]), is_first=False)
+    kept = [exchange.take_floors(floor.group_id) for floor in floors]
+    assert sum(stranger in one for one in kept) == FLOORS_MAX_PER_HOST
+    assert HIGHER in kept[-1]
+
+
+def floor_of(pair: Pair, cut: int, group: int | None = None) -> group_pb2.CutFloor:
+    """That the pair's group, or an unknown one of that number, has come to `cut`."""
+    group_id = pair.group.group_id if group is None else group.to_bytes(16, "big")
+    return group_pb2.CutFloor(group_id=group_id, incarnation=pair.group.incarnation, cut_unix_nano=cut)

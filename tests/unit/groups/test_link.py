@@ -7,7 +7,14 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.errors import HostNotFound, InvalidArgument, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.errors import (
+    HostNotFound,
+    InvalidArgument,
+    PermissionDenied,
+    StampedeError,
+    Unavailable,
+    VersionMismatch,
+)
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -27,6 +34,7 @@ class Notebook:
         self.asked: list[set[bytes]] = []
         self.has_lease = True
         self.stands = asyncio.Event()
+        self.names: dict[bytes, str] = {}
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         return group_pb2.ChannelTimes(channel_id=channel_id, newest_unix_nano=self.newest)
@@ -36,6 +44,9 @@ class Notebook:
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         self.heard.append((update, is_first))
+
+    def name_of_host(self, host_id: bytes) -> str:
+        return self.names.get(host_id, "")
 
     def greeted(self, link: Link) -> None:
         self.stands.set()
@@ -51,13 +62,15 @@ class Notebook:
 class Wire:
     """One link, its two ends in the hands of the test."""
 
-    def __init__(self, notebook: Notebook) -> None:
+    def __init__(self, notebook: Notebook, certified_name: str = "") -> None:
         self.sent: asyncio.Queue[pb.ExchangeTimesRequest] = asyncio.Queue()
         self.incoming: asyncio.Queue[Any] = asyncio.Queue()
         self.may_write = asyncio.Event()
         self.may_write.set()
         identity = HostIdentity(host_id=ME, name="me", boot_incarnation=1)
-        self.link = Link(identity, "c", notebook, pb.ExchangeTimesRequest, self._write, self.incoming.get)
+        self.link = Link(
+            identity, "c", notebook, pb.ExchangeTimesRequest, self._write, self.incoming.get, certified_name
+        )
         self.running = asyncio.create_task(_unwrapped(self.link.run(OTHER)))
 
     async def _write(self, message: pb.ExchangeTimesRequest) -> None:
@@ -111,6 +124,32 @@ async def test_it_says_when_the_other_side_has_told_all_that_it_knew() -> None:
     await wire.say(pb.TimesUpdate())
     await wire.end()
     assert [is_first for _, is_first in notebook.heard] == [False, True, False]
+
+
+async def test_a_certificate_speaks_for_the_host_of_its_own_name_alone() -> None:
+    notebook = Notebook()
+    notebook.names[OTHER] = "h2"
+    wire = Wire(notebook, certified_name="nobody")
+    await wire.greet()
+    with pytest.raises(PermissionDenied, match="that of host nobody, and the hello names host h2"):
+        await wire.running
+    own = Wire(notebook, certified_name="h2")
+    await own.greet()
+    await own.say(pb.TimesUpdate())
+    await own.end()
+    assert len(notebook.heard) == 1
+
+
+async def test_a_host_that_becomes_known_under_another_name_is_not_heard_any_more() -> None:
+    notebook = Notebook()
+    wire = Wire(notebook, certified_name="nobody")
+    await wire.greet()
+    await notebook.stands.wait()
+    notebook.names[OTHER] = "h2"
+    await wire.say(pb.TimesUpdate(floors=[group_pb2.CutFloor(cut_unix_nano=1)]))
+    with pytest.raises(PermissionDenied):
+        await wire.running
+    assert notebook.heard == []
 
 
 @pytest.mark.parametrize(

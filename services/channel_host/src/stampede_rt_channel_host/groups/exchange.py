@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 from stampede_rt.errors import HostNotFound
@@ -15,7 +16,8 @@ from stampede_rt_channel_host.groups.messages import times_from_message, times_t
 from stampede_rt_channel_host.groups.peers import Dial, Peers
 from stampede_rt_channel_host.groups.table import GroupTable
 
-FLOORS_MAX = 10_000
+FLOORS_MAX = 10_000  # of groups that are to be learned first, from all hosts together
+FLOORS_MAX_PER_HOST = 1000
 
 
 class Exchange:
@@ -42,16 +44,21 @@ class Exchange:
         self._table = table
         self._on_stale = on_stale
         self._on_asked = on_asked
+        self._names: dict[bytes, str] = {}  # of the hosts of groups known here, as the directory has them
         self._told_all: set[bytes] = set()  # hosts that have told all they know on the link that stands
-        self._floors: dict[bytes, group_pb2.CutFloor] = {}  # told of groups that are to be learned first
+        # Told of groups that are to be learned first: by group, then by the host that told it.
+        self._floors: dict[bytes, dict[bytes, group_pb2.CutFloor]] = {}
+        self._waiting_floors: Counter[bytes] = Counter()  # how many of them each host has told
 
     def share(self) -> None:
         """The groups or their members' hosts have changed: say who the other hosts are, and what is wanted of them."""
         targets: dict[bytes, str] = {}
+        self._names = {}
         wanted: dict[bytes, set[bytes]] = {}
         shared: dict[bytes, set[bytes]] = {}
         for group_id, group in self._table.groups.items():
             targets |= group.targets
+            self._names |= group.host_names
             for channel_id, host_id in group.owners.items():
                 if host_id != self._identity.host_id:
                     wanted.setdefault(host_id, set()).add(channel_id)
@@ -66,9 +73,11 @@ class Exchange:
             self.peers.tell_floor(group.record.group_id)
         group.changed()
 
-    def take_floor(self, group_id: bytes) -> group_pb2.CutFloor | None:
-        """What was told of a group before it was known here; it is not kept any longer."""
-        return self._floors.pop(group_id, None)
+    def take_floors(self, group_id: bytes) -> dict[bytes, group_pb2.CutFloor]:
+        """What each host has told of a group before it was known here; it is not kept any longer."""
+        floors = self._floors.pop(group_id, {})
+        self._waiting_floors -= Counter(floors.keys())
+        return floors
 
     # What links tell from and to.
 
@@ -83,6 +92,10 @@ class Exchange:
         """See `Knowledge`."""
         group = self._table.groups.get(group_id)
         return None if group is None else group.floor()
+
+    def name_of_host(self, host_id: bytes) -> str:
+        """See `Knowledge`."""
+        return self._names.get(host_id, "")
 
     def greeted(self, link: Link) -> None:
         """See `Knowledge`."""
@@ -108,7 +121,7 @@ class Exchange:
                 is_news = table.board.hear(told.channel_id, times_from_message(told), told.silent_nanos, now)
                 of_channel = table.ids_of(told.channel_id)
                 news |= of_channel if is_news else of_channel & table.idling
-        news |= {floor.group_id for floor in update.floors if self._merge(floor)}
+        news |= {floor.group_id for floor in update.floors if self._merge(host_id, floor)}
         if not news:  # a sign of life: whatever else was silent has been so for longer now
             news |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
@@ -117,16 +130,26 @@ class Exchange:
         for group_id in news:
             self.look(table.groups[group_id])
 
-    def _merge(self, floor: group_pb2.CutFloor) -> bool:
+    def _merge(self, host_id: bytes, floor: group_pb2.CutFloor) -> bool:
         """Take in another host's floor; True if it is further. What is new or newer is asked of the directory."""
         group = self._table.groups.get(floor.group_id)
-        if group is not None and group.record.incarnation == floor.incarnation:
-            if floor.spec_version > group.record.spec_version:
-                self._on_stale(floor.group_id)
-            return group.cut.merge_floor(floor.cut_unix_nano)
-        held = self._floors.get(floor.group_id)
-        if held is not None or len(self._floors) < FLOORS_MAX:
-            further = held is None or held.incarnation != floor.incarnation or held.cut_unix_nano < floor.cut_unix_nano
-            self._floors[floor.group_id] = floor if held is None or further else held
+        if group is None or group.record.incarnation != floor.incarnation:
+            self._keep_floor(host_id, floor)
+            return False
+        if floor.spec_version > group.record.spec_version:
             self._on_stale(floor.group_id)
-        return False
+            if host_id not in group.owners.values():  # it may own a member since that version
+                self._keep_floor(host_id, floor)
+        return group.merge_floor(host_id, floor)
+
+    def _keep_floor(self, host_id: bytes, floor: group_pb2.CutFloor) -> None:
+        """Keep the furthest floor that the host has told, until the directory has answered."""
+        floors = self._floors.get(floor.group_id, {})
+        held = floors.get(host_id)
+        if held is None:
+            if self._waiting_floors.total() >= FLOORS_MAX or self._waiting_floors[host_id] >= FLOORS_MAX_PER_HOST:
+                return
+            self._waiting_floors[host_id] += 1
+        if held is None or held.incarnation != floor.incarnation or held.cut_unix_nano < floor.cut_unix_nano:
+            self._floors.setdefault(floor.group_id, {})[host_id] = floor
+        self._on_stale(floor.group_id)

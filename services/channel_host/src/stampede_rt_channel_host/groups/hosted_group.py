@@ -11,9 +11,10 @@ from typing import Any
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import group_directory_service_pb2, group_pb2
+from stampede_rt.v1 import channel_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.channels.hosted_channels import Listener
+from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANOS
 from stampede_rt_channel_host.core.group import GroupCut, Horizon, Member, TimesBoard
 from stampede_rt_channel_host.groups.messages import definition_of
 
@@ -65,9 +66,24 @@ class HostedGroup:
         self.channels = {one.channel_id: one for one in told.channels}
         self.targets = {one.host_id: one.gatekeepers[0].target for one in told.hosts if one.alive and one.gatekeepers}
         self.host_names = {one.host_id: one.name for one in told.hosts}
-        self.cut.define(definition_of(told.group))
+        self._owner_ids = frozenset(self.owners.values())
+        definition = definition_of(told.group)
+        self._lead_nanos = definition.max_lead_nanos + max(map(_future_nanos, told.channels), default=0)
+        self.cut.define(definition)
         self.arrangement += 1
         return anew
+
+    def merge_floor(self, host_id: bytes, floor: group_pb2.CutFloor) -> bool:
+        """Take in another host's floor, if it can be true; True if it is further.
+
+        It can be if the host owns a member, and items can be so far by now: a member takes items and advances up to its
+        `max_future` ahead of its host's clock, and a cut lies at most `max_lead` beyond them.
+        """
+        if host_id not in self._owner_ids or floor.incarnation != self.record.incarnation:
+            return False
+        if floor.cut_unix_nano > self._now() + self._lead_nanos:
+            return False
+        return self.cut.merge_floor(floor.cut_unix_nano)
 
     def horizon(self, cut: int | None = None) -> Horizon:
         """Up to where the group can be seen now; or up to an earlier `cut`."""
@@ -180,3 +196,9 @@ class HostedGroup:
             if member.is_idle and member.heard is not None and member.heard.known_until is None:
                 self._on_idle(member.channel_id)
         self.changed()
+
+
+def _future_nanos(channel: channel_pb2.ChannelRecord) -> int:
+    """How far ahead of its host's clock the channel takes items."""
+    stated = channel.spec.HasField("max_future_nanos")
+    return channel.spec.max_future_nanos if stated else DEFAULT_MAX_FUTURE_NANOS

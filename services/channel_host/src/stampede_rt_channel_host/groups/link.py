@@ -11,10 +11,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Any, Protocol
 
-from stampede_rt.errors import InvalidArgument, Unavailable, VersionMismatch
+from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable, VersionMismatch
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
-from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005
@@ -35,6 +35,9 @@ class Knowledge(Protocol):
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         """The other host has told this. An `is_first` update is the last of those that bring all that it knows."""
+
+    def name_of_host(self, host_id: bytes) -> str:
+        """The name that the directory has for a host of a group known here; empty for any other host."""
 
     def greeted(self, link: Link) -> None:
         """The other host has said who it is."""
@@ -57,12 +60,15 @@ class Link:
         message: Callable[..., Any],
         write: Callable[[Any], Awaitable[None]],
         read: Callable[[], Awaitable[Any]],
+        certified_name: str = "",
     ) -> None:
+        """`certified_name` is the one in the caller's certificate; empty if there is none, or this side has called."""
         self.host_id = b""  # the other one, once it has greeted
         self._identity = identity
         self._cluster_id = cluster_id
         self._knowledge = knowledge
         self._message, self._write, self._read = message, write, read
+        self._certified_name = certified_name
         self._told = False  # all that the other side knew has come
         self._wanted: set[bytes] = set()  # channels of this host that the other one wants to hear of
         self._times: dict[bytes, None] = {}
@@ -115,7 +121,19 @@ class Link:
             raise InvalidArgument(f"the hello is of cluster {hello.cluster_id}, and this is {self._cluster_id}")
         if peer is not None and hello.host_id != peer:
             raise InvalidArgument(f"host {hello.host_id.hex()} answers where {peer.hex()} should; resolve it again")
+        if len(hello.host_id) != ID_BYTES:
+            raise InvalidArgument(f"the hello has a host_id of {len(hello.host_id)} bytes; ids have {ID_BYTES}")
+        self._check_name(hello.host_id)
         self.host_id = hello.host_id
+
+    def _check_name(self, host_id: bytes) -> None:
+        """A certificate speaks for the host of its own name alone. Raises PermissionDenied."""
+        name = self._knowledge.name_of_host(host_id)
+        if self._certified_name and name and name != self._certified_name:
+            raise PermissionDenied(
+                f"the certificate is that of host {self._certified_name}, and the hello names host {name}; a host "
+                "speaks for itself alone"
+            )
 
     async def _next(self) -> Any:
         """The next message; None if the other side has ended."""
@@ -136,6 +154,7 @@ class Link:
                 self._news.set()
             first = not self._told and len(update.floors) < ENTRIES_MAX
             self._told = self._told or first
+            self._check_name(self.host_id)  # the host may have become known, with its name, since the hello
             self._knowledge.hear(self.host_id, update, is_first=first)
 
     async def _write_all(self) -> None:

@@ -20,6 +20,7 @@ from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.groups.link import INTEREST_MAX, Knowledge, Link
+from stampede_rt_runtime.admission import caller_identity
 
 logger = logging.getLogger(__name__)
 
@@ -109,8 +110,15 @@ class Peers:
     async def accept(self, context: Any) -> None:
         """Serve a stream that another host opened, until it ends."""
         self._knowledge.check_lease()
+        caller = caller_identity(context)
         link = Link(
-            self._identity, self._cluster_id(), self._knowledge, pb.ExchangeTimesResponse, context.write, context.read
+            self._identity,
+            self._cluster_id(),
+            self._knowledge,
+            pb.ExchangeTimesResponse,
+            context.write,
+            context.read,
+            certified_name=caller.name if caller is not None else "",
         )
         try:
             await _unwrapped(link.run())

@@ -203,7 +203,7 @@ class GroupStore:
             if known is not None:
                 known.is_stale = True
             return
-        self.exchange.take_floor(group_id)
+        self.exchange.take_floors(group_id)
         if known is not None:
             self._table.forget(group_id)
             self.exchange.share()
@@ -225,9 +225,8 @@ class GroupStore:
                 group.end(_anew(told.group))
             if version != (told.group.spec_version, told.group.incarnation):
                 self.exchange.peers.tell_floor(group_id)  # with it goes the version, so that the others ask, too
-        floor = self.exchange.take_floor(group_id)
-        if floor is not None and floor.incarnation == told.group.incarnation:
-            group.cut.merge_floor(floor.cut_unix_nano)
+        for host_id, floor in self.exchange.take_floors(group_id).items():
+            group.merge_floor(host_id, floor)
         if not group.cut.is_settled:
             group.unheard = {one for one in group.targets if one != self._identity.host_id}
         return group
