@@ -53,6 +53,8 @@ def _drawn(contract: Mapping[str, Any]) -> str:
         return "\n".join(_indented(row, "    " if row is rows[0] else "  ↓ ") for row in rows)
     if contract["type"] == "independence":
         return _indented(" | ".join(contract["modules"]))
+    if contract["type"] == "acyclic_siblings":
+        return _indented(", ".join(contract["ancestors"]))
     sources, forbidden = ", ".join(contract["source_modules"]), ", ".join(contract["forbidden_modules"])
     return f"{_indented(sources)}\n    ✗ do not import\n{_indented(forbidden)}"
 

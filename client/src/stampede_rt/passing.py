@@ -14,6 +14,7 @@ from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.connection import Connection
 from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
+from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.queue import Queue
 from stampede_rt._sync.queue_place import open_queue, queue_state
 from stampede_rt._sync.session import Session
@@ -59,17 +60,21 @@ class Address:
         info = session.open_channel(name, stated, None, create)
         return Channel(session, session.state_of(info, stated, create, coding))
 
-    def group(self, name: str, codings: Sequence[tuple[str, Coding]]) -> Group:
-        """A group's handle; `codings`: the codecs of its members, by name."""
-        group = Connection(self._session(), "").group(name)
+    def group_members(self, name: str, codings: Sequence[tuple[str, Coding]]) -> GroupMembers:
+        """What a group's handle and its descriptors share; `codings`: the codecs of its members, by name."""
+        members = Connection(self._session(), "").group(name)._members
         by_name = dict(codings)
-        for channel in group.channels:
+        for channel in members.channels:
             channel._state.coding = by_name.get(channel.name)
-        return group
+        return members
 
-    def descriptor(self, group: Group, name: str, coding: Coding | None) -> GroupChannel:
+    def group(self, members: GroupMembers) -> Group:
+        """A group's handle."""
+        return Group(members)
+
+    def descriptor(self, members: GroupMembers, name: str, coding: Coding | None) -> GroupChannel:
         """A group's descriptor of a channel."""
-        descriptor = group[name]
+        descriptor = Group(members)[name]
         descriptor._state.coding = coding
         return descriptor
 

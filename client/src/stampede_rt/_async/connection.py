@@ -9,8 +9,9 @@ from typing import Any
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
 from stampede_rt._async.discovery import Discovery
-from stampede_rt._async.group import Group, member_handles
+from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
+from stampede_rt._async.group_members import GroupMembers, member_handles
 from stampede_rt._async.peer_place import PeerPlace
 from stampede_rt._async.presence import Mailbox, Presence
 from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
@@ -179,7 +180,7 @@ class Connection(Discovery, Reference):
             )
         response = await self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
         handles = member_handles(self._session, response, channels or ())
-        return Group(self._session, group_info(response.group), handles, create=channels is not None)
+        return Group(GroupMembers(self._session, group_info(response.group), handles, create=channels is not None))
 
     async def cross_section(
         self,

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.reader import Reader
-from stampede_rt._async.session import ChannelState, Session
+from stampede_rt._async.session import ChannelState
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.values.model import Items
 from stampede_rt.values.reading import Read
-
-if TYPE_CHECKING:
-    from stampede_rt._async.group import Group
 
 
 class GroupChannel(Reader):
@@ -20,12 +18,12 @@ class GroupChannel(Reader):
     Read like the channel itself, which is not touched and still sees everything. Nothing can be put through it.
     """
 
-    def __init__(self, session: Session, state: ChannelState, group: Group) -> None:
-        super().__init__(session, state, group._view)
+    def __init__(self, group: GroupMembers, state: ChannelState) -> None:
+        super().__init__(group.session, state, group.view)
         self._group = group
 
     async def _read(self, query: Read) -> Items:
-        floor = self._group._view.cut_floor
+        floor = self._group.view.cut_floor
         try:
             items = await super()._read(query)
         except GroupNotFound:
@@ -34,7 +32,7 @@ class GroupChannel(Reader):
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
         await self._group.refresh()  # the host is behind what was seen, or the group has begun anew
-        return await super()._read(query) if self._group._view.cut_floor is None else items
+        return await super()._read(query) if self._group.view.cut_floor is None else items
 
     def __repr__(self) -> str:
         return f"{super().__repr__()[:-1]}, through group {self._group.name!r}>"

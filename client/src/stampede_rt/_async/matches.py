@@ -6,9 +6,10 @@ import functools
 from collections import deque
 from contextlib import suppress
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stampede_rt._async.channel import Channel
+from stampede_rt._async.group_members import GroupMembers
 from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting, may_heal
 from stampede_rt.cluster.binding import Binding
@@ -22,9 +23,6 @@ from stampede_rt.values.grouping import Matched
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import Read, Wait
 from stampede_rt.values.timeline import DurationLike, Match, parse_interval
-
-if TYPE_CHECKING:
-    from stampede_rt._async.group import Group
 
 
 class MatchSubscription(OfOneProcess):
@@ -40,7 +38,7 @@ class MatchSubscription(OfOneProcess):
 
     def __init__(
         self,
-        group: Group,
+        group: GroupMembers,
         per: Channel,
         tolerance_nanos: int,
         reconnect: DurationLike | None,
@@ -50,7 +48,7 @@ class MatchSubscription(OfOneProcess):
         partial: bool,
         payloads: bool,
     ) -> None:
-        self._reconnecting = Reconnecting(group._session, f"the matching of group {group.name!r}", reconnect)
+        self._reconnecting = Reconnecting(group.session, f"the matching of group {group.name!r}", reconnect)
         self._group = group
         self._per = per
         self._tolerance_nanos = tolerance_nanos
@@ -81,11 +79,11 @@ class MatchSubscription(OfOneProcess):
         return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
-        state = self._group._session.state or ("closed" if self._closed else "")
+        state = self._group.session.state or ("closed" if self._closed else "")
         return f"<MatchSubscription of group {self._group.name!r}{f', {state}' if state else ''}>"
 
     async def __aenter__(self) -> MatchSubscription:
-        self._group._session.check_process()
+        self._group.session.check_process()
         await self._open()
         return self
 
@@ -98,7 +96,7 @@ class MatchSubscription(OfOneProcess):
         return self
 
     async def __anext__(self) -> Matched[Channel]:
-        self._group._session.check_process()
+        self._group.session.check_process()
         while not self._closed:
             if not self._ready:
                 await self._open()
@@ -126,11 +124,11 @@ class MatchSubscription(OfOneProcess):
             await self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
-            raise self._group._explained(error) from None
+            raise self._group.explained(error) from None
 
     async def _open_within(self, timeout_s: float) -> None:
         async def open_at(binding: Binding) -> None:
-            port = self._group._session.ports.to(binding.target)
+            port = self._group.session.ports.to(binding.target)
             self._stream = stream = port.converse(port.groups.SubscribeMatches)
             self._window.begin()
             try:
@@ -146,10 +144,10 @@ class MatchSubscription(OfOneProcess):
                 raise
 
         try:
-            await self._group._session.perform(self._per._state, open_at, timeout_s)
+            await self._group.session.perform(self._per._state, open_at, timeout_s)
         except GroupNotFound:
             await self._group.refresh()  # by its name; raises if there is none
-            await self._group._session.perform(self._per._state, open_at, timeout_s)
+            await self._group.session.perform(self._per._state, open_at, timeout_s)
 
     def _opening(self, epoch: int) -> group_pb.SubscribeMatchesOpen:
         return group_pb.SubscribeMatchesOpen(
@@ -182,11 +180,11 @@ class MatchSubscription(OfOneProcess):
             self._resume()
         except StampedeError as error:
             self._resume()
-            if not may_heal(error) or self._group._session.closed:
+            if not may_heal(error) or self._group.session.closed:
                 self._closed = True
-                raise self._group._explained(error) from None
+                raise self._group.explained(error) from None
             self._reconnecting.broke()
-            self._group._forget_places()
+            self._group.forget_places()
         except BaseException:  # an interrupt: what was being fetched comes again
             self._resume()
             raise
@@ -241,7 +239,7 @@ class MatchSubscription(OfOneProcess):
             return decoder.decode([matched.item])[0]
         interval = parse_interval(position.time_unix_nano, position.time_unix_nano)
         query = Read(interval, match=Match.START, payloads=self._payloads, wait=Wait(0))
-        items = await read(self._group._session, channel._state, query)
+        items = await read(self._group.session, channel._state, query)
         found = [item for item in items if (item.seq, item.incarnation) == (position.seq, position.incarnation)]
         return found[0] if found else None
 

@@ -10,8 +10,9 @@ from typing import Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cross_section import cross_section
 from stampede_rt._sync.discovery import Discovery
-from stampede_rt._sync.group import Group, member_handles
+from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
+from stampede_rt._sync.group_members import GroupMembers, member_handles
 from stampede_rt._sync.peer_place import PeerPlace
 from stampede_rt._sync.presence import Mailbox, Presence
 from stampede_rt._sync.queue import Queue, dead_letter_id, pending_at, stats_at
@@ -180,7 +181,7 @@ class Connection(Discovery, Reference):
             )
         response = self._session.supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
         handles = member_handles(self._session, response, channels or ())
-        return Group(self._session, group_info(response.group), handles, create=channels is not None)
+        return Group(GroupMembers(self._session, group_info(response.group), handles, create=channels is not None))
 
     def cross_section(
         self,

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stampede_rt._sync.channel import Channel
+from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.handles import OfOneProcess
@@ -17,9 +18,6 @@ from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
 from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.groups import cut_items
-
-if TYPE_CHECKING:
-    from stampede_rt._sync.group import Group
 
 
 class _Talk:
@@ -56,7 +54,7 @@ class CutSubscription(OfOneProcess):
 
     def __init__(
         self,
-        group: Group,
+        group: GroupMembers,
         max_wait_nanos: int,
         lateness_nanos: int,
         reconnect: DurationLike | None,
@@ -64,7 +62,7 @@ class CutSubscription(OfOneProcess):
         payloads: bool,
     ) -> None:
         what = f"the subscription to group {group.name!r}"
-        self._reconnecting = Reconnecting(group._session, what, reconnect)
+        self._reconnecting = Reconnecting(group.session, what, reconnect)
         self._group = group
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos
@@ -86,11 +84,11 @@ class CutSubscription(OfOneProcess):
         return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
-        state = self._group._session.state or ("closed" if self._closed else "")
+        state = self._group.session.state or ("closed" if self._closed else "")
         return f"<CutSubscription of group {self._group.name!r}{f', {state}' if state else ''}>"
 
     def __enter__(self) -> CutSubscription:
-        self._group._session.check_process()
+        self._group.session.check_process()
         self._open()
         return self
 
@@ -103,12 +101,12 @@ class CutSubscription(OfOneProcess):
         return self
 
     def __next__(self) -> Cut[Channel]:
-        self._group._session.check_process()
+        self._group.session.check_process()
         while not self._closed:
             try:
                 self._open()
             except StampedeError:
-                if self._group._session.closed:
+                if self._group.session.closed:
                     break
                 raise
             if not self._talks:
@@ -121,13 +119,13 @@ class CutSubscription(OfOneProcess):
                 self._hang_up()
             except StampedeError as error:
                 self._hang_up()
-                if self._closed or self._group._session.closed:
+                if self._closed or self._group.session.closed:
                     break
                 if not may_heal(error):
                     self._closed = True
-                    raise self._group._explained(error) from None
+                    raise self._group.explained(error) from None
                 self._reconnecting.broke()
-                self._group._forget_places()
+                self._group.forget_places()
             except BaseException:  # an interrupt: the event that was under way comes again from its beginning
                 self._hang_up()
                 raise
@@ -152,7 +150,7 @@ class CutSubscription(OfOneProcess):
             self._reconnecting.open(self._open_within)
         except StampedeError as error:
             self._closed = not may_heal(error)
-            raise self._group._explained(error) from None
+            raise self._group.explained(error) from None
 
     def _open_within(self, timeout_s: float) -> None:
         backoff = Backoff(monotonic_s() + timeout_s)
@@ -163,9 +161,9 @@ class CutSubscription(OfOneProcess):
                 self._hang_up()
                 if self._closed:
                     return
-                if not error.retryable or self._group._session.closed:
+                if not error.retryable or self._group.session.closed:
                     raise
-                self._group._forget_places()
+                self._group.forget_places()
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:
                     raise
@@ -175,8 +173,8 @@ class CutSubscription(OfOneProcess):
         self._group.refresh()  # others may have let members in or out
         self._keep_members_only()
         try:
-            for target in self._group._targets():
-                port = self._group._session.ports.to(target)
+            for target in self._group.targets():
+                port = self._group.session.ports.to(target)
                 talk = _Talk(port.converse(port.groups.SubscribeCuts))
                 self._beginning.append(talk)
                 opened = talk.open(self._opening(decides=len(self._beginning) == 1))

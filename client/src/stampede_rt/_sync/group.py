@@ -11,10 +11,11 @@ from typing import Any, TypeVar
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.cuts import CutSubscription
 from stampede_rt._sync.group_channel import GroupChannel
+from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.matches import MatchSubscription
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.reads import read
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import (
     ChannelNotFound,
@@ -26,22 +27,19 @@ from stampede_rt.errors import (
     Unavailable,
 )
 from stampede_rt.handles import Reference, shown
-from stampede_rt.transports.concurrency_sync import monotonic_s, together
+from stampede_rt.transports.concurrency_sync import together
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import (
     ByChannel,
     GroupInfo,
     GroupStatus,
-    GroupView,
     Named,
     NewestItems,
-    is_named_by,
     parse_lateness,
     parse_max_wait,
     parse_members,
     parse_tolerance,
-    shown_name,
 )
 from stampede_rt.values.model import Items
 from stampede_rt.values.reading import Read, parse_limit
@@ -56,7 +54,7 @@ from stampede_rt.values.timeline import (
     parse_interval,
     parse_match,
 )
-from stampede_rt.wire.groups import group_info, group_spec, member_status
+from stampede_rt.wire.groups import member_status
 
 Result = TypeVar("Result")
 
@@ -67,14 +65,19 @@ CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already
 class Group(Reference):
     """A set of channels that are read in step. Handles of one group are equal; any process may hold some."""
 
-    def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel], create: bool = False) -> None:
-        self._session = session
-        self._create = create  # it was opened with its members, and so can be opened again
-        self._cluster_id = session.supernodes.cluster_id
-        self._view = GroupView(info.group_id)
-        self.info = info
-        self.channels = tuple(channels)
+    def __init__(self, members: GroupMembers) -> None:
+        self._session = members.session
+        self._members = members
+
+    @property
+    def info(self) -> GroupInfo:
+        """The directory's description of the group, as last known."""
+        return self._members.info
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
         """The members, in the order in which they were named."""
+        return self._members.channels
 
     @property
     def name(self) -> str:
@@ -98,16 +101,15 @@ class Group(Reference):
         return f"{shown('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        codings = [(one.name, one._state.coding) for one in self.channels if one._state.coding is not None]
-        return self._session.reopened("group", self.name, codings)
+        return self._session.reopened("group", self._members)
 
     def __getitem__(self, channel: Named | str) -> GroupChannel:
         """The descriptor of a member, by its handle, whose codec it has, or by its name.
 
         Raises InvalidArgument for a channel that is no member.
         """
-        member = self._member(channel)
-        return GroupChannel(self._session, channel._state if isinstance(channel, Reader) else member._state, self)
+        member = self._members.member(channel)
+        return GroupChannel(self._members, channel._state if isinstance(channel, Reader) else member._state)
 
     def __iter__(self) -> Iterator[GroupChannel]:
         return (self[channel] for channel in self.channels)
@@ -160,20 +162,15 @@ class Group(Reference):
         try:
             return operation()
         except (InvalidArgument, ChannelNotFound, GroupNotFound):
-            self.refresh()
+            self._members.refresh()
             if (self.info.group_id, self.info.spec_version) == known:
                 raise
         return operation()
 
-    def _explained(self, error: StampedeError) -> StampedeError:
-        """The error, which names the group: hosts know groups by their ids."""
-        error.concerning("group", self.name)
-        return error
-
     def _read_all(self, query: Read) -> ByChannel[Channel, Items]:
         query = replace(query, cut=self._cut())
         answers = together(
-            [functools.partial(read, self._session, one._state, query, self._view) for one in self.channels]
+            [functools.partial(read, self._session, one._state, query, self._members.view) for one in self.channels]
         )
         ids = (channel.info.channel_id for channel in self.channels)
         return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
@@ -184,7 +181,7 @@ class Group(Reference):
         def cut_at(binding: Binding) -> group_pb.GetCutResponse:
             port = self._session.ports.to(binding.target)
             request = group_pb.GetCutRequest(
-                group_id=self.info.group_id, cut_floor_unix_nano=self._view.cut_floor, wait_nanos=CUT_WAIT_NANOS
+                group_id=self.info.group_id, cut_floor_unix_nano=self._members.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
             )
             response: group_pb.GetCutResponse = port.call(port.groups.GetCut, request, CALL_TIMEOUT_S)
             return response
@@ -193,8 +190,8 @@ class Group(Reference):
         if not response.HasField("floor"):
             return MIN_INSTANT
         if (response.floor.spec_version, response.floor.incarnation) != (self.info.spec_version, self.incarnation):
-            self.refresh()
-        self._view.saw(response.floor.cut_unix_nano)
+            self._members.refresh()
+        self._members.view.saw(response.floor.cut_unix_nano)
         return int(response.floor.cut_unix_nano)
 
     def subscribe(
@@ -211,7 +208,9 @@ class Group(Reference):
         reader gets merged events. Items that come out of order by up to `lateness` are waited for, so that they come
         with the others and not as late ones; it delays every event by as much.
         """
-        return CutSubscription(self, parse_max_wait(max_wait), parse_lateness(lateness), reconnect, payloads=payloads)
+        return CutSubscription(
+            self._members, parse_max_wait(max_wait), parse_lateness(lateness), reconnect, payloads=payloads
+        )
 
     def match(
         self,
@@ -233,8 +232,8 @@ class Group(Reference):
         that come out of order by up to `lateness` are waited for, which delays every match by as much.
         """
         return MatchSubscription(
-            self,
-            self._member(per),
+            self._members,
+            self._members.member(per),
             parse_tolerance(tolerance),
             reconnect,
             lateness_nanos=parse_lateness(lateness),
@@ -257,7 +256,7 @@ class Group(Reference):
 
         status = (self._at_any_host(status_at)).status
         if status.record.spec_version != self.info.spec_version:
-            self.refresh()
+            self._members.refresh()
         by_id = {channel.info.channel_id: channel for channel in self.channels}
         return GroupStatus(
             cut=status.cut_unix_nano if status.HasField("cut_unix_nano") else None,
@@ -292,86 +291,13 @@ class Group(Reference):
     def _update(self, request: group_directory_pb.UpdateGroupRequest, known: Sequence[Channel]) -> None:
         request.request_id, request.group_id = request_id(), self.info.group_id
         self._session.supernodes.call("UpdateGroup", request, CALL_TIMEOUT_S)
-        self.refresh(known)
+        self._members.refresh(known)
 
-    def refresh(self, known: Sequence[Channel] = ()) -> None:
+    def refresh(self) -> None:
         """Learn the members anew, which other processes may have changed. Raises GroupNotFound."""
-        request = group_directory_pb.ResolveGroupRequest(group_id=self.info.group_id)
-        response: group_directory_pb.ResolveGroupResponse | group_directory_pb.OpenGroupResponse
-        try:
-            response = self._session.supernodes.call("ResolveGroup", request, CALL_TIMEOUT_S)
-        except GroupNotFound:
-            response = self._open_again()
-        info = group_info(response.group)
-        if info.incarnation != self.incarnation:
-            self._view.cut_floor = None
-        self._view.group_id = info.group_id
-        self.channels = member_handles(self._session, response, [*self.channels, *known])
-        self.info = info
-
-    def _open_again(self) -> group_directory_pb.OpenGroupResponse:
-        """The group's id is not known any more: the one that has its name now, made anew if the directory began anew.
-
-        Raises GroupNotFound.
-        """
-        supernodes = self._session.supernodes
-        request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=self.name)
-        begun_anew = supernodes.present_cluster(monotonic_s() + CALL_TIMEOUT_S) != self._cluster_id
-        if self._create and begun_anew:
-            reference = [one for one in self.channels if one.info.channel_id == self.info.reference_id]
-            self._forget_places()
-            self._targets()  # finds the members by their names
-            spec = group_spec(
-                [one.info.channel_id for one in self.channels],
-                reference[0].info.channel_id if reference else None,
-                self.info.bound,
-                self.info.idle_after_nanos,
-                self.info.max_lead_nanos,
-            )
-            request.spec.CopyFrom(spec)
-            request.create = True
-        try:
-            response: group_directory_pb.OpenGroupResponse = supernodes.call("OpenGroup", request, CALL_TIMEOUT_S)
-        except GroupNotFound as error:
-            raise self._explained(error) from None
-        self._cluster_id = supernodes.cluster_id
-        return response
+        self._members.refresh()
 
     def delete(self) -> None:
         """Forget the group, for everyone; its channels stay."""
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
         self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)
-
-    def _targets(self) -> list[str]:
-        """The data endpoints of the hosts that own members, each once."""
-        bindings = together([functools.partial(self._session.place, one._state) for one in self.channels])
-        return list(dict.fromkeys(binding.target for binding in bindings))
-
-    def _forget_places(self) -> None:
-        """Look for the members' hosts anew."""
-        for channel in self.channels:
-            self._session.cache.forget(channel.info.channel_id)
-
-    def _member(self, channel: Named | str) -> Channel:
-        for member in self.channels:
-            if is_named_by(channel, member):
-                return member
-        members = ", ".join(member.name for member in self.channels)
-        raise InvalidArgument(
-            f"{shown_name(channel)!r} is no member of the group {self.name!r}, whose members are {members}"
-        )
-
-
-def member_handles(
-    session: Session,
-    response: group_directory_pb.OpenGroupResponse | group_directory_pb.ResolveGroupResponse,
-    known: Sequence[Reader],
-) -> tuple[Channel, ...]:
-    """Handles of a group's members: new ones and, with their codecs, those `known`, which may be descriptors."""
-    hosts = {host.host_id: host for host in response.hosts}
-    kept = (one if isinstance(one, Channel) else Channel(session, one._state) for one in known)
-    handles = {channel.info.channel_id: channel for channel in kept}
-    return tuple(
-        handles.get(record.channel_id) or Channel(session, session.found(record, hosts.get(record.host_id)))
-        for record in response.channels
-    )

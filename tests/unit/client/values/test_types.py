@@ -57,5 +57,6 @@ def test_arguments_that_take_words_say_which(function: object, argument: str, an
 def test_a_group_shows_only_what_is_meant_for_its_users() -> None:
     shown = {name for name in dir(st.Group) if not name.startswith("_")}
     assert shown == {
-        "add", "delete", "get", "incarnation", "match", "name", "newest", "refresh", "remove", "status", "subscribe",
+        "add", "channels", "delete", "get", "incarnation", "info", "match", "name", "newest", "refresh", "remove",
+        "status", "subscribe",
     }  # fmt: skip
