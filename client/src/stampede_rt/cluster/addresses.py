@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ipaddress
+
 from stampede_rt.errors import InvalidArgument
 
 DEFAULT_PORT = 7580
 DEFAULT_URL = f"localhost:{DEFAULT_PORT}"
 ADDRESSES_MAX = 16
+_LOOPBACK_NAMES = ("localhost", "ip6-localhost", "ip6-loopback")
 
 
 def parse_addresses(url: str) -> tuple[str, ...]:
@@ -17,6 +20,22 @@ def parse_addresses(url: str) -> tuple[str, ...]:
     if not 1 <= len(parts) <= ADDRESSES_MAX:
         raise InvalidArgument(f'the address is {url!r}; write 1 to {ADDRESSES_MAX} of them, as in "localhost:7580"')
     return tuple(_parse_one(part) for part in parts)
+
+
+def is_loopback(target: str) -> bool:
+    """Whether `HOST:PORT` or `unix:PATH` is certain to be of the caller's own machine alone. Resolves no name.
+
+    A name that only begins with "localhost" or with "127." may be anybody's.
+    """
+    if target.startswith("unix:"):
+        return True
+    host = target.rpartition(":")[0].strip("[]").lower()
+    if host in _LOOPBACK_NAMES:
+        return True
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return False
 
 
 def _parse_one(address: str) -> str:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 
-from stampede_rt.cluster.addresses import DEFAULT_URL, parse_addresses
+from stampede_rt.cluster.addresses import DEFAULT_URL, is_loopback, parse_addresses
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import Credentials, read_secret
 from stampede_rt.security.tls import TlsFiles, TlsReader, files_from_environment
 from stampede_rt.values.policy import parse_name
-
-_LOOPBACK = ("localhost", "127.", "[::1]", "unix:")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,7 +39,7 @@ def parse_target(
     Raises InvalidArgument, PermissionDenied.
     """
     frontends = parse_addresses(url or os.environ.get("STAMPEDE_URL") or DEFAULT_URL)
-    here = all(frontend.startswith(_LOOPBACK) for frontend in frontends)
+    here = all(map(is_loopback, frontends))
     if secret is None and (here or os.environ.get("STAMPEDE_SECRET_FILE")):
         secret = read_secret()
         if not secret and (named := os.environ.get("STAMPEDE_SECRET_FILE")):

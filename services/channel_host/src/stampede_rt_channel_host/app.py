@@ -7,6 +7,7 @@ import gc
 import socket
 from collections.abc import Sequence
 
+from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
@@ -20,7 +21,7 @@ from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import NotAllowed
 from stampede_rt_runtime.main import EXIT_FAILED, announce, run_service
-from stampede_rt_runtime.routes import address_towards, is_loopback
+from stampede_rt_runtime.routes import address_towards
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import SettingsError
 from stampede_rt_runtime.values import Address, parse_address

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError, Unavailable, VersionMismatch
 from stampede_rt.status import abort
 from stampede_rt.v1 import directory_pb2, frontend_service_pb2, frontend_service_pb2_grpc
@@ -11,7 +12,7 @@ from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.ranking import Supernode, rank
 from stampede_rt_frontend.roster import Roster
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_runtime.routes import is_loopback, is_of_another_machine
+from stampede_rt_runtime.routes import is_of_another_machine
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
 WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so long rather than being sent away

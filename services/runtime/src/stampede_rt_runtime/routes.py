@@ -7,23 +7,9 @@ import socket
 from collections.abc import Iterable
 from urllib.parse import unquote
 
+from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt_runtime.listen import CannotListen
 from stampede_rt_runtime.values import parse_address
-
-LOOPBACK_NAMES = ("localhost", "ip6-localhost", "ip6-loopback")
-
-
-def is_loopback(target: str) -> bool:
-    """Whether `HOST:PORT` is certain to be of the caller's own machine alone. Resolves no name."""
-    if target.startswith("unix:"):
-        return True
-    host = parse_address(target).host.lower()
-    if host in LOOPBACK_NAMES or host.endswith(".localhost"):
-        return True
-    try:
-        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
-    except ValueError:
-        return False
 
 
 def address_towards(targets: Iterable[str]) -> str:

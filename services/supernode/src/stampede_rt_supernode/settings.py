@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.cluster_ids import listed_cluster_id
 from stampede_rt_runtime.main import ServiceSettings
-from stampede_rt_runtime.routes import is_loopback
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS

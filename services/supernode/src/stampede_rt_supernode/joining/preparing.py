@@ -12,10 +12,10 @@ from pathlib import Path
 
 from stampede_rt.cli.members import reached
 from stampede_rt.cli.supernode import add_place
+from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt.values.policy import parse_name
-from stampede_rt_runtime.routes import is_loopback
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
 from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of

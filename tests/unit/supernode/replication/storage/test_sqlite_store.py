@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import re
 import shutil
@@ -79,6 +80,22 @@ def test_another_members_folder_is_refused(tmp_path: Path, other: dict[str, str]
     fill(tmp_path)
     with pytest.raises(StoreRefused, match="use that member's own folder"):
         open_store(tmp_path, **other)
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o700])
+def test_only_its_own_user_reads_a_store(tmp_path: Path, mode: int) -> None:
+    tmp_path.chmod(mode)
+    before = os.umask(0o022)
+    try:
+        fill(tmp_path)
+        (tmp_path / DATABASE_NAME).chmod(0o644)  # as an earlier release left it
+        store = open_store(tmp_path)
+        modes = {file.name: file.stat().st_mode & 0o777 for file in tmp_path.iterdir()}
+        store.close()
+    finally:
+        os.umask(before)
+    assert len(modes) > 1
+    assert set(modes.values()) == {0o600}
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:

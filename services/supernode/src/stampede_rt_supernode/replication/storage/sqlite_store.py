@@ -81,6 +81,14 @@ class _HardState(NamedTuple):
         return zlib.crc32(repr(tuple(self)).encode())
 
 
+def make_private(path: Path) -> None:
+    """Let only the user who runs the process read the database. SQLite gives its journals the same mode."""
+    if not path.exists():  # else it may be open, and whoever closes a second descriptor gives up SQLite's locks
+        path.touch(mode=0o600)
+    for file in path.parent.glob(f"{path.name}*"):
+        file.chmod(0o600)
+
+
 def holds_store(data_dir: Path) -> bool:
     """Whether a replica has ever kept its log in this folder."""
     return (data_dir / DATABASE_NAME).exists()
@@ -139,6 +147,7 @@ class SqliteStore:
     def _open(self, cluster_id: str, member_id: str, undo: contextlib.ExitStack) -> None:
         try:
             # The log hands the store to its own thread, and nobody else uses it then.
+            make_private(self._path)
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.2)
             undo.callback(self._db.close)
             self._db.execute("PRAGMA locking_mode=EXCLUSIVE")
