@@ -41,13 +41,14 @@ fuzz: setup  ## calls that are cancelled over a network that is cut, for 10 minu
 mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
 	$(RUN)/python -m tests.robustness.mutants
 
-check: setup  ## lint, types, import rules, class names, signposts, protobuf rules, freshness of generated files
+check: setup  ## lint, types, import rules, names, signposts, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)
 	$(RUN)/ruff format --check $(PYTHON_DIRS)
 	$(RUN)/python tools/generate.py --check
 	$(RUN)/mypy
 	$(RUN)/lint-imports
 	$(RUN)/python tools/class_names.py
+	$(RUN)/python tools/private_names.py
 	$(RUN)/python tools/signposts.py --check
 	cd proto && ../$(RUN)/buf lint
 	$(RUN)/python tools/breaking.py

@@ -55,6 +55,9 @@ def _drawn(contract: Mapping[str, Any]) -> str:
         return _indented(" | ".join(contract["modules"]))
     if contract["type"] == "acyclic_siblings":
         return _indented(", ".join(contract["ancestors"]))
+    if contract["type"] == "protected":
+        protected, importers = ", ".join(contract["protected_modules"]), ", ".join(contract["allowed_importers"])
+        return f"{_indented(protected)}\n    is imported only by\n{_indented(importers)}"
     sources, forbidden = ", ".join(contract["source_modules"]), ", ".join(contract["forbidden_modules"])
     return f"{_indented(sources)}\n    ✗ do not import\n{_indented(forbidden)}"
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.app import tune_garbage_collection
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
@@ -29,7 +30,7 @@ from stampede_rt_supernode.replication.replica import Replica
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.snapshots import Piece, SnapshotKeeper
+from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import AsideThread
@@ -64,7 +65,7 @@ class Alone:
             store=SqliteStore(self.folder, cluster_id="c", member_id="a", create=True),
             network=self,
             clock=time.monotonic,
-            dice=random.Random(1),
+            random_source=random.Random(1),
             run_aside=self.aside.run,
         )
 
@@ -201,9 +202,9 @@ def _received(folder: Path, leader: Alone) -> Row:
     is_last = False
     while not is_last:
         keeper.begin_step()
-        while (piece := keeper.getTransmissionData(_B)) is not None and not is_last:
-            two.replica.deliver(Received("b", _message(piece, stored.last_log_index)))
-            is_last = piece.is_last
+        while not is_last and (chunk := keeper.next_chunk("b")) is not None:
+            two.replica.deliver(Received("b", _message(chunk, stored.last_log_index)))
+            is_last = chunk.offset_bytes + len(chunk.data) == chunk.total_bytes
         two.step()
     two.step_until(lambda: two.machine.restored > 0)
     row = f"{_took(began, cpu)}, {two.ticks()}"
@@ -211,12 +212,8 @@ def _received(folder: Path, leader: Alone) -> Row:
     return "a follower receives and opens a snapshot", row
 
 
-class _B:
-    id = "b"
-
-
-def _message(piece: Piece, commit_index: int) -> dict[str, Any]:
-    return {"type": "append_entries", "term": 1, "commit_index": commit_index, "round": 0, "serialized": piece}
+def _message(chunk: pb.RaftSnapshotChunk, commit_index: int) -> dict[str, Any]:
+    return {"type": "append_entries", "term": 1, "commit_index": commit_index, "round": 0, "serialized": chunk}
 
 
 def _took(began: float, cpu: float) -> str:

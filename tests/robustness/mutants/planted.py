@@ -66,9 +66,9 @@ MUTANTS = (
         file=f"{REPLICATION}/storage/journal.py",
         edits=(
             (
-                "            self._term, self._voted_for = term, votedForNodeId\n            self._dirty = True\n",
+                "            self._term, self._voted_for = term, voted_for\n            self._dirty = True\n",
                 "            self._dirty = self._dirty or term != self._term\n"
-                "            self._term, self._voted_for = term, votedForNodeId\n",
+                "            self._term, self._voted_for = term, voted_for\n",
             ),
         ),
         noticed_by="log",
@@ -79,7 +79,7 @@ MUTANTS = (
         edits=(
             (
                 "return self.can_confirm_reads() and self",
-                "return self._SyncObj__raftState == LEADER and self",
+                "return self.is_leader and self",
             ),
         ),
         noticed_by="log",
@@ -89,8 +89,8 @@ MUTANTS = (
         file=f"{REPLICATION}/rules/leading.py",
         edits=(
             (
-                'if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != LEADER:',
-                "if self._SyncObj__raftState != LEADER:",
+                'if message["term"] != self.term or not self.is_leader:',
+                "if not self.is_leader:",
             ),
         ),
         noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
@@ -100,8 +100,8 @@ MUTANTS = (
         file=f"{REPLICATION}/rules/following.py",
         edits=(
             (
-                'self._raise_commit_index(min(message["commit_index"], matched))',
-                'self._raise_commit_index(min(message["commit_index"], journal[-1][1]))',
+                'self.raise_commit_index(min(message["commit_index"], matched))',
+                'self.raise_commit_index(min(message["commit_index"], self.log.last_index))',
             ),
         ),
         noticed_by="log",

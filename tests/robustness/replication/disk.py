@@ -6,13 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from stampede_rt_supernode.replication.storage.store import (
-    Entry,
-    SnapshotSeal,
-    StoreChanges,
-    StoredSnapshot,
-    StoredState,
-)
+from stampede_rt_supernode.replication.log_entries import Entry
+from stampede_rt_supernode.replication.storage.store import SnapshotSeal, StoreChanges, StoredSnapshot, StoredState
 
 # So many may be on their way at a time: nothing of a step has happened before the step began.
 COMMITS_PER_STEP_MAX = 4

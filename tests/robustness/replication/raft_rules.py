@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.storage.store import Entry, StoredState
+from stampede_rt_supernode.replication.storage.store import StoredState
 from tests.robustness.replication.machine import PromiseBroken
 
 

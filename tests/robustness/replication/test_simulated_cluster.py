@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TrialElections
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome
@@ -185,11 +186,11 @@ class ForgetsWhatItSends(TrialElections):
     keeper: SnapshotKeeper
 
     def let_go_of_log(self) -> None:
-        snapshot = self._SyncObj__raftLog.snapshot
+        snapshot = self.log.snapshot
         if snapshot is not None and snapshot.last_log_index != getattr(self, "_last_snapshot", 0):
             self._last_snapshot = snapshot.last_log_index
             self.keeper.end_sending()
-        self._SyncObj__raftLog.keep_after(self.log_end())
+        self.log.keep_after(self.log.last_index)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +207,7 @@ def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snap
     world.run_until(world.now + 10.0)
     leader = leading(world)
     assert leader.replica is not None
-    leader.replica._node._SyncObj__raftLog.keep_after(10**9)  # as if it had been away for longer
+    leader.replica._node.log.keep_after(10**9)  # as if it had been away for longer
     wire = world.wires[leader.member.member_id, away.member.member_id]
     wire.bytes_per_second = 8_000
     world.restart(away)
@@ -325,19 +326,18 @@ def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rule
 class CutsOffWhatAgrees(TrialElections):
     """The unchanged library's way with late appends."""
 
-    def _merge(self, entries: list[object]) -> None:
-        journal = self._SyncObj__raftLog
-        if entries and journal.entry_at(entries[0][1]) is not None:  # type: ignore[index]
-            journal.deleteEntriesFrom(entries[0][1] - journal[0][1])  # type: ignore[index]
+    def _merge(self, entries: list[Entry]) -> None:
+        if entries and self.log.entry_at(entries[0].log_index) is not None:
+            self.log.cut_from(entries[0].log_index)
         for entry in entries:
-            journal.add(*entry)  # type: ignore[misc]
+            self.log.append(*entry)
 
 
 class CommitsByPieces(TrialElections):
     """The unchanged library's way with the commit index of a snapshot's pieces."""
 
     def _on_snapshot_piece(self, node: object, message: Message) -> None:
-        self._raise_commit_index(min(message["commit_index"], self._SyncObj__raftLog[-1][1]))
+        self.raise_commit_index(min(message["commit_index"], self.log.last_index))
         super()._on_snapshot_piece(node, message)
 
 
@@ -345,7 +345,7 @@ class ReadsTooEarly(TrialElections):
     """A leader that answers reads before it has applied an entry of its own term."""
 
     def can_confirm_reads(self) -> bool:
-        return self._isLeader()  # type: ignore[attr-defined,no-any-return]
+        return self.is_leader
 
 
 class VotesTwice(TrialElections):
@@ -353,16 +353,16 @@ class VotesTwice(TrialElections):
 
     def _on_vote_request(self, node: object, message: Message) -> None:
         if not message["trial"]:
-            self._SyncObj__votedForNodeId = None
+            self.voted_for = None
         super()._on_vote_request(node, message)
 
 
 class HearsMembersOnly(TrialElections):
     """A member that takes nothing from a leader of whom its own log does not know yet."""
 
-    def _SyncObj__onMessageReceived(self, node: object, message: Message) -> None:  # noqa: N802
-        if node in self._SyncObj__otherNodes:
-            super()._SyncObj__onMessageReceived(node, message)
+    def receive(self, node: object, message: Message) -> None:
+        if node in self.other_voters:
+            super().receive(node, message)
 
 
 # The first seed saves time: the fault shows soon after it.

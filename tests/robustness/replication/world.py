@@ -148,7 +148,7 @@ class SimMember:
             store=DiskStore(self.disk, self._write),
             network=self,
             clock=lambda: self.now,
-            dice=random.Random(self.world.dice.getrandbits(64)),
+            random_source=random.Random(self.world.dice.getrandbits(64)),
             wake=lambda: self._plan(0.0),
             rules=self.world.rules,
             run_aside=self._run_aside,
@@ -230,7 +230,7 @@ class SimMember:
     def _judge(self, replica: Replica, roster: Roster, before: ReplicationStatus) -> None:
         """Hold what it has committed in this step against the rules of Raft."""
         status, journal, committed = replica.status(), replica._journal, self.world.committed
-        commit_index, changed_at = journal.getRaftCommitIndex(), journal.configurations.current_index
+        commit_index, changed_at = journal.commit_index, journal.configurations.current_index
         if status.diverged_at and not self.forks:
             raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
         if status.is_leader:
@@ -248,7 +248,7 @@ class SimMember:
         else:
             committed.by_follower(self.member.member_id, commit_index, journal)
         if status.is_leader:
-            for node, match in replica._node._SyncObj__raftMatchIndex.items():
+            for node, match in replica._node.match_index.items():
                 other = self.world.members[node.id]
                 if not other.rolled_back:
                     disk = other.disk.durable(self.world.now)

@@ -6,11 +6,12 @@ import random
 from typing import Any
 
 from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TrialElections
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.storage.store import Entry, MemoryStore, Store
+from stampede_rt_supernode.replication.storage.store import MemoryStore, Store
 from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
 from stampede_rt_supernode.replication.wire.codec import Message, decode_message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Received
@@ -50,7 +51,7 @@ class LoneNode:
             journal=self.journal,
             has_room=lambda member_id: True,
             clock=lambda: self.now,
-            dice=random.Random(1),
+            random_source=random.Random(1),
             rules=rules,
             run_aside=run_aside,
         )
@@ -72,21 +73,21 @@ class LoneNode:
             self.node.install_opened()
 
     def tick(self) -> list[tuple[str, Message]]:
-        self.node.doTick(0)
+        self.node.tick()
         return self.said()
 
     def campaign(self) -> int:
         """Have the node stand for election now; return the term."""
-        self.node._SyncObj__raftElectionDeadline = float("-inf")
+        self.node.election_deadline = float("-inf")
         self.tick()
-        return int(self.node.raftCurrentTerm)
+        return int(self.node.term)
 
     def lead(self) -> int:
         """Make the node the leader; return the term."""
         term = self.campaign()
-        for other in self.node.otherNodes:
+        for other in list(self.node.other_voters):
             self.receive(other.id, vote(term))
-        assert self.node._isLeader()
+        assert self.node.is_leader
         return term
 
     def held(self) -> list[tuple[int, int]]:

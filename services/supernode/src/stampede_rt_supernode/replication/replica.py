@@ -1,4 +1,4 @@
-"""One replica of the log: inbox, node, journal and outbox, driven by `step`. Clock, dice, network and store
+"""One replica of the log: inbox, node, journal and outbox, driven by `step`. Clock, random source, network and store
 come from outside, so that the simulator runs the very code that runs in production.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine, Unavailable
-from stampede_rt_supernode.replication.library.pinned_copy import COMMAND, Dice
+from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.elections import TrialElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.rules.node_builder import build_node
@@ -82,7 +82,7 @@ class Replica:
         store: Store,
         network: Network,
         clock: Callable[[], float],
-        dice: Dice,
+        random_source: RandomSource,
         wake: Callable[[], None] = lambda: None,
         rules: type = TrialElections,
         run_aside: RunAside = run_at_once,
@@ -99,8 +99,8 @@ class Replica:
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._journal = Journal(store, kept_bytes_max=settings.kept_log_bytes_max)
-        self._node = self._open_node(state_machine, dice, rules, run_aside)
-        self._proposals = Proposals(self._hand_over, self._completions.append, handed_max=settings.proposals_max)
+        self._node = self._open_node(state_machine, random_source, rules, run_aside)
+        self._proposals = Proposals(self._node.propose, self._completions.append, handed_max=settings.proposals_max)
         self._changes = self._make_changes()
         self._snapshots = SnapshotRequests(self._node, self._journal, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
@@ -112,14 +112,16 @@ class Replica:
         self._publish_roster()
         self._status = self._observe()
 
-    def _open_node(self, state_machine: StateMachine, dice: Dice, rules: type, run_aside: RunAside) -> Any:
+    def _open_node(
+        self, state_machine: StateMachine, random_source: RandomSource, rules: type, run_aside: RunAside
+    ) -> Any:
         node = build_node(
             self._settings,
             state_machine,
             journal=self._journal,
             has_room=self._network.has_room,
             clock=self._clock,
-            dice=dice,
+            random_source=random_source,
             rules=rules,
             run_aside=run_aside,
         )
@@ -202,13 +204,13 @@ class Replica:
         self._node.install_opened()
         self._node.before_tick()
         confirm = self._node.reads.start_round()
-        self._node.doTick(0)
+        self._node.tick()
         if confirm:
             self._node.send_now()
         self._node.reads.finish()
         self._changes.advance()
         self._snapshots.advance()
-        if self._node._isLeader():
+        if self._node.is_leader:
             self._node.note_promises()
         self._node.let_go_of_log()
         self._journal.sync()
@@ -267,7 +269,7 @@ class Replica:
             complete()
 
     def _leader_reachable(self) -> bool:
-        leader = self._node.leader_node()
+        leader = self._node.leader
         if leader is None:
             return False
         is_self = leader.id == self._settings.self_member.member_id
@@ -276,23 +278,20 @@ class Replica:
     def _commits_alone(self) -> bool:
         """A cluster of one has nobody to wake it up after its own disk."""
         node = self._node
-        waiting = node.commit_index() < self._journal[-1].log_index
-        return bool(waiting and not node.otherNodes and node._isLeader())
-
-    def _hand_over(self, command: bytes, callback: Callable[[Any, int], None]) -> None:
-        self._node._applyCommand(command, callback, COMMAND)
+        waiting = node.commit_index < self._journal.last_index
+        return bool(waiting and not node.other_voters and node.is_leader)
 
     def _observe(self) -> ReplicationStatus:
         node, members = self._node, self.roster.members
-        leader, leads = node.leader_node(), node._isLeader()
-        term = node.raftCurrentTerm
+        leader, leads = node.leader, node.is_leader
+        term = node.term
         return ReplicationStatus(
             self_id=self._settings.self_member.member_id,
             leader_id=None if leader is None else leader.id,
             is_leader=leads,
             tenure=term if leads else 0,
             term=term,
-            applied_index=node.raftLastApplied,
+            applied_index=node.last_applied,
             members=members,
             diverged_at=node.digests.diverged_at,
         )
@@ -300,7 +299,7 @@ class Replica:
     def _publish_roster(self) -> None:
         """Say whom this node knows, if that is new."""
         node, configurations = self._node, self._journal.configurations
-        settled = configurations.at(node.applied_index())
+        settled = configurations.at(node.last_applied)
         current = configurations.current
         if self._roster_version == (current, settled, node.peers):
             return

@@ -241,7 +241,7 @@ def _open_replica(
             store=store,
             network=links,
             clock=time.monotonic,
-            dice=random.SystemRandom(),
+            random_source=random.SystemRandom(),
             wake=wake,
             run_aside=run_aside,
         )

@@ -38,7 +38,7 @@ def test_a_changed_file_is_refused() -> None:
 
 
 def test_the_copy_reads_our_clock_and_cannot_unpickle() -> None:
-    library = load_library(clock=lambda: 42.0, dice=random.Random(0))
+    library = load_library(clock=lambda: 42.0, random_source=random.Random(0))
     assert library.monotonicTime() == 42.0
     with pytest.raises(RuntimeError, match="never unpickles"):
         library.pickle.loads(b"")
@@ -49,6 +49,6 @@ def test_the_copy_reads_our_clock_and_cannot_unpickle() -> None:
 def test_the_ordinary_module_is_left_as_it_was() -> None:
     import pysyncobj.syncobj as ordinary
 
-    load_library(clock=lambda: 42.0, dice=random.Random(0))
+    load_library(clock=lambda: 42.0, random_source=random.Random(0))
     assert ordinary.monotonicTime() != 42.0
     assert ordinary.Serializer.__module__ == "pysyncobj.serializer"

@@ -10,9 +10,11 @@ import pytest
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.library.node import LibraryNode
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TrialElections
-from stampede_rt_supernode.replication.rules.raft_node import BytesNode, InvariantViolation
-from stampede_rt_supernode.replication.storage.store import Entry, MemoryStore, StoredSnapshot, StoredState
+from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
+from stampede_rt_supernode.replication.storage.store import MemoryStore, StoredSnapshot, StoredState
 from stampede_rt_supernode.replication.wire.codec import encode_snapshot
 from tests.robustness.replication.machine import ListMachine
 from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement, append, command, piece, vote
@@ -23,7 +25,7 @@ ON_BOTH = pytest.mark.parametrize(
     "rules",
     [
         pytest.param(TrialElections, id="our rules"),
-        pytest.param(BytesNode, id="bare library", marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17")),
+        pytest.param(LibraryNode, id="bare library", marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17")),
     ],
 )
 
@@ -55,7 +57,7 @@ def test_a_piece_of_a_snapshot_commits_nothing_that_the_log_happens_to_hold(rule
     lone = LoneNode(rules)
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1)]))
     lone.receive("c", piece(5, snapshot_pieces(last=9, term=5)[0], commit=9))
-    assert lone.node.raftCommitIndex == 1
+    assert lone.node.commit_index == 1
 
 
 @ON_BOTH
@@ -76,7 +78,7 @@ def test_an_acknowledgement_of_an_earlier_term_commits_nothing(rules: type) -> N
     lone.receive("b", acknowledgement(first_term, lone.journal[-1].log_index + 1))
     lone.tick()
     assert term > first_term
-    assert lone.node.raftCommitIndex == 1
+    assert lone.node.commit_index == 1
 
 
 @ON_BOTH
@@ -85,7 +87,7 @@ def test_a_vote_that_comes_twice_counts_once(rules: type) -> None:
     term = lone.campaign()
     lone.receive("b", vote(term))
     lone.receive("b", vote(term))
-    assert not lone.node._isLeader()
+    assert not lone.node.is_leader
 
 
 class LeftByTwoSteps(MemoryStore):
@@ -131,9 +133,9 @@ def test_a_snapshot_that_cannot_be_loaded_is_not_acknowledged(rules: type) -> No
 @ON_BOTH
 def test_a_stranger_is_not_followed(rules: type) -> None:
     lone = LoneNode(rules)
-    stranger = type(next(iter(lone.node.otherNodes)))("stranger")
-    lone.node._SyncObj__onMessageReceived(stranger, append(7, (1, 0), []))
-    assert lone.node.raftCurrentTerm == 0
+    stranger = type(next(iter(lone.node.other_voters)))("stranger")
+    lone.node.receive(stranger, append(7, (1, 0), []))
+    assert lone.node.term == 0
 
 
 def test_a_leader_that_contradicts_what_is_committed_stops_the_replica() -> None:
@@ -157,7 +159,7 @@ def test_the_commit_index_does_not_pass_what_was_matched() -> None:
     lone = LoneNode()
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1)]))
     lone.receive("c", append(2, (1, 0), [], commit=4))
-    assert lone.node.raftCommitIndex == 1
+    assert lone.node.commit_index == 1
 
 
 def test_a_leader_of_an_older_term_is_told_so_and_steps_down() -> None:
@@ -168,8 +170,8 @@ def test_a_leader_of_an_older_term_is_told_so_and_steps_down() -> None:
     leader = LoneNode()
     term = leader.lead()
     leader.receive("b", {**acknowledgement(term + 5, 2), "success": False})
-    assert not leader.node._isLeader()
-    assert leader.node.raftCurrentTerm == term + 5
+    assert not leader.node.is_leader
+    assert leader.node.term == term + 5
 
 
 def test_a_whole_snapshot_replaces_state_and_log_and_is_acknowledged() -> None:
@@ -183,7 +185,7 @@ def test_a_whole_snapshot_replaces_state_and_log_and_is_acknowledged() -> None:
     assert replies[-1][1]["next_node_idx"] == 10
     assert lone.held() == [(8, 5), (9, 5)]
     assert lone.machine.entries[-1] == (9, b"9/5")
-    assert lone.node.raftLastApplied == lone.node.raftCommitIndex == 9
+    assert lone.node.last_applied == lone.node.commit_index == 9
 
 
 def test_a_snapshot_keeps_the_entries_behind_it_that_agree() -> None:
@@ -214,7 +216,7 @@ def test_a_snapshot_with_a_lost_piece_is_not_opened() -> None:
         lone.receive("b", piece(5, chunk, commit=9))
     lone.open_snapshot()
     assert lone.machine.entries == []
-    assert lone.node.raftLastApplied == 1
+    assert lone.node.last_applied == 1
 
 
 def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
@@ -238,7 +240,7 @@ def test_a_member_that_hears_its_leader_gives_no_trial_vote() -> None:
     lone.now += 5.0
     [(to, reply)] = lone.receive("c", request)
     assert (to, reply["trial"], reply["voter_term"]) == ("c", True, 1)
-    assert lone.node.raftCurrentTerm == 1
+    assert lone.node.term == 1
 
 
 def test_an_election_begins_only_after_a_majority_would_vote() -> None:
@@ -246,8 +248,8 @@ def test_an_election_begins_only_after_a_majority_would_vote() -> None:
     lone.now += 10.0
     lone.node.before_tick()
     assert [message["trial"] for _, message in lone.tick()] == [True, True]
-    assert lone.node.raftCurrentTerm == 0
+    assert lone.node.term == 0
     lone.receive("b", {"type": "response_vote", "term": 1, "trial": True, "voter_term": 0})
     lone.node.before_tick()
     assert [message["trial"] for _, message in lone.tick()] == [False, False]
-    assert lone.node.raftCurrentTerm == 1
+    assert lone.node.term == 1

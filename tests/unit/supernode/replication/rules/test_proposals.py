@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import pytest
-
 from stampede_rt_supernode.replication.interface import Ambiguous, Unavailable
-from stampede_rt_supernode.replication.rules.proposals import (
-    DISCARDED,
-    LEADER_CHANGED,
-    MISSING_LEADER,
-    NOT_LEADER,
-    QUEUE_FULL,
-    SUCCESS,
-    UNKNOWN_OUTCOME,
-    Outcome,
-    Proposal,
-    Proposals,
-)
+from stampede_rt_supernode.replication.library.node import Fate, ProposalDone
+from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal, Proposals
 
 
 class Library:
     """Takes commands over and answers when told to."""
 
     def __init__(self, handed_max: int = 10) -> None:
-        self.handed: list[tuple[bytes, Callable[[Any, int], None]]] = []
+        self.handed: list[tuple[bytes, ProposalDone]] = []
         self.proposals = Proposals(
             lambda command, callback: self.handed.append((command, callback)),
             lambda finish: finish(),
@@ -56,29 +41,27 @@ def test_an_applied_command_gives_its_result() -> None:
     library = Library()
     library.propose()
     library.advance(1.0)
-    library.handed[0][1](b"result", SUCCESS)
+    library.handed[0][1](b"result")
     assert library.outcomes == [b"result"]
 
 
-@pytest.mark.parametrize("reason", [QUEUE_FULL, MISSING_LEADER, DISCARDED, NOT_LEADER])
-def test_a_command_that_was_certainly_not_taken_is_tried_again_until_its_deadline(reason: int) -> None:
+def test_a_command_that_was_certainly_not_taken_is_tried_again_until_its_deadline() -> None:
     library = Library()
     library.propose()
     library.advance(1.0)
-    library.handed[0][1](None, reason)
+    library.handed[0][1](Fate.NOT_TAKEN)
     library.advance(2.0)
     assert len(library.handed) == 2
-    library.handed[1][1](None, reason)
+    library.handed[1][1](Fate.NOT_TAKEN)
     library.advance(10.0)
     assert [type(outcome) for outcome in library.outcomes] == [Unavailable]
 
 
-@pytest.mark.parametrize("reason", [LEADER_CHANGED, UNKNOWN_OUTCOME])
-def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again(reason: int) -> None:
+def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again() -> None:
     library = Library()
     library.propose()
     library.advance(1.0)
-    library.handed[0][1](None, reason)
+    library.handed[0][1](Fate.UNKNOWN)
     library.advance(2.0)
     assert len(library.handed) == 1
     assert isinstance(library.outcomes[0], Ambiguous)
@@ -93,7 +76,7 @@ def test_a_command_without_an_answer_is_ambiguous_at_its_deadline_and_makes_room
     library.advance(10.0)
     assert isinstance(library.outcomes[0], Ambiguous)
     assert [command for command, _ in library.handed] == [b"c", b"next"]
-    library.handed[0][1](b"late", SUCCESS)
+    library.handed[0][1](b"late")
     assert len(library.outcomes) == 1
 
 

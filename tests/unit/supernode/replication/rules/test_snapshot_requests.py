@@ -48,7 +48,12 @@ class Alone:
         me = Member(member_id="m", address="m:1")
         settings = ReplicationSettings(self_member=me, initial_members=[me], cluster_id="c")
         self.replica = Replica(
-            settings, self.machine, store=store, network=Nobody(), clock=lambda: self.now, dice=random.Random(1)
+            settings,
+            self.machine,
+            store=store,
+            network=Nobody(),
+            clock=lambda: self.now,
+            random_source=random.Random(1),
         )
         self.outcomes: list[Outcome | SnapshotOutcome] = []
 

@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
-from stampede_rt_supernode.replication.storage.store import Entry, Store, StoredSnapshot
+from stampede_rt_supernode.replication.storage.store import Store, StoredSnapshot
 from tests.robustness.replication.disk import Disk, DiskStore
 
 Reopen = Callable[[], Store]
@@ -49,7 +50,7 @@ def reopen(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Reopen]:
 def with_entries(store: Store, last: int) -> Journal:
     journal = Journal(store)
     for index in range(1, last + 1):
-        journal.add(b"\x00%d" % index, index, 1)
+        journal.append(b"\x00%d" % index, index, 1)
     return journal
 
 
@@ -61,34 +62,34 @@ def adopt(journal: Journal, snapshot: StoredSnapshot, previous: Entry, last: Ent
 
 def test_a_new_store_is_empty(reopen: Reopen) -> None:
     journal = Journal(reopen())
-    assert (len(journal), journal.getCurrentTerm(), journal.getVotedForNodeId()) == (0, 0, None)
-    assert journal.getRaftCommitIndex() == 1
+    assert (len(journal), journal.term, journal.voted_for) == (0, 0, None)
+    assert journal.commit_index == 1
 
 
 def test_what_was_synced_survives_and_the_rest_does_not(reopen: Reopen) -> None:
     journal = with_entries(reopen(), 3)
-    journal.setCurrentTerm(4, "b")
-    journal.setRaftCommitIndex(2)
+    journal.set_term(4, "b")
+    journal.commit_index = 2
     assert journal.sync()
-    journal.add(b"\x00lost", 4, 4)
-    journal.setCurrentTerm(5, "c")
+    journal.append(b"\x00lost", 4, 4)
+    journal.set_term(5, "c")
     again = Journal(reopen())
     assert [entry.log_index for entry in again[:]] == [1, 2, 3]
-    assert (again.getCurrentTerm(), again.getVotedForNodeId(), again.getRaftCommitIndex()) == (4, "b", 2)
+    assert (again.term, again.voted_for, again.commit_index) == (4, "b", 2)
 
 
 def test_the_commit_index_alone_costs_no_write(reopen: Reopen) -> None:
     journal = with_entries(reopen(), 3)
     assert journal.sync()
-    journal.setRaftCommitIndex(3)
+    journal.commit_index = 3
     assert not journal.sync()
 
 
 def test_a_tail_that_was_replaced_stays_replaced(reopen: Reopen) -> None:
     journal = with_entries(reopen(), 5)
     journal.sync()
-    journal.deleteEntriesFrom(3)
-    journal.add(b"\x00new", 4, 2)
+    journal.cut_from(4)
+    journal.append(b"\x00new", 4, 2)
     journal.sync()
     assert [tuple(entry)[1:] for entry in Journal(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
 
@@ -143,7 +144,7 @@ def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
 def test_a_gap_is_refused(reopen: Reopen) -> None:
     journal = with_entries(reopen(), 3)
     with pytest.raises(AssertionError, match="does not follow"):
-        journal.add(b"\x00", 5, 1)
+        journal.append(b"\x00", 5, 1)
 
 
 steps = st.lists(
@@ -163,9 +164,9 @@ def take_step(journal: Journal, step: str, number: int) -> None:
     match step:
         case "add":
             for _ in range(number):
-                journal.add(b"\x00", journal[-1].log_index + 1, number)
+                journal.append(b"\x00", journal[-1].log_index + 1, number)
         case "cut" if number >= 2:
-            journal.deleteEntriesFrom(number)
+            journal.cut_from(journal[0].log_index + number)
         case "snapshot" if number > journal[0].log_index + 1:
             previous, last = Entry(b"\x00p", number - 1, 9), Entry(b"\x00l", number, 9)
             if (held := journal.entry_at(number)) is not None:

@@ -96,7 +96,7 @@ def test_a_second_one_does_not_disturb_the_first() -> None:
 def test_no_snapshot_of_its_own_is_begun_meanwhile() -> None:
     slow = Slow()
     slow.receive_all()
-    slow.lone.node.forceLogCompaction()
+    slow.lone.node.request_snapshot()
     slow.lone.tick()
     assert not slow.lone.node.keeper.is_taking
 

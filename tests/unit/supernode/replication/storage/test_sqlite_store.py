@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
@@ -23,7 +24,6 @@ from stampede_rt_supernode.replication.storage.sqlite_store import (
     holds_store,
 )
 from stampede_rt_supernode.replication.storage.store import (
-    Entry,
     Promise,
     StoreDamaged,
     StoredSnapshot,
@@ -39,8 +39,8 @@ def open_store(folder: Path, *, member_id: str = "m", cluster_id: str = "c", cre
 def fill(folder: Path) -> None:
     journal = Journal(open_store(folder))
     for index in range(1, 6):
-        journal.add(b"\x00command %d" % index, index, 1)
-    journal.setCurrentTerm(1, "m")
+        journal.append(b"\x00command %d" % index, index, 1)
+    journal.set_term(1, "m")
     journal.close()
 
 
@@ -145,7 +145,7 @@ def copy_as_after_a_crash(folder: Path, to: Path) -> Path:
     """What a kill would leave of a store in use: the write-ahead log is still there."""
     journal = Journal(open_store(folder))
     for index in range(1, 61):
-        journal.add(b"\x00command %d" % index, index, 1)
+        journal.append(b"\x00command %d" % index, index, 1)
         journal.sync()
     shutil.copytree(folder, to)
     journal.close()
@@ -182,7 +182,7 @@ def test_a_full_disk_fails_the_commit(tmp_path: Path) -> None:
     store = open_store(tmp_path)
     journal = Journal(store)
     store._db.execute("PRAGMA max_page_count = 10")
-    journal.add(b"\x00" * 60_000, 1, 1)
+    journal.append(b"\x00" * 60_000, 1, 1)
     with pytest.raises(sqlite3.OperationalError, match="full"):
         journal.sync()
     store.close()
@@ -221,13 +221,13 @@ def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkey
     store = open_store(tmp_path)
     journal = Journal(store)
     for index in range(1, 6):
-        journal.add(b"\x00", index, 1)
+        journal.append(b"\x00", index, 1)
     adopt(journal, 3, b"older")
     journal.sync()
     adopt(journal, 4, b"newer")
     held = []
     for term in range(1, 6):
-        journal.setCurrentTerm(term, "m")
+        journal.set_term(term, "m")
         journal.sync()
         held.append(store._db.execute("SELECT COUNT(*) FROM snapshot_piece").fetchone()[0])
     assert held == [10, 8, 6, 5, 5]

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX
-from stampede_rt_supernode.replication.storage.store import Entry
 from stampede_rt_supernode.replication.wire.codec import (
     MalformedMessage,
     Message,

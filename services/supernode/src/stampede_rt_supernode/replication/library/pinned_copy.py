@@ -1,6 +1,6 @@
 """The one door to PySyncObj: its Raft module, pinned, as a private copy whose seams are ours.
 
-The library binds its clock, its dice, its pickle, its journal and its poller as module globals. Running the
+The library binds its clock, its random source, its pickle, its journal and its poller as module globals. Running the
 module's code once more in a namespace of our own lets us bind others there, and leaves the copy that anyone
 else may import as it was. Because we override private methods by name, the file itself is pinned.
 """
@@ -8,32 +8,21 @@ else may import as it was. Because we override private methods by name, the file
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 from collections.abc import Callable
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
+
+from stampede_rt_supernode.replication.library.node import RandomSource
 
 PINNED_VERSION = "0.3.17"
 PINNED_SHA256 = "e8bdf06797085d734df86e24ab4802fe87893dff77268565ec036f7ad4a1cfe4"
 
-FOLLOWER, CANDIDATE, LEADER = 0, 1, 2
-# The kinds of log entries. The library's own membership entries, pickles, would also be of kind 2; it is told not to
-# look at them.
-COMMAND, NO_OP, CONFIGURATION = 0, 1, 2
-
 
 class LibraryMismatch(RuntimeError):
     """The installed PySyncObj is not the one whose faults were studied."""
-
-
-class Dice(Protocol):
-    """Where election timeouts get their randomness."""
-
-    def random(self) -> float:
-        """A number in [0, 1)."""
 
 
 class _NoPickle:
@@ -65,16 +54,19 @@ def check_pin(*, found_version: str, source: bytes) -> None:
 
 @lru_cache(maxsize=1)
 def _pinned_code() -> CodeType:
-    spec = importlib.util.find_spec("pysyncobj.syncobj")
-    if spec is None or spec.origin is None:
-        raise LibraryMismatch(f"PySyncObj is not installed: install pysyncobj=={PINNED_VERSION}")
-    source = Path(spec.origin).read_bytes()
+    try:
+        import pysyncobj
+    except ImportError as error:
+        raise LibraryMismatch(f"PySyncObj is not installed: install pysyncobj=={PINNED_VERSION}") from error
+    path = Path(pysyncobj.__file__).with_name("syncobj.py")
+    source = path.read_bytes()
     check_pin(found_version=version("pysyncobj"), source=source)
-    return compile(source, spec.origin, "exec")
+    return compile(source, path, "exec")
 
 
-def load_library(*, clock: Callable[[], float], dice: Dice) -> Any:
-    """A private copy of the library's Raft module that reads `clock` (seconds, monotonic) and rolls `dice`.
+def load_library(*, clock: Callable[[], float], random_source: RandomSource) -> Any:
+    """A private copy of the library's Raft module that reads `clock` (seconds, monotonic) and draws from
+    `random_source`.
 
     Raises LibraryMismatch. Journal and snapshot keeper are handed in through the configuration: as
     `journalFile` and as `serializer`.
@@ -84,7 +76,7 @@ def load_library(*, clock: Callable[[], float], dice: Dice) -> Any:
     exec(_pinned_code(), module.__dict__)
     module.pickle = _NoPickle()
     module.monotonicTime = clock
-    module.random = dice
+    module.random = random_source
     module.createPoller = lambda kind: _NoPoller()
     module.PIPE_NOTIFIER_ENABLED = False
     module.createJournal = lambda journal: journal

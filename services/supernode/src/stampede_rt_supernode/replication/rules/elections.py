@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt_supernode.replication.library.pinned_copy import CANDIDATE, LEADER
+from stampede_rt_supernode.replication.library.node import CANDIDATE
 from stampede_rt_supernode.replication.rules.following import Following
 from stampede_rt_supernode.replication.rules.leading import Leading
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
@@ -22,7 +22,8 @@ class RaftRules(Following, Leading):
     # Who voted for this node, and in which term: a repeated vote counts once.
     _votes: tuple[int, set[str]] = (0, set())
 
-    def _SyncObj__onMessageReceived(self, node: Any, message: Message) -> None:  # noqa: N802
+    def receive(self, node: Any, message: Message) -> None:
+        """Hand a member's message to its rule. The library takes messages from anybody."""
         if self.mailroom.node(node.id) is None:
             return
         self._note_promise(node.id, message)
@@ -36,7 +37,7 @@ class RaftRules(Following, Leading):
             case "response_vote":
                 self._on_vote(node, message)
             case "apply_command" | "apply_command_response":
-                super()._SyncObj__onMessageReceived(node, message)  # type: ignore[misc]
+                super().receive(node, message)
             case "read_index" | "read_index_response":
                 self.reads.on_message(node, message)
             case "timeout_now":
@@ -51,44 +52,44 @@ class RaftRules(Following, Leading):
         """
         match message["type"]:
             case "append_entries":
-                self._SyncObj__raftLog.note_promise(member_id, message["term"], message["commit_index"])
+                self.log.note_promise(member_id, message["term"], message["commit_index"])
             case "next_node_idx":
-                self._SyncObj__raftLog.note_promise(member_id, message["term"], 0)
+                self.log.note_promise(member_id, message["term"], 0)
             case "request_vote" | "response_vote":
                 term = message.get("voter_term", 0) if message["trial"] else message["term"]
-                self._SyncObj__raftLog.note_promise(member_id, term, 0)
+                self.log.note_promise(member_id, term, 0)
 
     def _on_timeout_now(self, node: Any, message: Message) -> None:
         """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
         may_lead = self.is_voter() and not self.digests.diverged_at
-        if message["term"] == self._SyncObj__raftCurrentTerm and node == self._SyncObj__raftLeader and may_lead:
-            self._SyncObj__raftElectionDeadline = float("-inf")
+        if message["term"] == self.term and node == self.leader and may_lead:
+            self.election_deadline = float("-inf")
 
     def _on_vote_request(self, node: Any, message: Message) -> None:
-        if message["term"] > self._SyncObj__raftCurrentTerm:
-            self._step_down(message["term"])
-        if message["term"] < self._SyncObj__raftCurrentTerm or self._SyncObj__raftState == LEADER:
+        if message["term"] > self.term:
+            self.become_follower(message["term"])
+        if message["term"] < self.term or self.is_leader:
             return
-        if (message["last_log_term"], message["last_log_index"]) < self._log_end():
+        if (message["last_log_term"], message["last_log_index"]) < self.log_end():
             return
-        if self._SyncObj__votedForNodeId not in (None, node.id):
+        if self.voted_for not in (None, node.id):
             return
-        self._SyncObj__setCurrentTerm(self._SyncObj__raftCurrentTerm, node.id)
-        self._put_off_election()
+        self.set_term(self.term, node.id)
+        self.put_off_election()
         self.mailroom.send(node, {"type": "response_vote", "term": message["term"]})
 
     def _on_vote(self, node: Any, message: Message) -> None:
         """Count a vote once per node and term. The library counts messages."""
-        if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != CANDIDATE:
+        if message["term"] != self.term or self.role != CANDIDATE:
             return
-        if node not in self._SyncObj__otherNodes:
+        if node not in self.other_voters:
             return  # no member, or no longer one
         if self._votes[0] != message["term"]:
             self._votes = (message["term"], set())
         self._votes[1].add(node.id)
-        self._SyncObj__votesCount = 1 + len(self._votes[1])
-        if self.is_majority(self._SyncObj__votesCount):
-            self._SyncObj__onBecomeLeader()
+        self.votes_count = 1 + len(self._votes[1])
+        if self.is_majority(self.votes_count):
+            self.become_leader()
 
 
 class TrialElections(RaftRules):
@@ -105,24 +106,24 @@ class TrialElections(RaftRules):
     def before_tick(self) -> None:
         """Turn an election that is due into a trial, unless its trial was won already."""
         self.follow_log()
-        due = self._SyncObj__raftElectionDeadline < self.clock()
-        if not due or self._SyncObj__raftState == LEADER:
+        due = self.election_deadline < self.clock()
+        if not due or self.is_leader:
             return
         if not self.is_voter() or self.digests.diverged_at:
             # Nobody may vote for a node that is not in yet, or was removed; and a state that differs must not lead.
-            self._put_off_election()
+            self.put_off_election()
             self._lose_leader()
             return
-        if not self._SyncObj__otherNodes:
+        if not self.other_voters:
             return
-        term = self._SyncObj__raftCurrentTerm + 1
+        term = self.term + 1
         self._lose_leader()
         if self._trial_won_term == term:
             return
-        self._put_off_election()
+        self.put_off_election()
         self._trial = (term, set())
-        last_term, last_index = self._log_end()
-        for node in self._SyncObj__otherNodes:
+        last_term, last_index = self.log_end()
+        for node in self.other_voters:
             self.mailroom.send(
                 node,
                 {
@@ -136,9 +137,9 @@ class TrialElections(RaftRules):
 
     def _lose_leader(self) -> None:
         """Nothing was heard of the leader for an election timeout: nobody's commands or reads go to it any more."""
-        if self._SyncObj__raftLeader is not None:
-            self._SyncObj__raftLeader = None
-            self._SyncObj__onLeaderChanged()
+        if self.leader is not None:
+            self.leader = None
+            self.give_up_forwarded()
             self.reads.on_leader_lost()
 
     def _on_vote_request(self, node: Any, message: Message) -> None:
@@ -146,34 +147,34 @@ class TrialElections(RaftRules):
             super()._on_vote_request(node, message)
             return
         leader_alive = self.clock() - self.last_leader_contact < self.leader_alive_seconds
-        complete = (message["last_log_term"], message["last_log_index"]) >= self._log_end()
-        if leader_alive or not complete or self._SyncObj__raftState == LEADER:
+        complete = (message["last_log_term"], message["last_log_index"]) >= self.log_end()
+        if leader_alive or not complete or self.is_leader:
             return
         reply = {"type": "response_vote", "trial": True, "term": message["term"]}
-        self.mailroom.send(node, {**reply, "voter_term": self._SyncObj__raftCurrentTerm})
+        self.mailroom.send(node, {**reply, "voter_term": self.term})
 
     def _on_vote(self, node: Any, message: Message) -> None:
         if not message["trial"]:
             super()._on_vote(node, message)
             return
-        if message["voter_term"] > self._SyncObj__raftCurrentTerm:
-            self._step_down(message["voter_term"])
+        if message["voter_term"] > self.term:
+            self.become_follower(message["voter_term"])
         term, voters = self._trial
-        if message["term"] != term or self._SyncObj__raftState == LEADER or node not in self._SyncObj__otherNodes:
+        if message["term"] != term or self.is_leader or node not in self.other_voters:
             return
         voters.add(node.id)
         if self.is_majority(1 + len(voters)):
             self._trial = (0, set())
-            self._trial_won_term = self._SyncObj__raftCurrentTerm + 1
-            self._SyncObj__raftElectionDeadline = float("-inf")
+            self._trial_won_term = self.term + 1
+            self.election_deadline = float("-inf")
 
     def _on_timeout_now(self, node: Any, message: Message) -> None:
         super()._on_timeout_now(node, message)
-        if self._SyncObj__raftElectionDeadline == float("-inf"):
+        if self.election_deadline == float("-inf"):
             # Those who hear the leader would refuse a trial; the leader itself has asked for this election.
-            self._trial_won_term = self._SyncObj__raftCurrentTerm + 1
+            self._trial_won_term = self.term + 1
 
     def send_now(self) -> None:
         """Send to every member now, if this node leads."""
-        if self._SyncObj__raftState == LEADER:
-            self._SyncObj__sendAppendEntries()
+        if self.is_leader:
+            self.send_append_entries()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt_supernode.replication.library.pinned_copy import LEADER
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
-from stampede_rt_supernode.replication.storage.store import Entry
 from stampede_rt_supernode.replication.wire.codec import Message
 
 # How many batches of entries one member is sent at a time.
 BATCHES_PER_ROUND = 4
+APPEND_BATCH_BYTES = 1 << 20
 
 
 class Leading(Membership):
@@ -19,62 +19,60 @@ class Leading(Membership):
 
     def _on_append_reply(self, node: Any, message: Message) -> None:
         """Take an acknowledgement of this very term. The library's carry no term."""
-        if message["term"] > self._SyncObj__raftCurrentTerm:
-            self._step_down(message["term"])
-        if message["term"] != self._SyncObj__raftCurrentTerm or self._SyncObj__raftState != LEADER:
+        if message["term"] > self.term:
+            self.become_follower(message["term"])
+        if message["term"] != self.term or not self.is_leader:
             return
-        if node not in self._SyncObj__raftMatchIndex:
+        if node not in self.match_index:
             return  # removed meanwhile
-        end = self._SyncObj__raftLog[-1][1]
+        end = self.log.last_index
         next_index = min(message["next_node_idx"], end + 1)
         if message["success"]:
             if message["next_node_idx"] > end + 1:
                 raise InvariantViolation(f"{node.id} acknowledged up to {message['next_node_idx'] - 1}, past {end}")
-            match = max(self._SyncObj__raftMatchIndex[node], next_index - 1)
-            self._SyncObj__raftMatchIndex[node] = match
+            match = max(self.match_index[node], next_index - 1)
+            self.match_index[node] = match
             # Never back: what is on its way need not be sent again.
-            self._SyncObj__raftNextIndex[node] = max(self._SyncObj__raftNextIndex[node], match + 1)
+            self.next_index[node] = max(self.next_index[node], match + 1)
         elif message["reset"]:
-            self._SyncObj__raftNextIndex[node] = max(next_index, self._SyncObj__raftMatchIndex[node] + 1, 2)
-        self._SyncObj__lastResponseTime[node] = self.clock()
+            self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
+        self.last_response_time[node] = self.clock()
         self.reads.on_echo(node.id, message["round"])
 
-    def _SyncObj__sendAppendEntries(self) -> None:  # noqa: N802
+    def send_append_entries(self) -> None:
         """Send every connected member what it lacks, or a heartbeat.
 
         The library sends a whole log or snapshot in one go, and spins for a heartbeat's time while a snapshot
         has nothing to send; here both have a bound, and the next heartbeat goes on.
         """
-        self._SyncObj__newAppendEntriesTime = self.clock() + self.conf.appendEntriesPeriod
+        self.put_off_heartbeat()
         for node in self.sent_to():
-            if node not in self._SyncObj__connectedNodes:
-                self.keeper.cancelTransmisstion(node)
-            elif self._SyncObj__raftNextIndex[node] > self._SyncObj__raftLog.first_sendable or self._send_snapshot(
-                node
-            ):
+            if node not in self.connected:
+                self.keeper.cancel_sending(node.id)
+            elif self.next_index[node] > self.log.first_sendable or self._send_snapshot(node):
                 self._send_entries(node)
 
     def _send_snapshot(self, node: Any) -> bool:
         """Send the next pieces; True when the last one is among them."""
         header = {
             "type": "append_entries",
-            "term": self._SyncObj__raftCurrentTerm,
-            "commit_index": self._SyncObj__raftCommitIndex,
+            "term": self.term,
+            "commit_index": self.commit_index,
             "digest": self.state_machine.digest(),
         }
-        while (piece := self.keeper.getTransmissionData(node)) is not None:
-            self.mailroom.send(node, {**header, "serialized": piece})
-            if piece.is_last:
-                self._SyncObj__raftNextIndex[node] = piece.chunk.last_log_index + 1
+        while (chunk := self.keeper.next_chunk(node.id)) is not None:
+            self.mailroom.send(node, {**header, "serialized": chunk})
+            if chunk.offset_bytes + len(chunk.data) == chunk.total_bytes:
+                self.next_index[node] = chunk.last_log_index + 1
                 return True
         self.mailroom.send(node, {**header, "serialized": None})
         return False
 
     def _send_entries(self, node: Any) -> None:
-        end = self._SyncObj__raftLog[-1][1]
+        end = self.log.last_index
         for _ in range(BATCHES_PER_ROUND):
-            next_index = self._SyncObj__raftNextIndex[node]
-            previous = self._SyncObj__raftLog.sendable_at(next_index - 1)
+            next_index = self.next_index[node]
+            previous = self.log.sendable_at(next_index - 1)
             if previous is None:
                 raise InvariantViolation(f"{node.id} is to be sent entry {next_index}, but the log ends at {end}")
             entries = self._entries_from(next_index) if self.has_room(node.id) else []
@@ -82,17 +80,17 @@ class Leading(Membership):
                 node,
                 {
                     "type": "append_entries",
-                    "term": self._SyncObj__raftCurrentTerm,
-                    "commit_index": self._SyncObj__raftCommitIndex,
+                    "term": self.term,
+                    "commit_index": self.commit_index,
                     "digest": self.state_machine.digest(),
                     "entries": entries,
                     "prevLogIdx": next_index - 1,
                     "prevLogTerm": previous.term,
                 },
             )
-            self._SyncObj__raftNextIndex[node] = next_index + len(entries)
-            if not entries or self._SyncObj__raftNextIndex[node] > end:
+            self.next_index[node] = next_index + len(entries)
+            if not entries or self.next_index[node] > end:
                 return
 
     def _entries_from(self, log_index: int) -> list[Entry]:
-        return self._SyncObj__raftLog.sendable_from(log_index, self.conf.appendEntriesBatchSizeBytes)
+        return self.log.sendable_from(log_index, APPEND_BATCH_BYTES)

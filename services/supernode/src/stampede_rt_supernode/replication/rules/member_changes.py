@@ -119,7 +119,7 @@ class MemberChanges:
 
     def add(self, change: MemberChange) -> None:
         """Begin a change, join one under way, or refuse it."""
-        if not self._node._isLeader():
+        if not self._node.is_leader:
             self._finish([change], NotLeading("this replica does not lead"))
         elif self._joins(change):
             return
@@ -137,8 +137,8 @@ class MemberChanges:
 
     def hand_over(self, wish: HandOver) -> None:
         """Begin to look for a successor."""
-        if not self._node._isLeader() or not self._node.voter_ids():
-            self._answer([wish], not self._node._isLeader())
+        if not self._node.is_leader or not self._node.voter_ids():
+            self._answer([wish], not self._node.is_leader)
             return
         if self._leaving is None:
             self._leaving = _Leaving(self._clock() + HAND_OVER_SECONDS)
@@ -151,7 +151,7 @@ class MemberChanges:
             return
         if self._addition is not None:
             self._catch_up(self._addition)
-        if self._committing is not None and self._node.applied_index() >= self._committing.log_index:
+        if self._committing is not None and self._node.last_applied >= self._committing.log_index:
             done, self._committing = self._committing, None
             self._finish(done.callers, done.log_index)
         if self._leaving is not None:
@@ -161,9 +161,9 @@ class MemberChanges:
         """Whether this node leads, and has not ceased to since the change under way began."""
         node, addition, committing = self._node, self._addition, self._committing
         return bool(
-            node._isLeader()
+            node.is_leader
             and (addition is None or node.learner == addition.member)
-            and (committing is None or node.raftCurrentTerm == committing.term)
+            and (committing is None or node.term == committing.term)
         )
 
     def close(self) -> None:
@@ -187,7 +187,7 @@ class MemberChanges:
     def _introduce(self, change: MemberChange) -> None:
         configuration, member = self._node.configuration(), change.member
         if configuration.find(member.member_id) == member:
-            self._finish([change], self._node.applied_index())
+            self._finish([change], self._node.last_applied)
             return
         refusal = _refusal(configuration, member, change.ticket)
         if refusal is not None:
@@ -195,7 +195,7 @@ class MemberChanges:
             return
         self._node.set_learner(member)
         now = self._clock()
-        self._addition = _Addition(member, [change], self._node.log_end(), now, now)
+        self._addition = _Addition(member, [change], self._node.log.last_index, now, now)
 
     def _catch_up(self, addition: _Addition) -> None:
         now, held = self._clock(), self._node.held_by(addition.member.member_id)
@@ -210,7 +210,7 @@ class MemberChanges:
         if held < addition.round_end or self._committing is not None:
             return
         if now - addition.round_began > self._round_seconds:
-            addition.round_end, addition.round_began = self._node.log_end(), now
+            addition.round_end, addition.round_began = self._node.log.last_index, now
             return
         if self._node.may_change_members():
             self._addition = None
@@ -237,7 +237,7 @@ class MemberChanges:
     def _remove(self, change: MemberChange) -> None:
         configuration, member_id = self._node.configuration(), change.member.member_id
         if configuration.find(member_id) is None:
-            self._finish([change], self._node.applied_index())
+            self._finish([change], self._node.last_applied)
         elif len(configuration.members) == 1:
             self._finish([change], ChangeRefused(f"{member_id} is the last member; stop it instead of removing it"))
         elif member_id == self._node.self_member.member_id:
@@ -258,7 +258,7 @@ class MemberChanges:
     def _commit(self, member_id: str, configuration: Any, source: _Addition | MemberChange) -> None:
         callers = source.callers if isinstance(source, _Addition) else [source]
         log_index = self._node.append_configuration(configuration)
-        self._committing = _Committing(member_id, log_index, self._node.raftCurrentTerm, callers)
+        self._committing = _Committing(member_id, log_index, self._node.term, callers)
 
     # -- leaving -------------------------------------------------------------------------------------------------
 
@@ -268,7 +268,7 @@ class MemberChanges:
             self._answer(leaving.callers, False)
             return
         alive = self._node.alive_voters(within_seconds=self._alive_seconds)
-        complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log_end())
+        complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log.last_index)
         if complete and not leaving.asked:
             leaving.asked = self._node.send_timeout_now(complete[0])
 
@@ -283,10 +283,10 @@ class MemberChanges:
         if committing is not None:
             self._finish(committing.callers, self._fate_of(committing))
         if leaving is not None:
-            self._answer(leaving.callers, not self._node._isLeader())
+            self._answer(leaving.callers, not self._node.is_leader)
 
     def _fate_of(self, committing: _Committing) -> ChangeOutcome:
-        applied = self._node.applied_index() >= committing.log_index
+        applied = self._node.last_applied >= committing.log_index
         if applied and self._node.term_at(committing.log_index) == committing.term:
             return committing.log_index
         return Ambiguous("the leader changed while the change was on its way; ask who the members are")

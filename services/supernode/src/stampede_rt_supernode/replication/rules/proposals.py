@@ -5,17 +5,11 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Callable
-from typing import Any
 
 from stampede_rt_supernode.replication.interface import Ambiguous, Unavailable
+from stampede_rt_supernode.replication.library.node import Fate, ProposalDone
 
 Outcome = bytes | Unavailable | Ambiguous
-
-# The library's FAIL_REASON numbers.
-SUCCESS, QUEUE_FULL, MISSING_LEADER, DISCARDED, NOT_LEADER, LEADER_CHANGED, UNKNOWN_OUTCOME = 0, 1, 2, 3, 4, 5, 7
-# The command is certainly not in the log, or was cut off it before anyone applied it.
-_NOT_TAKEN = frozenset((QUEUE_FULL, MISSING_LEADER, DISCARDED, NOT_LEADER))
-_NOT_KNOWN = frozenset((LEADER_CHANGED, UNKNOWN_OUTCOME))
 
 
 class Proposal:
@@ -44,7 +38,7 @@ class Proposals:
 
     def __init__(
         self,
-        hand_over: Callable[[bytes, Callable[[Any, int], None]], None],
+        hand_over: Callable[[bytes, ProposalDone], None],
         finish: Callable[[Callable[[], None]], None],
         *,
         handed_max: int,
@@ -89,23 +83,20 @@ class Proposals:
             proposal.finished = True
             return
         self._handed += 1
-        self._hand_over(proposal.command, lambda result, reason: self._on_answer(proposal, result, reason))
+        self._hand_over(proposal.command, lambda answer: self._on_answer(proposal, answer))
 
-    def _on_answer(self, proposal: Proposal, result: bytes | None, reason: int) -> None:
+    def _on_answer(self, proposal: Proposal, answer: bytes | Fate) -> None:
         if proposal.finished:
             return
         self._handed -= 1
-        if reason == SUCCESS:
-            assert result is not None
-            self._finish(proposal, result)
-        elif reason in _NOT_TAKEN:
+        if answer is Fate.NOT_TAKEN:
             # Certainly not applied: it waits for the next leader, until its own deadline.
             proposal.handed_over = False
             self._waiting.append(proposal)
-        elif reason in _NOT_KNOWN:
+        elif answer is Fate.UNKNOWN:
             self._finish(proposal, Ambiguous("the leader changed while the command was on its way"))
         else:
-            raise AssertionError(f"the library answered a command with reason {reason}")
+            self._finish(proposal, answer)
 
     def _finish(self, proposal: Proposal, outcome: Outcome) -> None:
         proposal.finished = True

@@ -48,7 +48,7 @@ class _Asked:
 class ConfirmedReads:
     """All reads of one replica. Tick thread only.
 
-    `node` offers can_confirm_reads(), commit_index(), applied_index(), leader_node(), voter_ids(), is_majority(count).
+    `node` offers can_confirm_reads(), commit_index, last_applied, leader, voter_ids(), is_majority(count).
     Invariant: a read is in exactly one of `_new`, `_rounds`, `_asked`, `_confirmed` until it is done.
     """
 
@@ -111,7 +111,7 @@ class ConfirmedReads:
             return False
         self._mailroom.round += 1
         self._rounds.append(
-            _Round(self._mailroom.round, self._node.commit_index(), reads=self._new, requests=self._new_requests)
+            _Round(self._mailroom.round, self._node.commit_index, reads=self._new, requests=self._new_requests)
         )
         self._new, self._new_requests = [], []
         return True
@@ -123,7 +123,7 @@ class ConfirmedReads:
             self._confirmed.append((done.commit_index, done.reads))
             for node, request_id in done.requests:
                 self._answer(node, request_id, done.commit_index)
-        applied = self._node.applied_index()
+        applied = self._node.last_applied
         for index, reads in self._confirmed:
             if index <= applied:
                 for read in reads:
@@ -144,7 +144,7 @@ class ConfirmedReads:
         return bool(self._node.is_majority(1 + echoed))
 
     def _ask_leader(self) -> None:
-        leader = self._node.leader_node()
+        leader = self._node.leader
         if not self._new or self._asked is not None or leader is None:
             return
         if not self._mailroom.is_reachable(leader.id):

@@ -30,7 +30,7 @@ class SnapshotRequests:
 
     def add(self, request: SnapshotRequest) -> None:
         """Take a request in."""
-        self._waiting.append((self._node.applied_index(), request))
+        self._waiting.append((self._node.last_applied, request))
 
     def advance(self) -> None:
         """Answer those whom the present snapshot covers, and have another one taken for the rest."""
@@ -41,7 +41,7 @@ class SnapshotRequests:
             for request in covered:
                 self._finish(request, snapshot)
         if self._waiting and not self._node.keeper.is_taking:
-            self._node.forceLogCompaction()
+            self._node.request_snapshot()
 
     def close(self) -> None:
         """Finish everything."""

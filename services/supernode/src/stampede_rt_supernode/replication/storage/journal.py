@@ -1,11 +1,8 @@
-"""The library's journal over a store: a list in memory, and what of it is not yet on disk.
+"""The log over a store: a list in memory, and what of it is not yet on disk.
 
 Nothing is durable before `sync` returns, and everything since the last sync becomes durable together. The
 tick loop calls it before any message or result leaves the process; that is also the group commit.
 """
-
-# The camelCase names are the library's.
-# ruff: noqa: N802, N803
 
 from __future__ import annotations
 
@@ -15,9 +12,8 @@ from itertools import chain, islice
 from typing import overload
 
 from stampede_rt_supernode.replication.configuration import Configuration, Configurations
-from stampede_rt_supernode.replication.library.pinned_copy import CONFIGURATION
+from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.store import (
-    Entry,
     Promise,
     SnapshotPiece,
     SnapshotSeal,
@@ -44,7 +40,8 @@ class Journal:
         self._entries = state.entries
         self._term = state.term
         self._voted_for = state.voted_for
-        self._commit_index = state.commit_index
+        # Reaches the disk with the next change that must: to lose it only means that the leader says it again.
+        self.commit_index = state.commit_index
         self.snapshot = state.snapshot
         self._promises = dict(state.promises)
         self._promises_changed = False
@@ -57,8 +54,7 @@ class Journal:
         self._replace_from: int | None = None
         self._pending_pieces: list[SnapshotPiece] = []
         self._pending_seal: SnapshotSeal | None = None
-        # True when term, vote, entries or snapshot wait for the disk. The commit index alone does not count:
-        # losing it only means that the leader says it again.
+        # True when term, vote, entries or snapshot wait for the disk. The commit index alone does not count.
         self._dirty = False
 
     def track_members(self, base: Configuration) -> None:
@@ -71,13 +67,13 @@ class Journal:
         if entry.command[0] == CONFIGURATION:
             self.configurations.note(entry.log_index, decode_configuration(entry.command))
 
-    def add(self, command: bytes, idx: int, term: int) -> None:
-        """Append an entry; `idx` follows the last one held."""
-        if self._entries and idx != self._entries[-1].log_index + 1:
-            raise AssertionError(f"entry {idx} does not follow {self._entries[-1].log_index}")
-        self._entries.append(Entry(command, idx, term))
+    def append(self, command: bytes, log_index: int, term: int) -> None:
+        """Append an entry; `log_index` follows the last one held."""
+        if self._entries and log_index != self._entries[-1].log_index + 1:
+            raise AssertionError(f"entry {log_index} does not follow {self._entries[-1].log_index}")
+        self._entries.append(Entry(command, log_index, term))
         self._note_configuration(self._entries[-1])
-        self._differs_from(idx)
+        self._differs_from(log_index)
 
     def clear(self) -> None:
         """Forget every entry."""
@@ -86,18 +82,13 @@ class Journal:
             self.keep_after(self._entries[-1].log_index)
         self._entries = []
 
-    def deleteEntriesFrom(self, entryFrom: int) -> None:
-        """Forget the entries at or past a position."""
-        if entryFrom < len(self._entries):
-            self._differs_from(self._entries[entryFrom].log_index)
-            self.configurations.cut_from(self._entries[entryFrom].log_index)
-            del self._entries[entryFrom:]
-
-    def deleteEntriesTo(self, entryTo: int) -> None:
-        """Forget the entries before a position; the store follows with the next sync."""
-        if entryTo > 0:
-            del self._entries[:entryTo]
-            self._dirty = True
+    def cut_from(self, log_index: int) -> None:
+        """Forget the entries at or past a position; nothing, if there are none."""
+        position = log_index - self._entries[0].log_index if self._entries else 0
+        if position < len(self._entries):
+            self._differs_from(log_index)
+            self.configurations.cut_from(log_index)
+            del self._entries[position:]
 
     @overload
     def __getitem__(self, item: int) -> Entry: ...
@@ -109,27 +100,26 @@ class Journal:
     def __len__(self) -> int:
         return len(self._entries)
 
-    def setRaftCommitIndex(self, raftCommitIndex: int) -> None:
-        """Note the commit index; it reaches the disk with the next change that must."""
-        self._commit_index = raftCommitIndex
+    @property
+    def last_index(self) -> int:
+        """The position of the last entry; 0 for an empty log."""
+        return self._entries[-1].log_index if self._entries else 0
 
-    def getRaftCommitIndex(self) -> int:
-        """The commit index last noted."""
-        return self._commit_index
-
-    def setCurrentTerm(self, term: int, votedForNodeId: str | None) -> None:
-        """Note term and vote, durable with the next sync."""
-        if (term, votedForNodeId) != (self._term, self._voted_for):
-            self._term, self._voted_for = term, votedForNodeId
-            self._dirty = True
-
-    def getCurrentTerm(self) -> int:
-        """The term last noted."""
+    @property
+    def term(self) -> int:
+        """The term noted last."""
         return self._term
 
-    def getVotedForNodeId(self) -> str | None:
-        """The vote last noted."""
+    @property
+    def voted_for(self) -> str | None:
+        """The vote noted last."""
         return self._voted_for
+
+    def set_term(self, term: int, voted_for: str | None) -> None:
+        """Note term and vote, durable with the next sync."""
+        if (term, voted_for) != (self._term, self._voted_for):
+            self._term, self._voted_for = term, voted_for
+            self._dirty = True
 
     @property
     def promises(self) -> Mapping[str, Promise]:
@@ -152,14 +142,7 @@ class Journal:
 
     def end(self) -> tuple[int, int]:
         """(term, last index): what this log says for itself wherever it introduces itself."""
-        return self._term, self._entries[-1].log_index if self._entries else 0
-
-    def onOneSecondTimer(self) -> None:
-        """Called about once a second; the library's own journal saves its commit index here."""
-        self.flush_promises()
-
-    def _destroy(self) -> None:
-        """Nothing: the store is closed by whoever opened it."""
+        return self._term, self.last_index
 
     def entry_at(self, log_index: int) -> Entry | None:
         """The entry at a log index, or None when it is not held."""
@@ -278,7 +261,7 @@ class Journal:
             last_term=last.term,
             term=self._term,
             voted_for=self._voted_for,
-            commit_index=min(self._commit_index, first + len(self._entries) - 1),
+            commit_index=min(self.commit_index, first + len(self._entries) - 1),
             promises=self._promises,
             pieces=self._pending_pieces,
             seal=self._pending_seal,

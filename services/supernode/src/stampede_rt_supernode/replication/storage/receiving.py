@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import StateMachine
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.storage.store import Entry, StoredSnapshot
+from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import Result, RunAside
 from stampede_rt_supernode.replication.wire import codec
 

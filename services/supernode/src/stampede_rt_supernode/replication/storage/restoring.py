@@ -10,10 +10,10 @@ from pathlib import Path
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.library.pinned_copy import CONFIGURATION
+from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.backups import read_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store, read_identity
-from stampede_rt_supernode.replication.storage.store import Entry, StoreChanges, StoredState, StoreRefused
+from stampede_rt_supernode.replication.storage.store import StoreChanges, StoredState, StoreRefused
 from stampede_rt_supernode.replication.wire.codec import decode_configuration, decode_snapshot, encode_configuration
 
 

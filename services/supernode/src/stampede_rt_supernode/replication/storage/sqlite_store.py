@@ -20,11 +20,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME as NOTES_NAME
 from stampede_rt_supernode.replication.storage.known_stores import force_folder
 from stampede_rt_supernode.replication.storage.store import (
     REJOIN,
-    Entry,
     Promise,
     SnapshotPiece,
     SnapshotSeal,

@@ -7,16 +7,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
+from stampede_rt_supernode.replication.log_entries import Entry
+
 # So much of a snapshot is written at once: a few milliseconds on a disk, for whoever waits for the log.
 PIECE_BYTES = 1 << 20
-
-
-class Entry(NamedTuple):
-    """One position of the log. The order of the fields is the library's: it indexes entries by number."""
-
-    command: bytes
-    log_index: int
-    term: int
 
 
 class Promise(NamedTuple):

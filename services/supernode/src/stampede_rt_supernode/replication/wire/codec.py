@@ -14,9 +14,8 @@ from google.protobuf.message import DecodeError
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import MEMBERS_MAX, RETIRED_MAX, Configuration
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.library.pinned_copy import COMMAND, CONFIGURATION, NO_OP
+from stampede_rt_supernode.replication.log_entries import COMMAND, CONFIGURATION, NO_OP, Entry
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, SNAPSHOT_PIECE_BYTES_MAX
-from stampede_rt_supernode.replication.storage.store import Entry
 
 Message = dict[str, Any]
 
@@ -115,7 +114,7 @@ def _encode_append(message: Message) -> pb.RaftMessage:
     if "serialized" in message:
         body.installing_snapshot = True
         if message["serialized"] is not None:
-            body.chunk.CopyFrom(message["serialized"].chunk)
+            body.chunk.CopyFrom(message["serialized"])
     else:
         body.previous_log_index = message["prevLogIdx"]
         body.previous_log_term = message["prevLogTerm"]

@@ -1,17 +1,14 @@
-"""The library's transport without a network: messages in from an inbox, out into an outbox.
+"""The node's transport without a network: messages come in from an inbox, and leave into an outbox.
 
 Both ends are on the tick thread. Whoever owns the network empties the outbox after each sync, and so nothing
 is said before it is on stable storage.
 """
 
-# The camelCase names are the library's.
-# ruff: noqa: N802
-
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
@@ -72,13 +69,32 @@ class Introduced:
 
 NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced
 Outgoing = tuple[str, pb.RaftMessage]
-NodeCallback = Callable[[Any], None]
+
+
+class Handler(Protocol):
+    """Whom the events are for: a node of the log. `node` is the member that an event is about."""
+
+    def receive(self, node: Any, message: Message) -> None:
+        """A member has sent a message."""
+
+    def on_connected(self, node: Any) -> None:
+        """Messages to a member leave from now on."""
+
+    def on_disconnected(self, node: Any) -> None:
+        """Messages to a member are lost from now on."""
+
+    def on_stream_opened(self, node: Any) -> None:
+        """A member has opened a new stream to us."""
+
+    def on_members_told(self, members: tuple[Member, ...]) -> None:
+        """A member has said who the members are."""
+
+    def on_introduced(self, member: Member) -> None:
+        """A stranger has said that it is a member."""
 
 
 class Mailroom:
-    """Stands where the library expects its TCP transport. Tick thread only."""
-
-    ready = True
+    """The messages of one node, in and out. Tick thread only."""
 
     def __init__(self, nodes: Iterable[Any]) -> None:
         # Whom we know: whoever is not in here is neither heard nor sent to.
@@ -88,38 +104,36 @@ class Mailroom:
         # Whose answers reach us at present, likewise.
         self._heard: set[str] = set()
         self._outbox: list[Outgoing] = []
-        self._on_message: Callable[[Any, Message], None] | None = None
-        self._on_connected: NodeCallback | None = None
-        self._on_disconnected: NodeCallback | None = None
-        # Called when a member has opened a new stream.
-        self.on_stream_opened: NodeCallback = lambda node: None
-        # Called when a member has said who the members are.
-        self.on_members_told: Callable[[tuple[Member, ...]], None] = lambda members: None
-        # Called when a stranger has said that it is a member.
-        self.on_introduced: Callable[[Member], None] = lambda member: None
+        self._handler: Handler | None = None
         # Stamped on every append message; the replies echo it (see rules/reads.py).
         self.round = 0
 
+    def attach(self, handler: Handler) -> None:
+        """Hand what comes in to this node; once."""
+        self._handler = handler
+
     def deliver(self, event: NetworkEvent) -> None:
-        """Hand one network event to the library; events about strangers are dropped."""
+        """Hand one network event to the node; events about strangers are dropped."""
         self._note_links(event)
+        if self._handler is None:
+            return
         if isinstance(event, Introduced):
-            self.on_introduced(event.member)
-            return
-        node = self._nodes.get(event.member_id)
-        if node is None or not (self._on_message and self._on_connected and self._on_disconnected):
-            return
+            self._handler.on_introduced(event.member)
+        elif (node := self._nodes.get(event.member_id)) is not None:
+            self._hand_over(self._handler, node, event)
+
+    def _hand_over(self, handler: Handler, node: Any, event: NetworkEvent) -> None:
         match event:
             case Received():
-                self._on_message(node, event.message)
+                handler.receive(node, event.message)
             case Connected():
-                self._on_connected(node)
+                handler.on_connected(node)
             case Disconnected():
-                self._on_disconnected(node)
+                handler.on_disconnected(node)
             case StreamOpened():
-                self.on_stream_opened(node)
+                handler.on_stream_opened(node)
             case MembersTold():
-                self.on_members_told(event.members)
+                handler.on_members_told(event.members)
 
     def _note_links(self, event: NetworkEvent) -> None:
         match event:
@@ -150,42 +164,17 @@ class Mailroom:
         outbox, self._outbox = self._outbox, []
         return outbox
 
-    def setOnMessageReceivedCallback(self, callback: Callable[[Any, Message], None]) -> None:
-        """Called by the library once."""
-        self._on_message = callback
-
-    def setOnNodeConnectedCallback(self, callback: NodeCallback) -> None:
-        """Called by the library once."""
-        self._on_connected = callback
-
-    def setOnNodeDisconnectedCallback(self, callback: NodeCallback) -> None:
-        """Called by the library once."""
-        self._on_disconnected = callback
-
-    def setOnReadonlyNodeConnectedCallback(self, callback: NodeCallback) -> None:
-        """There are no anonymous read-only peers: they could forge appends."""
-
-    def setOnReadonlyNodeDisconnectedCallback(self, callback: NodeCallback) -> None:
-        """There are no anonymous read-only peers."""
-
-    def setOnUtilityMessageCallback(self, message: str, callback: Callable[..., None]) -> None:
-        """The library's remote administration is never reached."""
-
     def node(self, member_id: str) -> Any:
         """The node with this id, None for a stranger."""
         return self._nodes.get(member_id)
 
-    def addNode(self, node: Any) -> None:
+    def add_node(self, node: Any) -> None:
         """Hear and send to one more member."""
         self._nodes[node.id] = node
-        if node.id in self._connected and self._on_connected is not None:
-            self._on_connected(node)
+        if node.id in self._connected and self._handler is not None:
+            self._handler.on_connected(node)
 
-    def dropNode(self, node: Any) -> None:
+    def drop_node(self, node: Any) -> None:
         """Neither hear nor send to this member any more."""
-        if self._nodes.pop(node.id, None) is not None and self._on_disconnected is not None:
-            self._on_disconnected(node)
-
-    def destroy(self) -> None:
-        """Forget what was not released."""
-        self._outbox.clear()
+        if self._nodes.pop(node.id, None) is not None and self._handler is not None:
+            self._handler.on_disconnected(node)

@@ -1,0 +1,138 @@
+"""Our log, snapshots and transport where the library expects its own.
+
+The names in camelCase, one of them misspelt, are the library's public ones.
+"""
+
+# ruff: noqa: N802, N803, N815
+
+from __future__ import annotations
+
+from typing import Any, overload
+
+from stampede_rt_supernode.replication.log_entries import Entry
+from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
+from stampede_rt_supernode.replication.storage.store import StoredSnapshot
+from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+
+# The library's SERIALIZER_STATE numbers.
+_NOT_SERIALIZING, _SERIALIZING, _SUCCESS = 0, 1, 2
+
+
+class LibraryLog:
+    """The library's journal. It counts entries from the first one held."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+
+    @overload
+    def __getitem__(self, item: int) -> Entry: ...
+    @overload
+    def __getitem__(self, item: slice) -> list[Entry]: ...
+    def __getitem__(self, item: int | slice) -> Entry | list[Entry]:
+        return self.journal[item]
+
+    def __len__(self) -> int:
+        return len(self.journal)
+
+    def add(self, command: bytes, idx: int, term: int) -> None:
+        """Append an entry."""
+        self.journal.append(command, idx, term)
+
+    def clear(self) -> None:
+        """Forget every entry."""
+        self.journal.clear()
+
+    def deleteEntriesFrom(self, entryFrom: int) -> None:
+        """Forget the entries from one on."""
+        if entryFrom < len(self.journal):
+            self.journal.cut_from(self.journal[entryFrom].log_index)
+
+    def deleteEntriesTo(self, entryTo: int) -> None:
+        """Nothing: a snapshot that is adopted has cut the log off already."""
+        if entryTo > 0:
+            raise AssertionError(f"the library wants to cut off {entryTo} entries that no snapshot stands for")
+
+    def setRaftCommitIndex(self, raftCommitIndex: int) -> None:
+        """Note the commit index."""
+        self.journal.commit_index = raftCommitIndex
+
+    def getRaftCommitIndex(self) -> int:
+        """The commit index noted last."""
+        return self.journal.commit_index
+
+    def setCurrentTerm(self, term: int, votedForNodeId: str | None) -> None:
+        """Note term and vote."""
+        self.journal.set_term(term, votedForNodeId)
+
+    def getCurrentTerm(self) -> int:
+        """The term noted last."""
+        return self.journal.term
+
+    def getVotedForNodeId(self) -> str | None:
+        """The vote noted last."""
+        return self.journal.voted_for
+
+    def onOneSecondTimer(self) -> None:
+        """Called about once a second; the library's own journal saves its commit index here."""
+        self.journal.flush_promises()
+
+
+class LibrarySerializer:
+    """The library's serializer. Only the unchanged library has it take in snapshots; our rules do that themselves."""
+
+    def __init__(self, keeper: SnapshotKeeper, journal: Journal) -> None:
+        self._keeper = keeper
+        self._journal = journal
+        # The snapshot that came in last and is not open yet.
+        self._received: StoredSnapshot | None = None
+
+    def checkSerializing(self) -> tuple[int, int | None]:
+        """How far the present snapshot is, and the first entry that the log keeps once the snapshot is adopted."""
+        first = self._keeper.go_on_taking()
+        if first is not None:
+            return _SUCCESS, first.log_index
+        return (_SERIALIZING if self._keeper.is_busy else _NOT_SERIALIZING), None
+
+    def serialize(self, data: tuple[Any, Any, Any, Any], id_: int) -> None:
+        """Begin a snapshot as of the last applied entry."""
+        _, last, previous, _ = data
+        self._keeper.begin_taking(previous=Entry(*previous), last=Entry(*last))
+
+    def setTransmissionData(self, data: Any) -> bool:
+        """Take in a piece; True when the snapshot is whole and its checksum holds."""
+        self._received = self._keeper.take_in(data)
+        return self._received is not None
+
+    def deserialize(self) -> tuple[None, Entry, Entry, list[str]]:
+        """Open the present snapshot into the state machine."""
+        stored, self._received = self._received or self._journal.snapshot, None
+        assert stored is not None
+        snapshot = self._keeper.open_at_once(stored)
+        return None, snapshot.last, snapshot.previous, []
+
+    def cancelTransmisstion(self, id_: Any) -> None:
+        """Start from the beginning with this member next time."""
+        self._keeper.cancel_sending(id_.id)
+
+
+class LibraryTransport:
+    """The library's transport. What comes in goes to the node past it; the library's remote administration, and
+    anonymous read-only members, are never reached.
+    """
+
+    ready = True
+
+    def __init__(self, mailroom: Mailroom) -> None:
+        self._mailroom = mailroom
+
+    def send(self, node: Any, message: Message) -> bool:
+        """Queue a message; False when the member is not connected."""
+        return self._mailroom.send(node, message)
+
+    def _ignore(self, *callbacks: Any) -> None:
+        """The library offers to be called; nobody will."""
+
+    setOnMessageReceivedCallback = setOnNodeConnectedCallback = setOnNodeDisconnectedCallback = _ignore
+    setOnReadonlyNodeConnectedCallback = setOnReadonlyNodeDisconnectedCallback = setOnUtilityMessageCallback = _ignore

@@ -1,0 +1,17 @@
+"""The entries of the log, and their kinds. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+# The first byte of an entry's command. The library's own entries for members, pickles, would also be of kind 2; it is
+# told not to look at them.
+COMMAND, NO_OP, CONFIGURATION = 0, 1, 2
+
+
+class Entry(NamedTuple):
+    """One position of the log. The order of the fields is the library's: it indexes entries by number."""
+
+    command: bytes
+    log_index: int
+    term: int

@@ -1,0 +1,36 @@
+"""The library's node in the words of the Raft paper."""
+
+from __future__ import annotations
+
+import pytest
+from pysyncobj.config import FAIL_REASON
+
+from stampede_rt_supernode.replication.library.node import Fate, LibraryNode
+from tests.unit.supernode.replication.lone_node import LoneNode
+
+NOT_TAKEN = ["QUEUE_FULL", "MISSING_LEADER", "DISCARDED", "NOT_LEADER"]
+UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]
+
+
+@pytest.mark.parametrize(
+    ("reason", "fate"), [(name, Fate.NOT_TAKEN) for name in NOT_TAKEN] + [(name, Fate.UNKNOWN) for name in UNKNOWN]
+)
+def test_every_reason_of_the_library_says_what_became_of_a_command(reason: str, fate: Fate) -> None:
+    lone, heard = LoneNode(), []
+    lone.node._applyCommand = lambda command, callback, kind: callback(None, getattr(FAIL_REASON, reason))
+    lone.node.propose(b"c", heard.append)
+    assert heard == [fate]
+
+
+def test_a_reason_that_nothing_should_give_stops_the_replica() -> None:
+    lone = LoneNode()
+    lone.node._applyCommand = lambda command, callback, kind: callback(None, FAIL_REASON.REQUEST_DENIED)
+    with pytest.raises(AssertionError, match="with reason 6"):
+        lone.node.propose(b"c", lambda answer: None)
+
+
+def test_every_private_name_is_one_of_the_library() -> None:
+    node = LoneNode().node
+    for name, alias in vars(LibraryNode).items():
+        if hasattr(alias, "_name"):
+            assert alias._name in vars(node), name
