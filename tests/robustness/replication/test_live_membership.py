@@ -17,8 +17,8 @@ from stampede_rt_supernode.replication import (
     NotLeading,
     ReplicatedLog,
     Unavailable,
-    member_changes,
 )
+from stampede_rt_supernode.replication.rules import member_changes
 from tests.robustness.replication.live_cluster import LiveCluster, LiveMember, running, until
 
 
