@@ -6,11 +6,20 @@ import pytest
 from stampede_rt.errors import VersionMismatch
 from stampede_rt.v1 import directory_command_pb2
 from stampede_rt.values.model import Policy
-from stampede_rt_supernode.codecs.command_codec import decode_command, decode_result, encode_command, encode_result
-from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot
+from stampede_rt_supernode.codecs.command_codec import (
+    CODECS,
+    decode_command,
+    decode_result,
+    encode_command,
+    encode_result,
+)
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
 from stampede_rt_supernode.core.cluster.commands import MarkTime, TenureBegun, TimeMarked
-from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
+from stampede_rt_supernode.core.command_table import KINDS
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
+from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
 from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpired, HostRegistered
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
@@ -214,11 +223,27 @@ def test_a_result_comes_out_as_it_went_in(result: Result) -> None:
     assert decode_result(encode_result(result)) == result
 
 
-def test_every_kind_of_command_and_result_is_covered() -> None:
+def test_every_kind_of_command_has_one_row_that_says_how_it_travels_and_one_that_says_what_it_does() -> None:
     kinds = directory_command_pb2.DirectoryCommand.DESCRIPTOR.oneofs_by_name["kind"].fields
     outcomes = directory_command_pb2.DirectoryResult.DESCRIPTOR.oneofs_by_name["outcome"].fields
-    assert len({type(operation) for operation in OPERATIONS}) == len(kinds)
-    assert len({type(result) for result in RESULTS}) == len(outcomes)
+    assert sorted(row.kind for row in CODECS) == sorted(field.name for field in kinds)
+    assert sorted(["refused", *(row.outcome for row in CODECS)]) == sorted(field.name for field in outcomes)
+    travels = [(row.operation.__name__, row.result.__name__) for row in CODECS]
+    does = [(row.operation.__name__, row.result.__name__) for row in KINDS]
+    assert sorted(travels) == sorted(does)
+    assert len(set(travels)) == len(KINDS)
+
+
+def test_every_row_of_the_command_table_is_among_the_round_trips() -> None:
+    assert {type(operation) for operation in OPERATIONS} == {row.operation for row in KINDS}
+    assert {type(result) for result in RESULTS} == {Refused, *(row.result for row in KINDS)}
+
+
+def test_a_snapshot_remembers_what_came_of_every_kind_of_command() -> None:
+    done = [result for result in RESULTS if isinstance(result, Success)]
+    answers = [Answer(id_of(number), number, "subject", result) for number, result in enumerate(done, 1)]
+    assert {type(result) for result in done} == {row.result for row in KINDS}
+    assert list(decode_snapshot(encode_snapshot(Directory(index=99, answers=answers))).answered) == answers
 
 
 def test_the_greatest_command_fits_the_log() -> None:

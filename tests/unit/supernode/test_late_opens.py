@@ -20,7 +20,6 @@ from stampede_rt_supernode.core.answered import MARKS_KEPT
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.commands import Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
-from stampede_rt_supernode.core.late_opens import Open
 from stampede_rt_supernode.core.queues.commands import QueueOpened
 from tests.unit.supernode.node import Node, reason_of, running_node
 from tests.unit.supernode.operations import (
@@ -109,7 +108,7 @@ def delete_what(log: Log, opened: Result) -> Operation:
 def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_for(log: Log, kind: str) -> None:
     member = log.apply(open_channel("member"))
     assert isinstance(member, ChannelOpened)
-    openings: dict[str, Open] = {
+    openings: dict[str, Operation] = {
         "channel": open_channel("x"),
         "group": open_group("x", (member.channel.channel_id,)),
         "queue": open_queue("x"),

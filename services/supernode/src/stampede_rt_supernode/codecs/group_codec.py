@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import group_pb2
-from stampede_rt_supernode.core.commands import GroupOperation, GroupSuccess
-from stampede_rt_supernode.core.groups.commands import (
-    DeleteGroup,
-    GroupDeleted,
-    GroupOpened,
-    GroupUpdated,
-    OpenGroup,
-    UpdateGroup,
-)
 from stampede_rt_supernode.core.records import Group, GroupSpec
 
 _BOUNDS_FROM_WIRE = {
@@ -23,9 +14,6 @@ _BOUNDS_FROM_WIRE = {
 }
 _BOUNDS_TO_WIRE = {"start": group_pb2.GROUP_BOUND_START, "end": group_pb2.GROUP_BOUND_END}
 _OLDEST = (group_pb2.GROUP_REFERENCE_UNSPECIFIED, group_pb2.GROUP_REFERENCE_OLDEST)
-
-GROUP_OPERATIONS = ("open_group", "update_group", "delete_group")
-GROUP_OUTCOMES = ("group_opened", "group_updated", "group_deleted")
 
 
 def group_spec_from(spec: group_pb2.GroupSpec) -> GroupSpec:
@@ -99,80 +87,3 @@ def group_entry(group: Group, witnesses: tuple[bytes, ...]) -> pb.GroupEntry:
 def group_entry_from(entry: pb.GroupEntry) -> tuple[Group, tuple[bytes, ...]]:
     """The group and its witnesses of an entry that this codec wrote."""
     return group_from(entry.record), tuple(entry.witness_host_ids)
-
-
-def write_group_operation(message: pb.DirectoryCommand, operation: GroupOperation) -> None:
-    """Into the command's oneof."""
-    match operation:
-        case OpenGroup():
-            message.open_group.CopyFrom(_open_message(operation))
-        case UpdateGroup():
-            change = pb.UpdateGroupCommand(
-                group_id=operation.group_id,
-                add_channel_ids=operation.add_channel_ids,
-                remove_channel_ids=operation.remove_channel_ids,
-                spec_version=operation.spec_version,
-            )
-            message.update_group.CopyFrom(change)
-        case DeleteGroup(group_id=group_id):
-            message.delete_group.CopyFrom(pb.DeleteGroupCommand(group_id=group_id))
-
-
-def _open_message(operation: OpenGroup) -> pb.OpenGroupCommand:
-    return pb.OpenGroupCommand(
-        name=operation.name,
-        spec=None if operation.spec is None else group_spec_message(operation.spec),
-        create=operation.create,
-        new_group_id=operation.new_group_id,
-        new_incarnation=operation.new_incarnation,
-    )
-
-
-def read_group_operation(message: pb.DirectoryCommand) -> GroupOperation:
-    """Of a command whose kind is one of GROUP_OPERATIONS. Raises InvalidArgument."""
-    if message.HasField("open_group"):
-        return _read_open(message.open_group)
-    if message.HasField("update_group"):
-        change = message.update_group
-        return UpdateGroup(
-            group_id=change.group_id,
-            add_channel_ids=tuple(change.add_channel_ids),
-            remove_channel_ids=tuple(change.remove_channel_ids),
-            spec_version=change.spec_version if change.HasField("spec_version") else None,
-        )
-    return DeleteGroup(group_id=message.delete_group.group_id)
-
-
-def _read_open(message: pb.OpenGroupCommand) -> OpenGroup:
-    return OpenGroup(
-        name=message.name,
-        spec=group_spec_from(message.spec) if message.HasField("spec") else None,
-        create=message.create,
-        new_group_id=message.new_group_id,
-        new_incarnation=message.new_incarnation,
-    )
-
-
-def group_result_message(result: GroupSuccess) -> pb.DirectoryResult:
-    """A result as it travels."""
-    match result:
-        case GroupOpened(group=group, created=created):
-            return pb.DirectoryResult(group_opened=pb.GroupOpenedResult(group=group_record(group), created=created))
-        case GroupUpdated(group=group):
-            return pb.DirectoryResult(group_updated=pb.GroupUpdatedResult(group=group_record(group)))
-        case GroupDeleted():
-            return pb.DirectoryResult(group_deleted=pb.GroupDeletedResult())
-
-
-def read_group_result(message: pb.DirectoryResult) -> GroupSuccess:
-    """Of a result whose outcome is one of GROUP_OUTCOMES."""
-    match message.WhichOneof("outcome"):
-        case "group_opened":
-            opened = message.group_opened
-            return GroupOpened(group=group_from(opened.group), created=opened.created)
-        case "group_updated":
-            return GroupUpdated(group=group_from(message.group_updated.group))
-        case "group_deleted":
-            return GroupDeleted()
-        case other:
-            raise StampedeError(f"{other} is no result of a group; report this")

@@ -4,19 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.v1 import directory_command_pb2 as pb
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import queue_pb2
-from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
-from stampede_rt_supernode.core.commands import QueueOperation, QueueSuccess
-from stampede_rt_supernode.core.queues.commands import (
-    DeleteQueue,
-    OpenQueue,
-    QueueDeleted,
-    QueueOpened,
-    QueueUpdated,
-    UpdateQueue,
-)
 from stampede_rt_supernode.core.records import Queue, QueueSpec
 
 _ON_FULL_TO_WIRE = {
@@ -36,9 +25,6 @@ _SPEC_FIELDS = (
     "content_type",
     "max_item_bytes",
 )
-
-QUEUE_OPERATIONS = ("open_queue", "update_queue", "delete_queue")
-QUEUE_OUTCOMES = ("queue_opened", "queue_updated", "queue_deleted")
 
 
 def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
@@ -83,68 +69,3 @@ def queue_from(record: queue_pb2.QueueRecord) -> Queue:
         spec_version=record.spec_version,
         mailbox_peer_id=record.mailbox_peer_id if record.HasField("mailbox_peer_id") else None,
     )
-
-
-def write_queue_operation(message: pb.DirectoryCommand, operation: QueueOperation) -> None:
-    """Into the command's oneof."""
-    match operation:
-        case OpenQueue():
-            opening = pb.OpenQueueCommand(
-                name=operation.name,
-                spec=queue_spec_message(operation.spec),
-                create=operation.create,
-                host_name=operation.host_name,
-                new_queue_id=operation.new_queue_id,
-                new_incarnation=operation.new_incarnation,
-            )
-            message.open_queue.CopyFrom(opening)
-        case UpdateQueue(queue_id=queue_id, epoch=epoch, spec=spec):
-            change = pb.UpdateQueueCommand(queue_id=queue_id, epoch=epoch, spec=queue_spec_message(spec))
-            message.update_queue.CopyFrom(change)
-        case DeleteQueue(queue_id=queue_id):
-            message.delete_queue.CopyFrom(pb.DeleteQueueCommand(queue_id=queue_id))
-
-
-def read_queue_operation(message: pb.DirectoryCommand) -> QueueOperation:
-    """Of a command whose kind is one of QUEUE_OPERATIONS. Raises InvalidArgument."""
-    if message.HasField("open_queue"):
-        opening = message.open_queue
-        return OpenQueue(
-            name=opening.name,
-            spec=queue_spec_from(opening.spec),
-            create=opening.create,
-            host_name=opening.host_name,
-            new_queue_id=opening.new_queue_id,
-            new_incarnation=opening.new_incarnation,
-        )
-    if message.HasField("update_queue"):
-        change = message.update_queue
-        return UpdateQueue(queue_id=change.queue_id, epoch=change.epoch, spec=queue_spec_from(change.spec))
-    return DeleteQueue(queue_id=message.delete_queue.queue_id)
-
-
-def queue_result_message(result: QueueSuccess) -> pb.DirectoryResult:
-    """A result as it travels."""
-    record = queue_record(result.queue)
-    match result:
-        case QueueOpened(host=host, created=created):
-            opened = pb.QueueOpenedResult(queue=record, host=host_entry(host), created=created)
-            return pb.DirectoryResult(queue_opened=opened)
-        case QueueUpdated():
-            return pb.DirectoryResult(queue_updated=pb.QueueUpdatedResult(queue=record))
-        case QueueDeleted():
-            return pb.DirectoryResult(queue_deleted=pb.QueueDeletedResult(queue=record))
-
-
-def read_queue_result(message: pb.DirectoryResult) -> QueueSuccess:
-    """Of a result whose outcome is one of QUEUE_OUTCOMES."""
-    match message.WhichOneof("outcome"):
-        case "queue_opened":
-            opened = message.queue_opened
-            return QueueOpened(queue=queue_from(opened.queue), host=host_from(opened.host), created=opened.created)
-        case "queue_updated":
-            return QueueUpdated(queue=queue_from(message.queue_updated.queue))
-        case "queue_deleted":
-            return QueueDeleted(queue=queue_from(message.queue_deleted.queue))
-        case other:
-            raise StampedeError(f"{other} is no result of a queue; report this")

@@ -12,65 +12,18 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 from stampede_rt.errors import StampedeError, error_for
-from stampede_rt_supernode.core.channels.commands import (
-    ChannelDeleted,
-    ChannelOpened,
-    ChannelUpdated,
-    DeleteChannel,
-    OpenChannel,
-    UpdateChannel,
-)
-from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
-from stampede_rt_supernode.core.groups.commands import (
-    DeleteGroup,
-    GroupDeleted,
-    GroupOpened,
-    GroupUpdated,
-    OpenGroup,
-    UpdateGroup,
-)
-from stampede_rt_supernode.core.hosts.commands import (
-    DeregisterHost,
-    ExpireHost,
-    HostDeregistered,
-    HostExpired,
-    HostRegistered,
-    RegisterHost,
-)
-from stampede_rt_supernode.core.peers.commands import (
-    DeregisterPeer,
-    ExpirePeers,
-    PeerDeregistered,
-    PeerRegistered,
-    PeersExpired,
-    RegisterPeer,
-)
-from stampede_rt_supernode.core.queues.commands import (
-    DeleteQueue,
-    OpenQueue,
-    QueueDeleted,
-    QueueOpened,
-    QueueUpdated,
-    UpdateQueue,
-)
-from stampede_rt_supernode.core.replicas.commands import (
-    AddReplica,
-    RemoveReplica,
-    ReplicaAdded,
-    ReplicaInSyncSet,
-    ReplicaRemoved,
-    SetReplicaInSync,
-)
 
-ChannelOperation: TypeAlias = OpenChannel | UpdateChannel | DeleteChannel
-HostOperation: TypeAlias = RegisterHost | DeregisterHost | ExpireHost | BeginTenure | MarkTime
-GroupOperation: TypeAlias = OpenGroup | UpdateGroup | DeleteGroup
-ReplicaOperation: TypeAlias = AddReplica | RemoveReplica | SetReplicaInSync
-QueueOperation: TypeAlias = OpenQueue | UpdateQueue | DeleteQueue
-PeerOperation: TypeAlias = RegisterPeer | DeregisterPeer | ExpirePeers
-Operation: TypeAlias = (
-    ChannelOperation | HostOperation | GroupOperation | ReplicaOperation | QueueOperation | PeerOperation
-)
+
+class Operation:
+    """Base of all that can be done to the directory. Each one has a row in `command_table`."""
+
+    __slots__ = ()
+
+
+class Success:
+    """Base of all that comes of an operation that was done."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,30 +37,6 @@ class Command:
     time_unix_nano: int
     operation: Operation
     as_of_index: int = 0
-
-
-def subject_of(operation: Operation) -> str:
-    """What an operation is about, kind and thing: an operation id that comes back with another subject is a mistake."""
-    kind = type(operation).__name__
-    match operation:
-        case OpenChannel(name=name) | OpenGroup(name=name) | OpenQueue(name=name):
-            return f"{kind} {name}"
-        case UpdateChannel(channel_id=thing) | DeleteChannel(channel_id=thing):
-            return f"{kind} {thing.hex()}"
-        case RegisterHost(host_id=thing) | DeregisterHost(host_id=thing) | ExpireHost(host_id=thing):
-            return f"{kind} {thing.hex()}"
-        case BeginTenure(tenure=tenure) | MarkTime(tenure=tenure):
-            return f"{kind} {tenure}"
-        case UpdateGroup(group_id=thing) | DeleteGroup(group_id=thing):
-            return f"{kind} {thing.hex()}"
-        case AddReplica() | RemoveReplica() | SetReplicaInSync():
-            return f"{kind} {operation.channel_id.hex()} {operation.host_id.hex()}"
-        case UpdateQueue(queue_id=thing) | DeleteQueue(queue_id=thing):
-            return f"{kind} {thing.hex()}"
-        case RegisterPeer(peer_id=thing) | DeregisterPeer(peer_id=thing):
-            return f"{kind} {thing.hex()}"
-        case ExpirePeers(leases=leases, tenure=tenure):
-            return f"{kind} {tenure} {len(leases)}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -128,22 +57,4 @@ class Refused:
         return error_for(self.reason, self.message, self.metadata)
 
 
-GroupSuccess: TypeAlias = GroupOpened | GroupUpdated | GroupDeleted
-ReplicaSuccess: TypeAlias = ReplicaAdded | ReplicaRemoved | ReplicaInSyncSet
-QueueSuccess: TypeAlias = QueueOpened | QueueUpdated | QueueDeleted
-PeerSuccess: TypeAlias = PeerRegistered | PeerDeregistered | PeersExpired
-Success: TypeAlias = (
-    ChannelOpened
-    | ChannelUpdated
-    | ChannelDeleted
-    | HostRegistered
-    | HostDeregistered
-    | HostExpired
-    | TenureBegun
-    | TimeMarked
-    | GroupSuccess
-    | ReplicaSuccess
-    | QueueSuccess
-    | PeerSuccess
-)
 Result: TypeAlias = Refused | Success

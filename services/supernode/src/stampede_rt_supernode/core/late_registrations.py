@@ -6,19 +6,23 @@ take the name, or the lease, from the one that lives and give it to one that doe
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.records import Host, Peer
-from stampede_rt_supernode.core.tables import Tables
 
 
-def check_in_time(tables: Tables, operation: RegisterHost | RegisterPeer, as_of_index: int) -> None:
+def check_in_time(
+    operation: RegisterHost | RegisterPeer, places: Iterable[Host | Peer | None], as_of_index: int
+) -> None:
     """Raises Unavailable with reason AMBIGUOUS if another start of the process has registered since this was asked for.
 
-    `as_of_index`: how far the state reached when the request came, 0 if that is not told.
+    `places`: whose place it would take. `as_of_index`: how far the state reached when the request came, 0 if that is
+    not told.
     """
-    for before in _places(tables, operation):
+    for before in places:
         if before is None or before.boot_incarnation == operation.boot_incarnation:
             continue
         if 0 < as_of_index < before.registered_index:
@@ -27,13 +31,3 @@ def check_in_time(tables: Tables, operation: RegisterHost | RegisterPeer, as_of_
                 "if this process is the newer one, send the request again",
                 reason="AMBIGUOUS",
             )
-
-
-def _places(tables: Tables, operation: RegisterHost | RegisterPeer) -> list[Host | None] | list[Peer | None]:
-    """Whose place it would take."""
-    if isinstance(operation, RegisterHost):
-        return [tables.hosts.get(operation.host_id)]
-    return [
-        tables.peers.by_id.get(operation.peer_id),
-        tables.peers.live_named(operation.name) if operation.name else None,
-    ]

@@ -13,7 +13,8 @@ from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_supernode.core import commands
 from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
-from stampede_rt_supernode.core.directory import Directory, check_operation
+from stampede_rt_supernode.core.command_table import check_operation
+from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission

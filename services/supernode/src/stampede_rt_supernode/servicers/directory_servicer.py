@@ -31,7 +31,7 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.transitions import open_unchanged
-from stampede_rt_supernode.core.commands import subject_of
+from stampede_rt_supernode.core.command_table import subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name

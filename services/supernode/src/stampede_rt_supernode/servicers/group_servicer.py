@@ -12,8 +12,8 @@ from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_fr
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core import page_tokens
-from stampede_rt_supernode.core.commands import subject_of
-from stampede_rt_supernode.core.directory import Directory, check_operation
+from stampede_rt_supernode.core.command_table import check_operation, subject_of
+from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,

@@ -11,7 +11,7 @@ from stampede_rt.v1 import queue_directory_service_pb2_grpc
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
 from stampede_rt_supernode.core import page_tokens
-from stampede_rt_supernode.core.commands import subject_of
+from stampede_rt_supernode.core.command_table import subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import mailbox_of, queue_by_id, queue_by_name
 from stampede_rt_supernode.core.queues.commands import (

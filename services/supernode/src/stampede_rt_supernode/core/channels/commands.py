@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stampede_rt.values.model import Policy
+from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Channel, Host
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpenChannel:
+class OpenChannel(Operation):
     """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
 
     name: str
@@ -21,7 +22,7 @@ class OpenChannel:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class UpdateChannel:
+class UpdateChannel(Operation):
     """Change the stated fields of a channel's set-up."""
 
     channel_id: bytes
@@ -30,14 +31,14 @@ class UpdateChannel:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DeleteChannel:
+class DeleteChannel(Operation):
     """Forget a channel."""
 
     channel_id: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelOpened:
+class ChannelOpened(Success):
     """The channel and its owner; `created` by this very command."""
 
     channel: Channel
@@ -46,14 +47,14 @@ class ChannelOpened:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelUpdated:
+class ChannelUpdated(Success):
     """The channel after the change."""
 
     channel: Channel
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ChannelDeleted:
+class ChannelDeleted(Success):
     """The channel as it was last."""
 
     channel: Channel

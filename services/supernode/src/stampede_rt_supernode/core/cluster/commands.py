@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stampede_rt_supernode.core.commands import Operation, Success
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class BeginTenure:
+class BeginTenure(Operation):
     """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
 
     `founded_anew`: by restoring, so that the id is to replace that of the former cluster; `takes_over`: whose hosts may
@@ -22,7 +24,7 @@ class BeginTenure:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MarkTime:
+class MarkTime(Operation):
     """Some time has passed since the last mark, says the leader of `tenure`, which was at `after_index`; see
     `answered`."""
 
@@ -31,7 +33,7 @@ class MarkTime:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TenureBegun:
+class TenureBegun(Success):
     """The tenure now in force, and the cluster's id."""
 
     tenure: int
@@ -39,7 +41,7 @@ class TenureBegun:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TimeMarked:
+class TimeMarked(Success):
     """Whether the mark counts; False: another leader's, or a repeated one."""
 
     marked: bool

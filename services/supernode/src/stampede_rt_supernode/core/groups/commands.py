@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Group, GroupSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpenGroup:
+class OpenGroup(Operation):
     """Get or create a group; `spec` None takes it as it is. The new ones are used if it is made."""
 
     name: str
@@ -19,7 +20,7 @@ class OpenGroup:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class UpdateGroup:
+class UpdateGroup(Operation):
     """Change the members of a group; `spec_version` None: whatever it is."""
 
     group_id: bytes
@@ -29,14 +30,14 @@ class UpdateGroup:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DeleteGroup:
+class DeleteGroup(Operation):
     """Forget a group."""
 
     group_id: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GroupOpened:
+class GroupOpened(Success):
     """The group; `created` by this very command."""
 
     group: Group
@@ -44,12 +45,12 @@ class GroupOpened:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GroupUpdated:
+class GroupUpdated(Success):
     """The group after the change."""
 
     group: Group
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GroupDeleted:
+class GroupDeleted(Success):
     """The group is forgotten."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Endpoint, Host
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RegisterHost:
+class RegisterHost(Operation):
     """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one."""
 
     host_id: bytes
@@ -20,7 +21,7 @@ class RegisterHost:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DeregisterHost:
+class DeregisterHost(Operation):
     """A host leaves of its own accord."""
 
     host_id: bytes
@@ -28,7 +29,7 @@ class DeregisterHost:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ExpireHost:
+class ExpireHost(Operation):
     """The lease of one registration has ended, says the leader of `tenure`."""
 
     host_id: bytes
@@ -38,7 +39,7 @@ class ExpireHost:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HostRegistered:
+class HostRegistered(Success):
     """The host is in."""
 
     host: Host
@@ -46,12 +47,12 @@ class HostRegistered:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HostDeregistered:
+class HostDeregistered(Success):
     """The host has left."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class HostExpired:
+class HostExpired(Success):
     """Whether the command ended a lease; False: it came too late and changed nothing."""
 
     expired: bool

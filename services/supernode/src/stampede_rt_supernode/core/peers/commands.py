@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Host, Peer, Queue, QueueSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RegisterPeer:
+class RegisterPeer(Operation):
     """A peer enters. `proof_sha256` empty: it gave no proof; `mailbox` None: it states nothing of it. The new ones are
     used if a mailbox is made or placed anew."""
 
@@ -28,7 +29,7 @@ class RegisterPeer:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DeregisterPeer:
+class DeregisterPeer(Operation):
     """A peer leaves of its own accord."""
 
     peer_id: bytes
@@ -45,7 +46,7 @@ class PeerLease:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ExpirePeers:
+class ExpirePeers(Operation):
     """These leases have ended, says the leader of `tenure`."""
 
     leases: tuple[PeerLease, ...]
@@ -53,7 +54,7 @@ class ExpirePeers:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerRegistered:
+class PeerRegistered(Success):
     """The peer is in. `mailbox` and its host are None if it has no name; `mailbox_kept`: with what it held before."""
 
     peer: Peer
@@ -64,12 +65,12 @@ class PeerRegistered:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeerDeregistered:
+class PeerDeregistered(Success):
     """The peer has left."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PeersExpired:
+class PeersExpired(Success):
     """How many leases the command ended; the others had come to an end, or to life, before."""
 
     expired: int

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Host, Queue, QueueSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpenQueue:
+class OpenQueue(Operation):
     """Get or create a queue; the new ones are used if it is made or placed anew."""
 
     name: str
@@ -20,7 +21,7 @@ class OpenQueue:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class UpdateQueue:
+class UpdateQueue(Operation):
     """Change the stated fields of a queue's set-up."""
 
     queue_id: bytes
@@ -29,14 +30,14 @@ class UpdateQueue:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DeleteQueue:
+class DeleteQueue(Operation):
     """Forget a queue."""
 
     queue_id: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class QueueOpened:
+class QueueOpened(Success):
     """The queue and its owner; `created` by this very command."""
 
     queue: Queue
@@ -45,14 +46,14 @@ class QueueOpened:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class QueueUpdated:
+class QueueUpdated(Success):
     """The queue after the change."""
 
     queue: Queue
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class QueueDeleted:
+class QueueDeleted(Success):
     """The queue as it was last."""
 
     queue: Queue

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stampede_rt_supernode.core.commands import Operation, Success
 from stampede_rt_supernode.core.records import Host, Replica, ReplicaKind
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AddReplica:
+class AddReplica(Operation):
     """Put a copy at a host. `host_id` empty: the directory chooses; `source_host_id` empty: the owner feeds it."""
 
     channel_id: bytes
@@ -21,7 +22,7 @@ class AddReplica:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RemoveReplica:
+class RemoveReplica(Operation):
     """Take a copy away."""
 
     channel_id: bytes
@@ -29,7 +30,7 @@ class RemoveReplica:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SetReplicaInSync:
+class SetReplicaInSync(Operation):
     """The owner of `epoch` says whether the warm replica of that host and boot is in sync."""
 
     channel_id: bytes
@@ -40,7 +41,7 @@ class SetReplicaInSync:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReplicaAdded:
+class ReplicaAdded(Success):
     """The copy, and the host that is to hold it."""
 
     replica: Replica
@@ -48,12 +49,12 @@ class ReplicaAdded:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReplicaRemoved:
+class ReplicaRemoved(Success):
     """The copy is gone."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ReplicaInSyncSet:
+class ReplicaInSyncSet(Success):
     """The copy after the change."""
 
     replica: Replica

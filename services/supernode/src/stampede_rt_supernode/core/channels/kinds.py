@@ -1,0 +1,61 @@
+"""The rows of channels in the command table. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt_supernode.core import late_opens
+from stampede_rt_supernode.core.channels.commands import (
+    ChannelDeleted,
+    ChannelOpened,
+    ChannelUpdated,
+    DeleteChannel,
+    OpenChannel,
+    UpdateChannel,
+)
+from stampede_rt_supernode.core.channels.transitions import (
+    check_open,
+    check_update,
+    delete_channel,
+    open_channel,
+    update_channel,
+)
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.state import DirectoryState
+from stampede_rt_supernode.core.validation import check_id
+
+
+def _check_open_in_time(state: DirectoryState, operation: OpenChannel, as_of_index: int) -> None:
+    if state.tables.channel_named(operation.name) is None:
+        late_opens.check_in_time(
+            state.answered,
+            ("channel", operation.name),
+            as_of_index,
+            lambda done: isinstance(done, ChannelDeleted) and done.channel.name == operation.name,
+        )
+
+
+KINDS: tuple[CommandKind[Any, Any], ...] = (
+    CommandKind(
+        operation=OpenChannel,
+        result=ChannelOpened,
+        subject=lambda one: one.name,
+        check=check_open,
+        check_in_time=_check_open_in_time,
+        apply=on_tables(open_channel),
+    ),
+    CommandKind(
+        operation=UpdateChannel,
+        result=ChannelUpdated,
+        subject=lambda one: one.channel_id.hex(),
+        check=check_update,
+        apply=on_tables(update_channel),
+    ),
+    CommandKind(
+        operation=DeleteChannel,
+        result=ChannelDeleted,
+        subject=lambda one: one.channel_id.hex(),
+        check=lambda one: check_id(one.channel_id, "channel_id"),
+        apply=on_tables(delete_channel),
+    ),
+)

@@ -1,0 +1,27 @@
+"""What a leader's coming, and the time that it measures, do to the state. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.state import DirectoryState
+
+FORMER_MAX = 16
+
+
+def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
+    """A leader's first entry; one of a leader that was already replaced is without effect."""
+    state.tenure = max(state.tenure, operation.tenure)
+    if operation.founded_anew or not state.cluster_id:
+        if state.cluster_id and operation.takes_over and state.cluster_id != operation.new_cluster_id:
+            state.former_cluster_ids = (*state.former_cluster_ids, state.cluster_id)[-FORMER_MAX:]
+        state.cluster_id = operation.new_cluster_id
+    state.lease_ttl_nanos = state.lease_ttl_nanos or operation.new_lease_ttl_nanos
+    return TenureBegun(tenure=state.tenure, cluster_id=state.cluster_id)
+
+
+def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -> TimeMarked:
+    """It counts if the leader in force says it, and has seen the last mark."""
+    marked = operation.tenure == state.tenure and operation.after_index == state.answered.last_mark
+    if marked:
+        state.answered.mark(state.applied_index)
+    return TimeMarked(marked=marked)

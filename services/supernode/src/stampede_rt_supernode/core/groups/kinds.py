@@ -1,0 +1,62 @@
+"""The rows of groups in the command table. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt_supernode.core import late_opens
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.groups.commands import (
+    DeleteGroup,
+    GroupDeleted,
+    GroupOpened,
+    GroupUpdated,
+    OpenGroup,
+    UpdateGroup,
+)
+from stampede_rt_supernode.core.groups.transitions import (
+    check_open_group,
+    check_update_group,
+    delete_group,
+    open_group,
+    update_group,
+)
+from stampede_rt_supernode.core.state import DirectoryState
+from stampede_rt_supernode.core.validation import check_id
+
+
+def _check_open_in_time(state: DirectoryState, operation: OpenGroup, as_of_index: int) -> None:
+    if state.tables.groups.named(operation.name) is None:
+        late_opens.check_in_time(
+            state.answered,
+            ("group", operation.name),
+            as_of_index,
+            lambda done: isinstance(done, (GroupDeleted, ChannelDeleted)),  # the answer does not say of which group
+        )
+
+
+KINDS: tuple[CommandKind[Any, Any], ...] = (
+    CommandKind(
+        operation=OpenGroup,
+        result=GroupOpened,
+        subject=lambda one: one.name,
+        check=check_open_group,
+        check_in_time=_check_open_in_time,
+        apply=on_tables(open_group),
+    ),
+    CommandKind(
+        operation=UpdateGroup,
+        result=GroupUpdated,
+        subject=lambda one: one.group_id.hex(),
+        check=check_update_group,
+        apply=on_tables(update_group),
+    ),
+    CommandKind(
+        operation=DeleteGroup,
+        result=GroupDeleted,
+        subject=lambda one: one.group_id.hex(),
+        check=lambda one: check_id(one.group_id, "group_id"),
+        apply=on_tables(delete_group),
+    ),
+)

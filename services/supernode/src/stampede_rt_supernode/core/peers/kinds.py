@@ -1,0 +1,66 @@
+"""The rows of peers in the command table. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt_supernode.core import late_registrations
+from stampede_rt_supernode.core.command_kinds import CommandKind
+from stampede_rt_supernode.core.peers.checks import check_register_peer
+from stampede_rt_supernode.core.peers.commands import (
+    DeregisterPeer,
+    ExpirePeers,
+    PeerDeregistered,
+    PeerRegistered,
+    PeersExpired,
+    RegisterPeer,
+)
+from stampede_rt_supernode.core.peers.transitions import deregister_peer, expire_peers, register_peer
+from stampede_rt_supernode.core.state import DirectoryState
+from stampede_rt_supernode.core.validation import check_id
+
+
+def _check_register_in_time(state: DirectoryState, operation: RegisterPeer, as_of_index: int) -> None:
+    peers = state.tables.peers
+    named = peers.live_named(operation.name) if operation.name else None
+    late_registrations.check_in_time(operation, [peers.by_id.get(operation.peer_id), named], as_of_index)
+
+
+def _register(state: DirectoryState, operation: RegisterPeer, time_unix_nano: int) -> PeerRegistered:
+    state.check_founded()
+    return register_peer(state.tables, operation, time_unix_nano, state.cluster_id)
+
+
+def _deregister(state: DirectoryState, operation: DeregisterPeer, time_unix_nano: int) -> PeerDeregistered:
+    deregister_peer(state.tables, operation)
+    return PeerDeregistered()
+
+
+def _expire(state: DirectoryState, operation: ExpirePeers, time_unix_nano: int) -> PeersExpired:
+    return PeersExpired(expired=expire_peers(state.tables, operation, state.tenure))
+
+
+KINDS: tuple[CommandKind[Any, Any], ...] = (
+    CommandKind(
+        operation=RegisterPeer,
+        result=PeerRegistered,
+        subject=lambda one: one.peer_id.hex(),
+        check=check_register_peer,
+        check_in_time=_check_register_in_time,
+        apply=_register,
+    ),
+    CommandKind(
+        operation=DeregisterPeer,
+        result=PeerDeregistered,
+        subject=lambda one: one.peer_id.hex(),
+        check=lambda one: check_id(one.peer_id, "peer_id"),
+        apply=_deregister,
+    ),
+    CommandKind(
+        operation=ExpirePeers,
+        result=PeersExpired,
+        subject=lambda one: f"{one.tenure} {len(one.leases)}",
+        apply=_expire,
+        needs_room=False,
+    ),
+)

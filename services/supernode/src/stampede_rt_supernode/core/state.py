@@ -1,0 +1,58 @@
+"""The state that the supernodes agree on. Pure: it changes by the commands of the log alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_supernode.core.answered import Answer, Answered
+from stampede_rt_supernode.core.records import Channel, Group, Host, Peer, Queue, Replica
+from stampede_rt_supernode.core.tables import Tables
+
+DIGEST_BYTES = 16
+
+
+class DirectoryState:
+    """The tables, and what concerns the cluster as a whole. `tenure` never falls. The first tenure sets the cluster's
+    id and the TTL of its leases (0 until then) for good: a host and every later leader must mean the same by a lease.
+    """
+
+    def __init__(
+        self,
+        *,
+        index: int = 0,
+        tenure: int = 0,
+        cluster_id: str = "",
+        lease_ttl_nanos: int = 0,
+        hosts: Iterable[Host] = (),
+        channels: Iterable[Channel] = (),
+        groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
+        replicas: Iterable[Replica] = (),
+        queues: Iterable[Queue] = (),
+        peers: Iterable[Peer] = (),
+        answers: Iterable[Answer] = (),
+        time_marks: Iterable[int] = (),
+        former_cluster_ids: Iterable[str] = (),
+        digest: bytes = b"",
+    ) -> None:
+        self.tenure = tenure
+        self.cluster_id = cluster_id
+        self.lease_ttl_nanos = lease_ttl_nanos
+        # Of everything that was done: replicas that differ in it differ in their states. Empty: not known, as after a
+        # snapshot without one.
+        self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
+        # The clusters whose place this one has taken.
+        self.former_cluster_ids = tuple(former_cluster_ids)
+        self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
+        self.answered = Answered(answers, time_marks)
+
+    @property
+    def applied_index(self) -> int:
+        """The last log position applied."""
+        return self.tables.index
+
+    def check_founded(self) -> None:
+        """Raises Unavailable with reason NO_QUORUM before the first tenure."""
+        if not self.tenure:
+            text = "the cluster is just being founded, and no leader grants leases yet; try again in a moment"
+            raise Unavailable(text, reason="NO_QUORUM")
