@@ -19,6 +19,7 @@ from stampede_rt.v1 import directory_service_pb2_grpc, membership_service_pb2_gr
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
@@ -57,7 +58,7 @@ async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
     gc.disable()
     credentials = settings.load_credentials(Role.SUPERNODE)
-    server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
+    server = ServiceServer(secret=credentials.secret, tls=credentials.tls, limits=CONTROL_LIMITS)
     # Bound before anything else: the log must know the address, and others hear of it.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
