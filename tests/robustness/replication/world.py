@@ -405,14 +405,21 @@ class World:
         sender.deliver(MembersTold(ends[1], receiver.roster.members))
         if ends[0] not in receiver.roster.peers:
             settings = self.members[ends[0]].settings
-            hello = introduction(settings, ends[1], store_id="", standing=sender.standing, roster=sender.roster)
+            hello = introduction(
+                settings,
+                ends[1],
+                store_id="",
+                standing=sender.standing,
+                roster=sender.roster,
+                highest_level=sender.highest_level,
+            )
             if (met := newly_met(hello, self.members[ends[1]].settings)) is not None:
                 receiver.deliver(Introduced(met.member_id, met))
             self._plan_connect(ends)
             return
         wire.up = True
         sender.deliver(Connected(ends[1]))
-        receiver.deliver(StreamOpened(ends[0]))
+        receiver.deliver(StreamOpened(ends[0], sender.highest_level))
 
     def _refuse(self, member: SimMember) -> None:
         """Its store lacks what it has promised: it ends, for good."""

@@ -68,7 +68,14 @@ class PySyncObjLog:
         self._servicer.add_to_server(server)
 
         def introduce(to: str) -> RaftHello:
-            return introduction(settings, to, store_id=stores.own, standing=replica.standing, roster=replica.roster)
+            return introduction(
+                settings,
+                to,
+                store_id=stores.own,
+                standing=replica.standing,
+                roster=replica.roster,
+                highest_level=replica.highest_level,
+            )
 
         self._links.on_store_refused = stores.refuse_own
         self._links.start(replica.deliver, replica.roster.peers, introduce)
@@ -110,7 +117,7 @@ class PySyncObjLog:
             # What the last step saw is long past: whoever led then has been replaced, as others tell.
             status = replace(status, leader_id=None, is_leader=False, tenure=0)
         refused = self._servicer.refused() if self._servicer is not None else {}
-        if not (links.is_refused or links.other_cluster or refused):
+        if not (links.is_refused or links.other_cluster or links.too_old or refused):
             return status
         return replace(
             status,
@@ -118,6 +125,7 @@ class PySyncObjLog:
             has_lost_store=links.has_lost_store,
             has_old_store=links.has_old_store,
             other_cluster=links.other_cluster,
+            too_old=links.too_old,
             refused=refused,
         )
 

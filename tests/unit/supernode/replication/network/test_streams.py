@@ -34,7 +34,7 @@ def settings_of(member: Member, **more: Any) -> ReplicationSettings:
 
 
 def hello_to(to: str, settings: ReplicationSettings) -> pb.RaftHello:
-    return introduction(settings, to, store_id="", standing=(0, 0), roster=ROSTER)
+    return introduction(settings, to, store_id="", standing=(0, 0), roster=ROSTER, highest_level=1)
 
 
 def timeout_now(term: int) -> pb.RaftMessage:
@@ -46,6 +46,7 @@ class Inbox:
     """Stands for a replica: keeps what it is told."""
 
     roster = ROSTER
+    feature_level = 1
 
     def __init__(self) -> None:
         self.events: list[NetworkEvent] = []

@@ -22,7 +22,9 @@ from stampede_rt_supernode.replication.network.greetings import (
     OLDER_STORE,
     OTHER_CLUSTER,
     REMOVED,
+    TOO_OLD,
     UNKNOWN,
+    other_protocol,
 )
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import Roster
@@ -141,7 +143,7 @@ class Link:
         if answer is grpc.aio.EOF:
             raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
         if answer.protocol_version != PROTOCOL_VERSION:
-            raise LinkBroken(f"speaks protocol {answer.protocol_version}, this member {PROTOCOL_VERSION}")
+            raise LinkBroken(other_protocol(self._settings.self_member.member_id, answer.protocol_version))
         self._told = ()
         self._take_members(answer)
         if answer.unknown_caller:
@@ -252,6 +254,8 @@ class Links:
         self.removed = self.has_lost_store = self.has_old_store = False
         # What a member has said that is of another cluster; empty if none has.
         self.other_cluster = ""
+        # What a member has said of this one's release, which does not know the cluster's feature level.
+        self.too_old = ""
         # Told once why others do not take this member's store; blocks for one small file.
         self.on_store_refused: Callable[[str], None] = lambda why: None
 
@@ -293,6 +297,8 @@ class Links:
     def _on_refused(self, why: str) -> None:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
+        if TOO_OLD in why:
+            self.too_old = why.partition(TOO_OLD)[2].removeprefix(": ")
         was_refused = self.is_refused
         self.removed = self.removed or REMOVED in why
         self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why

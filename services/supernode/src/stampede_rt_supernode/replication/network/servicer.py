@@ -61,11 +61,12 @@ class RaftServicer:
 
     async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
         """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
-        member_id = await self._welcome(context)
+        hello = await self._welcome(context)
+        member_id = hello.member_id
         replaced = self._readers.pop(member_id, None)
         if replaced is not None:
             replaced.cancel()
-        self._replica.deliver(StreamOpened(member_id))
+        self._replica.deliver(StreamOpened(member_id, hello.highest_feature_level))
         reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
         self._readers[member_id] = reader
         try:
@@ -88,7 +89,7 @@ class RaftServicer:
         for reader in self._readers.values():
             reader.cancel()
 
-    async def _welcome(self, context: Any) -> str:
+    async def _welcome(self, context: Any) -> pb.RaftHello:
         try:
             async with asyncio.timeout(HELLO_SECONDS):
                 request = await context.read()
@@ -100,7 +101,8 @@ class RaftServicer:
         # Before anything is heard of this member, and so before anything rests on what it says.
         await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id)
         await context.write(self._greeting(knows_caller=True))
-        return str(request.hello.member_id)
+        hello: pb.RaftHello = request.hello
+        return hello
 
     def _greeting(self, *, knows_caller: bool) -> pb.RaftServiceExchangeResponse:
         return pb.RaftServiceExchangeResponse(
@@ -118,7 +120,14 @@ class RaftServicer:
                 grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} bears the certificate of {caller}"
             )
         roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
-        refusal = refusal_of(hello, self._settings, roster=roster, stores=self._stores, promise=promise)
+        refusal = refusal_of(
+            hello,
+            self._settings,
+            roster=roster,
+            stores=self._stores,
+            promise=promise,
+            feature_level=self._replica.feature_level,
+        )
         self._note_outcome(hello, refusal)
         if refusal is None:
             return

@@ -159,6 +159,16 @@ class Membership(NodeState):
         """
         return self.can_confirm_reads() and self.log.configurations.current_index <= self.commit_index
 
+    def known_levels(self) -> dict[str, int]:
+        """The highest feature level of each member that has told one, and of this one."""
+        return {**self.mailroom.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
+
+    def level_to_join(self) -> int:
+        """The level that a newcomer's release must know: the cluster's, or the one to which it is about to rise."""
+        known = self.known_levels()
+        told = [known.get(member.member_id, 0) for member in self.configuration().members]
+        return max(self.state_machine.feature_level, min(told))
+
     def configuration(self) -> Configuration:
         """The one that holds."""
         return self.log.configurations.current
