@@ -89,7 +89,7 @@ MUTANTS = (
         file=f"{REPLICATION}/rules/leading.py",
         edits=(
             (
-                'if message["term"] != self.term or not self.is_leader:',
+                "if message.term != self.term or not self.is_leader:",
                 "if not self.is_leader:",
             ),
         ),
@@ -100,8 +100,8 @@ MUTANTS = (
         file=f"{REPLICATION}/rules/following.py",
         edits=(
             (
-                'self.raise_commit_index(min(message["commit_index"], matched))',
-                'self.raise_commit_index(min(message["commit_index"], self.log.last_index))',
+                "self.raise_commit_index(min(message.commit_index, matched))",
+                "self.raise_commit_index(min(message.commit_index, self.log.last_index))",
             ),
         ),
         noticed_by="log",

@@ -19,7 +19,7 @@ from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.reads import Read
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.store import StoredState
-from stampede_rt_supernode.replication.wire.codec import decode_message
+from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.mailroom import (
     Connected,
     Disconnected,
@@ -30,6 +30,7 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     StreamEnded,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Message
 from tests.robustness.replication.disk import Disk, DiskStore
 from tests.robustness.replication.machine import History, Ignorant, ListMachine, PromiseBroken
 from tests.robustness.replication.raft_rules import Committed, Said, check_match
@@ -330,17 +331,17 @@ class World:
 
     # -- network ---------------------------------------------------------------------------------------------
 
-    def send(self, sender: str, to: str, message: pb.RaftMessage) -> None:
+    def send(self, sender: str, to: str, message: Message) -> None:
         wire = self.wires[sender, to]
         if not wire.up or wire.blocked or self.dice.random() < self.weather.loss:
             return
-        data, generation = message.SerializeToString(), wire.generation
+        data, generation = encode_message(message).SerializeToString(), wire.generation
         arrival = self.now + self.dice.expovariate(1 / self.weather.delay_mean)
         if wire.bytes_per_second < float("inf"):
             arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
         if self.dice.random() < self.weather.unruly:
             arrival += self.dice.random() * self.weather.unruly_seconds
-            if not message.HasField("forwarded_command") and self.dice.random() < 0.5:
+            if not isinstance(message, ForwardedCommand) and self.dice.random() < 0.5:
                 self.at(
                     self.now + 2 * self.dice.random() * self.weather.unruly_seconds,
                     lambda: self._arrive(sender, to, generation, data),

@@ -22,6 +22,7 @@ from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
 from stampede_rt_supernode.replication.wire.codec import encode_message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, NetworkEvent, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 
 SELF, OTHER = (Member(member_id=name, address=f"{name}:1") for name in ("self", "other"))
 ROSTER = Roster((SELF, OTHER), {"other": OTHER}, frozenset())
@@ -39,7 +40,7 @@ def hello_to(to: str, settings: ReplicationSettings) -> pb.RaftHello:
 
 def timeout_now(term: int) -> pb.RaftMessage:
     """A message that can be told from others by its term."""
-    return encode_message({"type": "timeout_now", "term": term})
+    return encode_message(TimeoutNow(term=term))
 
 
 class Inbox:

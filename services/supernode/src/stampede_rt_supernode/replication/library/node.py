@@ -16,9 +16,10 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.library.seams import LibraryLog
+from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.messages import Message
 
 T = TypeVar("T")
 
@@ -191,7 +192,7 @@ class LibraryNode:
 
     def receive(self, node: Any, message: Message) -> None:
         """Handle a member's message."""
-        super()._SyncObj__onMessageReceived(node, message)  # type: ignore[misc]
+        super()._SyncObj__onMessageReceived(node, to_library(message))  # type: ignore[misc]
 
     def set_role(self, role: int) -> None:
         """Become FOLLOWER, CANDIDATE or LEADER."""

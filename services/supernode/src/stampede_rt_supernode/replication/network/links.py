@@ -30,8 +30,9 @@ from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_members
+from stampede_rt_supernode.replication.wire.codec import encode_message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
+from stampede_rt_supernode.replication.wire.records import MalformedMessage, decode_members
 
 logger = logging.getLogger(__name__)
 
@@ -307,8 +308,9 @@ class Links:
             self.on_store_refused(why)
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Queue messages on their links; from the tick thread."""
-        self._bridge.post(lambda: self._enqueue(messages))
+        """Queue messages on their links; from the tick thread, which encodes them."""
+        encoded = [(member_id, encode_message(message)) for member_id, message in messages]
+        self._bridge.post(lambda: self._enqueue(encoded))
 
     def has_room(self, member_id: str) -> bool:
         """Whether little enough waits for this member; from the tick thread."""
@@ -325,7 +327,7 @@ class Links:
             if tasks:
                 _, tasks = await asyncio.wait(tasks, timeout=CANCEL_AGAIN_SECONDS)
 
-    def _enqueue(self, messages: Sequence[Outgoing]) -> None:
+    def _enqueue(self, messages: Sequence[tuple[str, pb.RaftMessage]]) -> None:
         for member_id, message in messages:
             link = self._links.get(member_id)
             if link is not None:  # else the member is gone, and so is its link

@@ -28,8 +28,9 @@ from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import InboxFull, Replica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
-from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_message, encode_members
+from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.mailroom import Introduced, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
 HELLO_SECONDS = 5.0
 # How often a member that sends is told that it is heard.

@@ -15,7 +15,8 @@ from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LEADER
 from stampede_rt_supernode.replication.rules.raft_node import NodeState
-from stampede_rt_supernode.replication.wire.codec import encode_configuration
+from stampede_rt_supernode.replication.wire.messages import TimeoutNow
+from stampede_rt_supernode.replication.wire.records import encode_configuration
 
 TOLD_MEMBERS_MAX = 64
 
@@ -205,4 +206,4 @@ class Membership(NodeState):
     def send_timeout_now(self, member_id: str) -> bool:
         """Ask a member to lead; False when the message cannot leave."""
         node = self.mailroom.node(member_id)
-        return node is not None and self.mailroom.send(node, {"type": "timeout_now", "term": self.term})
+        return node is not None and self.mailroom.send(node, TimeoutNow(term=self.term))

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from stampede_rt_supernode.replication.wire.codec import Message
 from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, ReadIndexRequest
 
 
 @dataclass(slots=True)
@@ -60,6 +60,8 @@ class ConfirmedReads:
         self._clock = clock
         self._retry_seconds = retry_seconds
         self._next_request_id = first_request_id
+        # The newest round. The leader puts it on every append message, and the replies echo it.
+        self.round = 0
         self._new: list[Read] = []
         self._new_requests: list[tuple[Any, int]] = []
         self._rounds: list[_Round] = []
@@ -71,14 +73,16 @@ class ConfirmedReads:
         """Begin a read."""
         self._new.append(read)
 
-    def on_message(self, node: Any, message: Message) -> None:
-        """A member asks for a position, or answers."""
-        if message["type"] == "read_index":
-            self._new_requests.append((node, message["request_id"]))
-        elif self._asked is not None and self._asked.request_id == message["request_id"]:
+    def on_request(self, node: Any, message: ReadIndexRequest) -> None:
+        """A member asks for a position."""
+        self._new_requests.append((node, message.request_id))
+
+    def on_reply(self, message: ReadIndexReply) -> None:
+        """The leader answers."""
+        if self._asked is not None and self._asked.request_id == message.request_id:
             asked, self._asked = self._asked, None
-            if message["read_index"] > 0:
-                self._confirmed.append((message["read_index"], asked.reads))
+            if message.read_index > 0:
+                self._confirmed.append((message.read_index, asked.reads))
             else:
                 self._new.extend(asked.reads)
 
@@ -109,10 +113,8 @@ class ConfirmedReads:
             return False
         if not self._new and not self._new_requests:
             return False
-        self._mailroom.round += 1
-        self._rounds.append(
-            _Round(self._mailroom.round, self._node.commit_index, reads=self._new, requests=self._new_requests)
-        )
+        self.round += 1
+        self._rounds.append(_Round(self.round, self._node.commit_index, reads=self._new, requests=self._new_requests))
         self._new, self._new_requests = [], []
         return True
 
@@ -150,7 +152,7 @@ class ConfirmedReads:
         if not self._mailroom.is_reachable(leader.id):
             return
         self._next_request_id += 1
-        self._mailroom.send(leader, {"type": "read_index", "request_id": self._next_request_id})
+        self._mailroom.send(leader, ReadIndexRequest(request_id=self._next_request_id))
         self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds)
         self._new = []
 
@@ -159,8 +161,7 @@ class ConfirmedReads:
             self._answer(node, request_id, 0)
 
     def _answer(self, node: Any, request_id: int, read_index: int) -> None:
-        reply = {"type": "read_index_response", "request_id": request_id, "read_index": read_index}
-        self._mailroom.send(node, reply)
+        self._mailroom.send(node, ReadIndexReply(request_id=request_id, read_index=read_index))
 
     def _expire(self) -> None:
         now = self._clock()

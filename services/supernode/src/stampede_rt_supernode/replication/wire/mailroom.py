@@ -10,9 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.wire.codec import Message, encode_message
+from stampede_rt_supernode.replication.wire.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +71,7 @@ class Introduced:
 
 
 NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced
-Outgoing = tuple[str, pb.RaftMessage]
+Outgoing = tuple[str, Message]
 
 
 class Handler(Protocol):
@@ -111,8 +110,6 @@ class Mailroom:
         self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
         self._handler: Handler | None = None
-        # Stamped on every append message; the replies echo it (see rules/reads.py).
-        self.round = 0
 
     def attach(self, handler: Handler) -> None:
         """Hand what comes in to this node; once."""
@@ -162,9 +159,7 @@ class Mailroom:
         """Queue a message for the next release; False when the member is not connected. Never blocks."""
         if node.id not in self._connected or node.id not in self._nodes:
             return False
-        if message["type"] == "append_entries":
-            message["round"] = self.round
-        self._outbox.append((node.id, encode_message(message)))
+        self._outbox.append((node.id, message))
         return True
 
     def is_reachable(self, member_id: str) -> bool:
