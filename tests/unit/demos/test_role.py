@@ -5,10 +5,12 @@ import signal
 import subprocess
 import sys
 import textwrap
+from contextlib import AbstractContextManager
 
 import pytest
 
 from stampede_rt_demos.staging.role import EXIT_ORPHANED, RoleSettings
+from tests.support.processes import started
 
 PRELUDE = """
     import signal, sys
@@ -19,15 +21,9 @@ PRELUDE = """
 END_SECONDS = 20
 
 
-def start_role(play: str) -> subprocess.Popen[str]:
+def start_role(play: str) -> AbstractContextManager[subprocess.Popen[str]]:
     source = textwrap.dedent(PRELUDE) + textwrap.dedent(play) + "\nsys.exit(run_role(play))\n"
-    return subprocess.Popen(
-        [sys.executable, "-c", source, "--address", "localhost:1", "--seconds", "4"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return started([sys.executable, "-c", source, "--address", "localhost:1", "--seconds", "4"], stderr=subprocess.PIPE)
 
 
 def read_event(role: subprocess.Popen[str]) -> dict[str, object]:

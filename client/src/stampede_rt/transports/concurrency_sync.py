@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
+END_LIMIT_S = 2.0  # for ending calls and connections
+
 Result = TypeVar("Result")
 _log = logging.getLogger("stampede_rt")
 
@@ -98,6 +100,19 @@ class BackgroundTask:
             return False
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
+
+
+def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> None:
+    """Run what takes locks of gRPC's to end something, and wait `limit_s` at most.
+
+    An exception that a signal's handler raised in gRPC's code may have left such a lock locked for good.
+    """
+    thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
+    try:
+        thread.start()
+    except RuntimeError:  # the interpreter ends, and starts no more threads
+        return
+    thread.join(limit_s)
 
 
 class _Dropped:

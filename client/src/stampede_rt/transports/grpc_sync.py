@@ -18,7 +18,7 @@ from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_sync import when_dropped
+from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SAID_MAX, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
@@ -119,14 +119,17 @@ class ServerEndpoint(Stubs):
         return PutDuplex(self, self._put, on_response, on_end)
 
     def close(self) -> None:
-        """End everything that is under way here."""
+        """End everything that is under way here, within END_LIMIT_S."""
+        within_limit(self._close)
+
+    def _close(self) -> None:
         self._watchdog.close()
         self._channel.close()
         with self._mutex:
             self._closed = True
             exchanges = tuple(self._exchanges)
         for exchange in exchanges:  # gRPC's sending threads wait for requests, closed or not
-            exchange.cancel()
+            exchange.end()
 
     def opened(self, exchange: _Exchange) -> None:
         """End `exchange` with this endpoint, if it is still there then."""
@@ -134,7 +137,7 @@ class ServerEndpoint(Stubs):
             self._exchanges.add(exchange)
             over = self._closed
         if over:  # since its call began
-            exchange.cancel()
+            exchange.end()
 
     def ended(self) -> None:
         """Its threads are daemons, and end by themselves: there is nothing to wait for."""
@@ -188,7 +191,7 @@ class ServerStream(Generic[Response]):
 
     def _end_call(self) -> None:
         if self._forks == forking.forks():  # else it is the parent's, and locked perhaps
-            self._call.cancel()
+            within_limit(self._call.cancel)
 
 
 class BidiStream(ServerStream[Response]):
@@ -228,7 +231,12 @@ class _Exchange:
         return Unavailable(f"{self._target} ended the stream")
 
     def cancel(self) -> None:
-        """Give the stream up."""
+        """Give the stream up, within END_LIMIT_S."""
+        self.broken = True
+        within_limit(self.end)
+
+    def end(self) -> None:
+        """Give the stream up, in a thread that may wait for gRPC's locks."""
         self.broken = True
         if self._forks == forking.forks():
             _give_up(self._requests, self._call)
