@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_local import leash, process
+from stampede_rt_local import parent_watch, process
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
 from tests.support.processes import started
@@ -136,7 +136,7 @@ def test_no_service_outlives_a_parent_that_was_killed() -> None:
         parent.kill()
         parent.wait(READY_SECONDS)
         for handle in handles:  # readable when the process has ended
-            readable, _, _ = select.select([handle], [], [], leash.GRACE_SECONDS + READY_SECONDS)
+            readable, _, _ = select.select([handle], [], [], parent_watch.GRACE_SECONDS + READY_SECONDS)
             os.close(handle)
             assert readable
 

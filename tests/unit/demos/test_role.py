@@ -1,4 +1,4 @@
-"""A role's process: it starts when told, reports what happened, and never outlives the conductor."""
+"""A role's process: it starts when told, reports what happened, and never outlives the orchestrator."""
 
 import json
 import signal
@@ -64,7 +64,7 @@ def play(stage):
     assert (role.returncode, complained) == (1, "")
 
 
-def test_a_defect_ends_with_a_traceback_for_the_conductor_to_quote():
+def test_a_defect_ends_with_a_traceback_for_the_orchestrator_to_quote():
     with start_role("""
 def play(stage):
     return {}["no such key"]
@@ -74,7 +74,7 @@ def play(stage):
     assert complained.rstrip().endswith("KeyError: 'no such key'")
 
 
-def test_a_role_ends_if_the_conductor_goes_before_the_start():
+def test_a_role_ends_if_the_orchestrator_goes_before_the_start():
     with start_role("""
 def play(stage):
     stage.wait_for_start()
@@ -85,7 +85,7 @@ def play(stage):
     assert role.returncode == EXIT_ORPHANED
 
 
-def test_a_role_ends_if_the_conductor_goes_while_it_plays():
+def test_a_role_ends_if_the_orchestrator_goes_while_it_plays():
     with start_role("""
 def play(stage):
     stage.wait_for_start()
@@ -99,7 +99,7 @@ def play(stage):
     assert role.returncode == EXIT_ORPHANED
 
 
-def test_a_role_leaves_ctrl_c_to_the_conductor():
+def test_a_role_leaves_ctrl_c_to_the_orchestrator():
     with start_role("""
 def play(stage):
     stage.wait_for_start()
