@@ -151,14 +151,14 @@ class Alone:
 
 
 def _opening(number: int) -> OpenChannel:
-    rng = random.Random(number)
+    dice = random.Random(number)
     return OpenChannel(
         name=f"many/{number}",
         policy=Policy(),
         create=True,
         host_name="",
-        new_channel_id=rng.randbytes(16),
-        new_incarnation=rng.getrandbits(60),
+        new_channel_id=dice.randbytes(16),
+        new_incarnation=dice.getrandbits(60),
     )
 
 

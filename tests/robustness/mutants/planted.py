@@ -93,7 +93,7 @@ MUTANTS = (
                 "if not self.is_leader:",
             ),
         ),
-        noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
+        noticed_by="log",
     ),
     Mutant(
         name="commit_past_match",
@@ -166,7 +166,7 @@ MUTANTS = (
         name="renew_unconfirmed",
         file=f"{SUPERNODE}/servicers/lease_keeper.py",
         edits=(("        await self._submission.confirm(seconds=seconds)\n        self.check_leads(tenure)\n", ""),),
-        noticed_by="tests/unit/supernode/test_lease_keeping.py",
+        noticed_by="directory",
     ),
     Mutant(
         name="expire_any_tenure",

@@ -60,7 +60,7 @@ class FakeSession:
         self.attached: list[Any] = []
         self.closed = False
         self.detached = asyncio.Event()
-        self.endpoints = self
+        self.ports = self
 
     def to(self, target: str) -> FakeHost:
         return self.host

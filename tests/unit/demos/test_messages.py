@@ -1,12 +1,12 @@
-"""The lines between roles and orchestrator survive the way there, and nonsense is refused."""
+"""The lines between roles and conductor survive the way there, and nonsense is refused."""
 
 import pytest
 
 from stampede_rt_demos.staging import messages
 from stampede_rt_demos.tv_watcher import steps
-from stampede_rt_demos.tv_watcher.statistics import StepFigures
+from stampede_rt_demos.tv_watcher.statistics import Step
 
-STEP = StepFigures(
+STEP = Step(
     time=1,
     end=2,
     text='a caption, "quoted", über zwei\nLines',

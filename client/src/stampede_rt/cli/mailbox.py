@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -117,7 +118,9 @@ def run_send(arguments: argparse.Namespace) -> int:
 
 def run_get(arguments: argparse.Namespace) -> int:
     """Take messages under a name and print them."""
-    with connected(arguments, arguments.name) as rt:
+    from stampede_rt import connect
+
+    with connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=arguments.name) as rt:
         return take(rt.mailbox, arguments)
 
 

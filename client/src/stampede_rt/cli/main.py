@@ -7,25 +7,14 @@ from __future__ import annotations
 
 import sys
 
-from stampede_rt.cli.interrupts import INTERRUPTED, ended_at_once, run_interruptibly
-
-# These stop in ways of their own, and need the main thread for it.
-ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")
+INTERRUPTED = 130
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; the exit status is returned."""
-    words = sys.argv[1:] if argv is None else argv
-
-    def work() -> int:
+    try:
         from stampede_rt.cli.commands import run
 
-        return run(words)
-
-    try:
-        if words and words[0] in ON_THE_MAIN_THREAD:
-            with ended_at_once():
-                return work()
-        return run_interruptibly(work)
+        return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         return INTERRUPTED

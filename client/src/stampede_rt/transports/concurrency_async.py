@@ -1,4 +1,4 @@
-"""The client's tools for asyncio. `concurrency_sync` has the same names for threads."""
+"""What the client needs of asyncio, under names that `concurrency_sync` has, too."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ monotonic_nanos = time.monotonic_ns
 
 
 class Mutex:
-    """Guards short sections that do not wait. Tasks of one loop need no lock for that."""
+    """Guards short sections without waiting inside. Tasks of one loop need no lock for that."""
 
     def __enter__(self) -> None:
         return None
@@ -37,7 +37,7 @@ class Mutex:
 
 
 class Signal:
-    """A flag that callers can wait for. A woken caller looks again at the state that it waits for."""
+    """Something happened; whoever waits looks again."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
@@ -66,15 +66,12 @@ async def sleep(delay_s: float) -> None:
 
 
 async def in_thread(operation: Callable[[], Result]) -> Result:
-    """Run a blocking operation on a worker thread and return its result."""
+    """The result of an operation that blocks."""
     return await asyncio.to_thread(operation)
 
 
-async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:
-    """Run all operations at the same time and return their results. Raises the first failure.
-
-    The blocking counterpart runs them one after the other; `run_concurrently` is concurrent in both clients.
-    """
+async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:
+    """The results of all operations, which run at the same time; raises what the first one to fail met."""
     tasks = [asyncio.ensure_future(operation()) for operation in operations]
     try:
         return await asyncio.gather(*tasks)
@@ -83,18 +80,18 @@ async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list
             task.cancel()
 
 
-run_concurrently = run_all
+at_once = together
 
 
-class KeyedLock:
-    """One lock for each key. Callers that look for the same thing take turns, so that the first answer serves all."""
+class Turns:
+    """Those who look for the same thing go one after the other, so that what the first one finds serves all."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
 
     @asynccontextmanager
-    async def hold(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
-        """Hold the lock of `key`. After `timeout_s` the caller goes on without it."""
+    async def of(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
+        """One's own turn, or after `timeout_s` beside the one whose turn it is."""
         lock, held = self._locks.setdefault(key, asyncio.Lock()), True
         try:
             async with asyncio.timeout(timeout_s):
@@ -108,22 +105,22 @@ class KeyedLock:
                 lock.release()
 
 
-def live_thread_ids() -> frozenset[int]:
-    """The values of `thread_id` whose callers can still call."""
+def callers() -> frozenset[int]:
+    """What `thread_id` gives to those who can still call."""
     return _CALLERS
 
 
 def thread_id() -> int:
-    """The key of a caller's own connections: always 0, since all tasks share those of the loop."""
+    """What tells callers with connections of their own apart: nothing, since all tasks share the loop's."""
     return 0
 
 
-def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
-    """Run `operation` now in the blocking client. Here the first await of the handle runs it."""
+def begin_now(operation: Callable[[], Awaitable[None]]) -> None:
+    """Do at once what needs no awaiting: on asyncio nothing, the first await does it."""
 
 
-class BackgroundTask:
-    """Work of the library beside the caller's: a task. It must handle its errors itself."""
+class Background:
+    """Work of the library's own beside the caller's: a task. It must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
         self._task = asyncio.ensure_future(operation())
@@ -133,7 +130,7 @@ class BackgroundTask:
             self._task.set_name(f"stampede {name}")
 
     async def join(self, timeout_s: float) -> bool:
-        """Block until it has ended, at most `timeout_s`. Returns whether it has; False if the work itself asks."""
+        """Block until it has ended, `timeout_s` at most; whether it has. The work itself does not wait for its end."""
         if self._task is asyncio.current_task():
             return False
         ended, _ = await asyncio.wait((self._task,), timeout=timeout_s)
@@ -154,11 +151,11 @@ def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[],
         _inherited.append(operation)
         return
     with suppress(RuntimeError):  # the loop has ended, and with it all that was open
-        loop.call_soon_threadsafe(BackgroundTask, operation, "closing")
+        loop.call_soon_threadsafe(Background, operation, "closing")
 
 
-class BackgroundStart:
-    """A handle that begins in the background. `await` on it waits until it has begun."""
+class Beginning:
+    """What begins by itself in the background; awaiting it waits until it has begun."""
 
     async def _begun(self) -> None:
         raise NotImplementedError

@@ -42,11 +42,11 @@ class Wait:
         return -1 if self.seconds is None else round(self.seconds * 1e9)
 
 
-NO_WAIT = Wait(0)
+AT_ONCE = Wait(0)
 
 
 @dataclass(frozen=True, slots=True)
-class ReadQuery:
+class Read:
     """One read of a channel (see `Channel.get`). Positions are an item or the instant behind whose items to go on.
 
     `cut`: through a group at exactly this cut, which one of its hosts gave; None: the cut of the moment.
@@ -59,7 +59,7 @@ class ReadQuery:
     after: Item | int | None = None
     newer_than: Item | int | None = None
     payloads: bool = True
-    wait: Wait = NO_WAIT
+    wait: Wait = AT_ONCE
     complete: bool = False
     cut: int | None = None
 

@@ -1,4 +1,4 @@
-"""What the picture shows, taken from the spans that the viewer kept: small enough for one line to the orchestrator."""
+"""What the picture shows, taken from the spans that the viewer kept: small enough for one line to the conductor."""
 
 from __future__ import annotations
 

@@ -15,7 +15,6 @@ from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import roles_for
-from stampede_rt_runtime.rpc import Context
 
 
 class Slots:
@@ -71,7 +70,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         for_members = Role.CLIENT not in roles_for(method) and bool(roles_for(method))
 
         @contextlib.asynccontextmanager
-        async def slot(context: Context) -> AsyncIterator[None]:
+        async def slot(context: Any) -> AsyncIterator[None]:
             try:
                 give_back = self._slots.take(is_stream=streams, for_members=for_members)
             except Overloaded as error:

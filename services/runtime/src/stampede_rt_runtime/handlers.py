@@ -13,8 +13,6 @@ from typing import Any
 
 import grpc
 
-from stampede_rt_runtime.rpc import Context
-
 # Entered with the call's context before the method runs, and left when it has ended. It may end the call.
 Guard = Callable[[Any], contextlib.AbstractAsyncContextManager[None]]
 
@@ -42,7 +40,7 @@ def behavior_of(handler: Any) -> Callable[..., Any]:
 
 
 def _around_call(behavior: Callable[..., Any], guard: Guard) -> Callable[..., Any]:
-    async def call(request: Any, context: Context) -> Any:
+    async def call(request: Any, context: Any) -> Any:
         async with guard(context):
             return await behavior(request, context)
 
@@ -50,7 +48,7 @@ def _around_call(behavior: Callable[..., Any], guard: Guard) -> Callable[..., An
 
 
 def _around_iterator(behavior: Callable[..., AsyncIterator[Any]], guard: Guard) -> Callable[..., AsyncIterator[Any]]:
-    async def call(request: Any, context: Context) -> AsyncIterator[Any]:
+    async def call(request: Any, context: Any) -> AsyncIterator[Any]:
         async with guard(context):
             responses: Any = behavior(request, context)
             async with contextlib.aclosing(responses):

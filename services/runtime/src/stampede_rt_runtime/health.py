@@ -7,8 +7,6 @@ from typing import Any
 import grpc
 from grpc_health.v1 import health, health_pb2
 
-from stampede_rt_runtime.rpc import Context
-
 SERVICE = health.SERVICE_NAME
 STATUS = health_pb2.HealthCheckResponse
 
@@ -48,5 +46,5 @@ class Health:
         self._is_ending, self._status = True, STATUS.NOT_SERVING
         await self._known.enter_graceful_shutdown()
 
-    async def _check(self, _requests: Any, _context: Context) -> health_pb2.HealthCheckResponse:
+    async def _check(self, _requests: Any, _context: Any) -> health_pb2.HealthCheckResponse:
         return STATUS(status=self._status)

@@ -18,7 +18,6 @@ import grpc
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.status import abort
 from stampede_rt_runtime.handlers import behavior_of
-from stampede_rt_runtime.rpc import Context
 
 REQUEST_SECONDS_MAX = 10.0
 
@@ -55,7 +54,7 @@ def _parser(method: str, deserializer: Parse | None) -> Parse | None:
 def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | None) -> Callable[..., Any]:
     """`behavior`, which takes one request, for a call whose requests come as a stream."""
 
-    async def read(context: Context) -> Any:
+    async def read(context: Any) -> Any:
         try:
             async with asyncio.timeout(REQUEST_SECONDS_MAX):
                 raw = await context.read()
@@ -69,14 +68,14 @@ def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | 
 
     if inspect.isasyncgenfunction(behavior):
 
-        async def stream(_requests: Any, context: Context) -> AsyncIterator[Any]:
+        async def stream(_requests: Any, context: Any) -> AsyncIterator[Any]:
             async with contextlib.aclosing(behavior(await read(context), context)) as responses:
                 async for response in responses:
                     yield response
 
         return stream
 
-    async def call(_requests: Any, context: Context) -> Any:
+    async def call(_requests: Any, context: Any) -> Any:
         return await behavior(await read(context), context)
 
     return call
@@ -86,14 +85,14 @@ def _refusing(behavior: Callable[..., Any]) -> Callable[..., Any]:
     """`behavior`; an error of the product's that rises out of it ends the call with that error."""
     if inspect.isasyncgenfunction(behavior):
 
-        async def stream(requests: Any, context: Context) -> AsyncIterator[Any]:
+        async def stream(requests: Any, context: Any) -> AsyncIterator[Any]:
             async with _told(context), contextlib.aclosing(behavior(requests, context)) as responses:
                 async for response in responses:
                     yield response
 
         return stream
 
-    async def call(requests: Any, context: Context) -> Any:
+    async def call(requests: Any, context: Any) -> Any:
         async with _told(context):
             return await behavior(requests, context)
 
@@ -101,7 +100,7 @@ def _refusing(behavior: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @contextlib.asynccontextmanager
-async def _told(context: Context) -> AsyncIterator[None]:
+async def _told(context: Any) -> AsyncIterator[None]:
     try:
         yield
     except StampedeError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Any
 
 from grpc.aio import EOF
 
@@ -17,7 +18,6 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.incoming import answer, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
-from stampede_rt_runtime.rpc import Context
 
 ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
 REQUEST_BYTES_MAX = 4 * 2**20
@@ -28,7 +28,7 @@ _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # what ends the stream, beside what i
 class EnqueueStream:
     """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
 
-    def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
+    def __init__(self, store: QueueStore, context: Any, stream: OpenStream) -> None:
         self._store = store
         self._context = context
         self._stream = stream

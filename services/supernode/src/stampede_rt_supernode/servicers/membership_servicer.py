@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable
+from typing import Any
 
 from stampede_rt.errors import (
     InvalidArgument,
     Overloaded,
     PermissionDenied,
+    StampedeError,
     Unavailable,
     VersionMismatch,
 )
+from stampede_rt.status import abort
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.values import parse_target
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.core.validation import check_id
@@ -55,42 +57,51 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         self._log_cluster_id = log_cluster_id
         self._snapshots_under_way = 0
 
-    @errors_as_status
-    async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Context) -> pb.CreateJoinTokenResponse:
-        check_id(request.request_id, "request_id")
-        valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
-        until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
-        token = self._tokens.make(
-            request.request_id,
-            valid_until_unix_nano=until,
-            cluster_id=cluster_id,
-            log_cluster_id=self._log_cluster_id,
-        )
+    async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Any) -> pb.CreateJoinTokenResponse:
+        """See the contract."""
+        try:
+            check_id(request.request_id, "request_id")
+            valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
+            until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
+            token = self._tokens.make(
+                request.request_id,
+                valid_until_unix_nano=until,
+                cluster_id=cluster_id,
+                log_cluster_id=self._log_cluster_id,
+            )
+        except StampedeError as error:
+            await abort(context, error)
         return pb.CreateJoinTokenResponse(
             token=token, valid_until_unix_nano=until, cluster_id=cluster_id, log_cluster_id=self._log_cluster_id
         )
 
-    @errors_as_status
-    async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Context) -> pb.AddSupernodeResponse:
-        member, ticket = self._newcomer(request)
-        index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
+    async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Any) -> pb.AddSupernodeResponse:
+        """See the contract."""
+        try:
+            member, ticket = self._newcomer(request)
+            index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
+        except StampedeError as error:
+            await abort(context, error)
         records, _ = self._members.records()
         return pb.AddSupernodeResponse(supernodes=records, cluster_id=self._cluster_id(), index=index)
 
-    @errors_as_status
     async def TakeSnapshot(
-        self, request: pb.TakeSnapshotRequest, context: Context
+        self, request: pb.TakeSnapshotRequest, context: Any
     ) -> AsyncIterator[pb.TakeSnapshotResponse]:
-        if self._snapshots_under_way >= SNAPSHOTS_MAX:
-            raise Overloaded(f"{SNAPSHOTS_MAX} snapshots are asked for already; try again in a moment")
-        self._snapshots_under_way += 1
+        """See the contract."""
         try:
-            backup, facts = await self._taken(stale_ok=request.stale_ok, seconds=_seconds(context))
-            yield facts
-            for data in backup.parts() if request.include_data else ():
-                yield pb.TakeSnapshotResponse(data=data)
-        finally:
-            self._snapshots_under_way -= 1
+            if self._snapshots_under_way >= SNAPSHOTS_MAX:
+                raise Overloaded(f"{SNAPSHOTS_MAX} snapshots are asked for already; try again in a moment")
+            self._snapshots_under_way += 1
+            try:
+                backup, facts = await self._taken(stale_ok=request.stale_ok, seconds=_seconds(context))
+                yield facts
+                for data in backup.parts() if request.include_data else ():
+                    yield pb.TakeSnapshotResponse(data=data)
+            finally:
+                self._snapshots_under_way -= 1
+        except StampedeError as error:
+            await abort(context, error)
 
     async def _taken(self, *, stale_ok: bool, seconds: float) -> tuple[replication.Backup, pb.TakeSnapshotResponse]:
         """A snapshot as a file, and what is said of it. Raises Unavailable."""
@@ -123,11 +134,14 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             text = f"{error}; what this supernode holds by itself can be had with stale_ok (--stale-ok)"
             raise Unavailable(text, reason="NO_QUORUM") from error
 
-    @errors_as_status
-    async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Context) -> pb.RemoveSupernodeResponse:
-        if not request.supernode_id:
-            raise InvalidArgument("supernode_id is empty; name the supernode to remove")
-        index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
+    async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Any) -> pb.RemoveSupernodeResponse:
+        """See the contract."""
+        try:
+            if not request.supernode_id:
+                raise InvalidArgument("supernode_id is empty; name the supernode to remove")
+            index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
+        except StampedeError as error:
+            await abort(context, error)
         records, _ = self._members.records()
         return pb.RemoveSupernodeResponse(supernodes=records, index=index)
 
@@ -175,7 +189,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         return cluster_id
 
 
-def _seconds(context: Context) -> float:
+def _seconds(context: Any) -> float:
     """How long this call may wait for the newcomer and the other supernodes."""
     left = context.time_remaining()
     if left is None:

@@ -16,7 +16,6 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
-from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.replication.network.greetings import (
     ANOTHER_STORE,
     OLDER_STORE,
@@ -61,7 +60,7 @@ class RaftServicer:
         """Register with a server that is not started yet."""
         _register(self, server)
 
-    async def Exchange(self, request_iterator: Any, context: Context) -> None:  # noqa: N802
+    async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
         """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
         hello = await self._welcome(context)
         member_id = hello.member_id
@@ -91,7 +90,7 @@ class RaftServicer:
         for reader in self._readers.values():
             reader.cancel()
 
-    async def _welcome(self, context: Context) -> pb.RaftHello:
+    async def _welcome(self, context: Any) -> pb.RaftHello:
         try:
             async with asyncio.timeout(HELLO_SECONDS):
                 request = await context.read()
@@ -113,7 +112,7 @@ class RaftServicer:
             unknown_caller=not knows_caller,
         )
 
-    async def _check(self, hello: pb.RaftHello, context: Context) -> None:
+    async def _check(self, hello: pb.RaftHello, context: Any) -> None:
         if self._closed:
             await context.abort(grpc.StatusCode.UNAVAILABLE, "this member is closing")
         caller = caller_identity(context)
@@ -149,7 +148,7 @@ class RaftServicer:
         if self._reports.is_due((hello.member_id, refusal.why), time.monotonic()):
             logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
 
-    async def _receive(self, member_id: str, context: Context) -> None:
+    async def _receive(self, member_id: str, context: Any) -> None:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
@@ -163,7 +162,7 @@ class RaftServicer:
                 answered_at = loop.time()
                 await context.write(self._greeting(knows_caller=True))
 
-    async def _explain(self, reader: asyncio.Task[None], context: Context) -> None:
+    async def _explain(self, reader: asyncio.Task[None], context: Any) -> None:
         if reader.cancelled():
             await context.abort(grpc.StatusCode.UNAVAILABLE, "closing, or replaced by a newer stream")
         error = reader.exception()
