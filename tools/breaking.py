@@ -3,6 +3,9 @@
 The accepted contract is an image of proto/ in `proto/stable.binpb`, committed beside it: so the check needs no history
 and is the same in a shallow clone, in CI and on a branch. Additions pass. `--accept` is the deliberate act: it belongs
 into the commit that changes the contract, and its diff shows in review that the contract changed.
+
+A file with the mark UNSERVED holds a design that no service implements. It is no part of what is accepted, so that its
+first implementation may still change it. The mark on a file that was accepted before takes effect with --accept.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PROTO = ROOT / "proto"
 STABLE = PROTO / "stable.binpb"
 BUF_SECONDS_MAX = 60
+UNSERVED = "// NOT SERVED YET."
 
 # WIRE_JSON keeps old and new bytes readable, both ways. It says nothing of things that vanish, which would leave an
 # older client with UNIMPLEMENTED; the other rules do.
@@ -39,9 +43,22 @@ def buf(*arguments: str) -> subprocess.CompletedProcess[str]:
         raise BufFailed(f"{command} is missing; run: make setup") from error
 
 
+def unserved(proto: Path) -> list[Path]:
+    """The files in `proto` that bear the mark UNSERVED, in the order of their names."""
+    return sorted(one for one in proto.rglob("*.proto") if _is_marked(one))
+
+
+def _is_marked(source: Path) -> bool:
+    return any(line.startswith(UNSERVED) for line in source.read_text().splitlines())
+
+
 def build(proto: Path, out: Path) -> None:
-    """Write the image of `proto`, without comments. The same sources give the same bytes. Raises BufFailed."""
-    done = buf("build", str(proto), "--exclude-source-info", "-o", str(out))
+    """Write the image of all that is served of `proto`, without comments. The same sources give the same bytes.
+
+    Raises BufFailed.
+    """
+    left_out = [word for one in unserved(proto) for word in ("--exclude-path", str(one))]
+    done = buf("build", str(proto), "--exclude-source-info", "-o", str(out), *left_out)
     if done.returncode:
         raise BufFailed(done.stderr or done.stdout)
 
@@ -80,6 +97,9 @@ def check(proto: Path, stable: Path) -> int:
             "or, if it must be, accept the new contract with: python tools/breaking.py --accept"
         )
         return 1
+    left_out = unserved(proto)
+    if left_out:
+        print(f"not served yet, and no part of the accepted contract: {', '.join(one.name for one in left_out)}")
     if fresh != stable.read_bytes():
         print(f"{stable.name} does not protect the newest additions yet: python tools/breaking.py --accept")
     return 0

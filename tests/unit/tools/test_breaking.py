@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -110,3 +111,60 @@ def test_a_change_planted_into_a_copy_of_our_own_contract_is_found(tmp_path: Pat
     assert "fixed64 first_seq = 7;" in text
     item.write_text(text.replace("fixed64 first_seq = 7;", "uint64 first_seq = 7;"))
     assert any("first_seq" in line for line in breaking.violations(copy, breaking.STABLE))
+
+
+UNSERVED_PROTO = f"""syntax = "proto3";
+package thing.v1;
+{breaking.UNSERVED} It may change in any way.
+service PlannedService {{
+  rpc Plan(PlanRequest) returns (PlanResponse);
+}}
+message PlanRequest {{
+  string name = 1;
+}}
+message PlanResponse {{}}
+"""
+
+
+def test_a_file_that_is_not_served_yet_may_change_and_is_named_each_time(
+    contract: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, stable = contract
+    planned = source.with_name("planned_service.proto")
+    planned.write_text(UNSERVED_PROTO)
+    assert breaking.main(["--accept", "--proto", str(source.parents[2]), "--stable", str(stable)]) == 0
+    planned.write_text(UNSERVED_PROTO.replace("string name", "bytes name"))
+    assert guard(source, stable) == 0
+    assert "planned_service.proto" in capsys.readouterr().out
+    planned.unlink()
+    assert guard(source, stable) == 0
+
+
+def test_the_mark_alone_takes_nothing_out_of_the_accepted_contract(contract: tuple[Path, Path]) -> None:
+    source, stable = contract
+    source.with_name("other.proto").write_text('syntax = "proto3";\npackage thing.v1;\nmessage Other {}\n')
+    marked = FIRST_PROTO.replace("package thing.v1;", f"package thing.v1;\n{breaking.UNSERVED}")
+    source.write_text(marked.replace("string name = 2;", ""))
+    assert guard(source, stable) == 1
+
+
+def test_a_file_is_accepted_once_its_mark_is_gone(contract: tuple[Path, Path]) -> None:
+    source, stable = contract
+    planned = source.with_name("planned_service.proto")
+    served = UNSERVED_PROTO.replace(breaking.UNSERVED, "// ")
+    planned.write_text(served)
+    assert breaking.main(["--accept", "--proto", str(source.parents[2]), "--stable", str(stable)]) == 0
+    planned.write_text(served.replace("string name", "bytes name"))
+    assert guard(source, stable) == 1
+
+
+def test_exactly_the_services_that_nobody_implements_bear_the_mark() -> None:
+    sources = "\n".join(path.read_text() for path in breaking.ROOT.glob("services/*/src/**/*.py"))
+    marked = {
+        name: path in breaking.unserved(breaking.PROTO)
+        for path in breaking.PROTO.rglob("*_service.proto")
+        for name in re.findall(r"^service (\w+)", path.read_text(), re.MULTILINE)
+    }
+    is_served = {name: f"{name}Servicer" in sources or f'"stampede_rt.v1.{name}"' in sources for name in marked}
+    assert {name for name in marked if marked[name]} == {name for name in marked if not is_served[name]}
+    assert len(marked) > 10
