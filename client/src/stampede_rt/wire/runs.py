@@ -32,6 +32,9 @@ _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
 _TIMES_TAG = 1 << 3 | 2  # field 1, packed
 _ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = bytes((6 << 3 | 2,))
+_COLUMN_BYTES_MAX = 23  # of one item in the three columns: a tag for each entry, where an encoder does not pack them
+_ATTRIBUTE_FRAMING_BYTES_MAX = 16
+_FRAMING_BYTES_MAX = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,7 @@ def parse_run(raw: bytes) -> RunColumns:
         raise MalformedRun("the run is no valid ItemRun message; encode it from item.proto") from error
     times, durations, lengths = list(run.time_unix_nano), list(run.duration_nanos), list(run.payload_length_bytes)
     _check_columns(run, times, durations, lengths)
+    _check_length(raw, run, items=len(lengths), payload_bytes=sum(lengths))
     return RunColumns(times or None, durations or None, lengths)
 
 
@@ -111,6 +115,16 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
     if total > ITEM_BYTES_MAX:
         raise ItemTooLarge(f"the item has {total} bytes; one item has {ITEM_BYTES_MAX} at most: split it")
     _check_labels(run)
+
+
+def _check_length(raw: bytes, run: item_pb2.ItemRun, *, items: int, payload_bytes: int) -> None:
+    """Of a field that comes twice the parser keeps the last one, and a host would keep the bytes of both."""
+    attributes_bytes = attributes_length_bytes(run.attributes) + len(run.attributes) * _ATTRIBUTE_FRAMING_BYTES_MAX
+    labels_bytes = len(run.content_type.encode()) + attributes_bytes
+    if len(raw) > payload_bytes + items * _COLUMN_BYTES_MAX + labels_bytes + _FRAMING_BYTES_MAX:
+        raise MalformedRun(
+            f"the run has {len(raw)} bytes, more than its fields take; write each field of item.proto once"
+        )
 
 
 def _check_labels(run: item_pb2.ItemRun) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
@@ -115,6 +115,31 @@ def test_a_malformed_run_is_refused_with_its_fault(run: item_pb2.ItemRun, messag
 def test_bytes_that_are_no_run_are_refused() -> None:
     with pytest.raises(MalformedRun, match="no valid ItemRun"):
         parse_run(b"\xff\xff\xff")
+
+
+@pytest.mark.parametrize(
+    "twice",
+    [item_pb2.ItemRun(payloads=bytes(200)), item_pb2.ItemRun(content_type="x" * 200)],
+)
+def test_a_field_that_comes_twice_is_refused_since_the_bytes_of_both_would_be_kept(twice: item_pb2.ItemRun) -> None:
+    with pytest.raises(MalformedRun, match="more than its fields take"):
+        parse_run(twice.SerializeToString() + encode_run([b"one"], times=[1], content_type="text/plain"))
+
+
+@settings(max_examples=200)
+@given(
+    some.lists(some.binary(max_size=3), min_size=1, max_size=RUN_ITEMS_MAX),
+    some.dictionaries(some.text(max_size=4), some.text(max_size=200), max_size=20),
+)
+def test_no_run_of_the_contract_is_too_long(payloads: list[bytes], attributes: dict[str, str]) -> None:
+    raw = encode_run(payloads, times=[1] * len(payloads), durations=[2] * len(payloads), attributes=attributes)
+    unpacked = b"".join(
+        bytes((1 << 3 | 1,)) + bytes(8) + bytes((2 << 3 | 1,)) + bytes(8) + bytes((3 << 3 | 5, len(one), 0, 0, 0))
+        for one in payloads
+    )
+    assert len(parse_run(raw).lengths) == len(payloads)
+    labels = item_pb2.ItemRun(attributes=attributes, payloads=b"".join(payloads)).SerializeToString()
+    assert len(parse_run(unpacked + labels).lengths) == len(payloads)
 
 
 def test_fields_that_the_contract_does_not_have_are_refused() -> None:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.group_access import GroupAsk
 from stampede_rt_channel_host.channels.requests import group_of, parse, query_of, wait_nanos_of
 from stampede_rt_channel_host.core.channel import Query
 
 PLANS_MAX = 64
+REQUEST_BYTES_MAX = 4096  # a plan is kept under the bytes that asked for it; no request of the contract has 512
 _CALL_ID_TAG = 1 << 3  # GetRequest.call_id, varint
 _VARINT_BYTES_MAX = 10
 
@@ -46,7 +47,9 @@ class GetPlans:
         self._plans: dict[bytes, GetPlan] = {}
 
     def read(self, raw: bytes) -> GetCall:
-        """The request. Raises InvalidArgument if the bytes are none."""
+        """The request. Raises InvalidArgument if the bytes are none, or too many."""
+        if len(raw) > REQUEST_BYTES_MAX:
+            raise InvalidArgument(f"the get request has {len(raw)} bytes; {REQUEST_BYTES_MAX} are the most")
         call_id, rest = _split(raw)
         plan = self._plans.get(rest)
         return GetCall(call_id, plan) if plan is not None else self._read_new(raw, rest)

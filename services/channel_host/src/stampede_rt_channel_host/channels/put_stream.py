@@ -81,7 +81,8 @@ class PutStream:
             try:
                 run = self._read(put, came_s)
             except StampedeError as error:
-                raise hosted.puts.refuse_unread(put.run, error, now) from error
+                hosted.puts.count_unread(len(put.run), error, now)
+                raise
             ack = hosted.puts.put(run, now)
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)

@@ -175,13 +175,12 @@ class ChannelPuts:
         self._waiting_bytes += run.charged_bytes
         return None
 
-    def refuse_unread(self, encoded: bytes, error: StampedeError, now: int) -> StampedeError:
-        """Count a run that could not be read; gives the error to answer with."""
+    def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
+        """Count a run of that many bytes, which could not be read because of `error`."""
         if isinstance(error, ItemTooLarge):  # the core counts it under its own name
-            self._channel.put(Offer(times=None, durations=None, lengths=(len(encoded),)), now, _seal_nothing)
+            self._channel.put(Offer(times=None, durations=None, lengths=(length_bytes,)), now, _seal_nothing)
         else:
             self._channel.reject_malformed(1)
-        return error
 
     def changed(self, now: int) -> None:
         """Room may have been made: offer those in line again, the first one first."""

@@ -47,21 +47,22 @@ class EnqueueStream:
         Raises InvalidArgument, Overloaded, or that the host shuts down; what was judged before is acked first.
         """
         writer = self._stream.spawn(self._write_acks())
-        failure: StampedeError | None = None
         try:
-            try:
-                while (came := await self._requests.next())[0] is not EOF:
-                    await self._take(*came)
-            except StampedeError as error:
-                failure = error
-            self._closed = True
-            self._news.set()
-            await writer
+            while (came := await self._requests.next())[0] is not EOF:
+                await self._take(*came)
+            await self._finish(writer)
+        except StampedeError:
+            await self._finish(writer)
+            raise
         finally:
             writer.cancel()
             self._requests.close()
-        if failure is not None:
-            raise failure
+
+    async def _finish(self, writer: asyncio.Task[None]) -> None:
+        """Nothing more is taken: write the acks that are left."""
+        self._closed = True
+        self._news.set()
+        await writer
 
     async def _take(self, raw: bytes, came_s: float) -> None:
         request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
