@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.app import tune_garbage_collection
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
@@ -34,7 +35,6 @@ from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import AsideThread
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Outgoing, Received, StreamOpened
-from stampede_rt_supernode.replication.wire.messages import InstallSnapshot
 
 BATCH = 250
 WRITES_PER_TICK = 16
@@ -203,14 +203,17 @@ def _received(folder: Path, leader: Alone) -> Row:
     while not is_last:
         keeper.begin_step()
         while not is_last and (chunk := keeper.next_chunk("b")) is not None:
-            message = InstallSnapshot(term=1, commit_index=stored.last_log_index, chunk=chunk)
-            two.replica.deliver(Received("b", message))
-            is_last = chunk.is_last
+            two.replica.deliver(Received("b", _message(chunk, stored.last_log_index)))
+            is_last = chunk.offset_bytes + len(chunk.data) == chunk.total_bytes
         two.step()
     two.step_until(lambda: two.machine.restored > 0)
     row = f"{_took(began, cpu)}, {two.ticks()}"
     two.close()
     return "a follower receives and opens a snapshot", row
+
+
+def _message(chunk: pb.RaftSnapshotChunk, commit_index: int) -> dict[str, Any]:
+    return {"type": "append_entries", "term": 1, "commit_index": commit_index, "round": 0, "serialized": chunk}
 
 
 def _took(began: float, cpu: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from stampede_rt.cli.output import bytes_text
@@ -22,6 +22,15 @@ REPLACE_ADVICE = (
     "let it go (stampede supernode remove), empty its folder, and have it join under a new id (runbook: replace one)"
 )
 FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "peer", "this caller"
+
+
+def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """By supernode, all that several have said of why its store is refused."""
+    reasons: dict[str, dict[str, None]] = {}
+    for one in told:
+        for name, why in one.items():
+            reasons.setdefault(name, {})[why] = None
+    return {name: "; ".join(each) for name, each in reasons.items()}
 
 
 def refusal(why: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from stampede_rt._sync.ports import Ports
-from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Holdings, Observation
+from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Holdings, Observation, gathered
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import (
     certificate_end_unix_s,
@@ -98,7 +98,7 @@ class Examination:
         found = {one.response.supernode_id for one in first if one.response is not None}
         rest = {address: name for address, name in listed.items() if address not in named and name not in found}
         more = self._ask(_supernode(name, address) for address, name in rest.items())
-        refused = {name: why for one in (*first, *more) for name, why in _refused_by(one).items()}
+        refused = gathered(_refused_by(one) for one in (*first, *more))
         answers = [_named(one, listed, refused) for one in (*first, *more)]
         return sorted(answers, key=lambda one: one.seen.name)
 

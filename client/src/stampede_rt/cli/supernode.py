@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.backup_file import write_backup
-from stampede_rt.cli.diagnosis import refusal
+from stampede_rt.cli.diagnosis import gathered, refusal
 from stampede_rt.cli.members import Cluster, is_there, no_member, reached
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import StampedeError, Unavailable
@@ -80,7 +80,7 @@ def _run_status(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members()
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
-    refused = {name: why for pong, _ in pongs.values() if pong for name, why in pong.refused_supernodes.items()}
+    refused = gathered(pong.refused_supernodes for pong, _ in pongs.values() if pong)
     rows = [_row(record, *pongs[record.supernode_id], refused, arguments.output) for record in listed.supernodes]
     print_rows(rows, arguments.output, none="no supernode")
     serving = sum(row["state"] in SERVING for row in rows)

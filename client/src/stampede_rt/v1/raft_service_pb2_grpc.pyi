@@ -44,8 +44,7 @@ class RaftServiceStub:
     Not idempotent.
     Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
     a member, is one no longer (then the message says "removed"), comes with another store than before ("another
-    store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version,
-    or a release that does not know the cluster's feature level ("too old");
+    store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
     RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
     replaced by a newer one.
     """
@@ -64,8 +63,7 @@ class RaftServiceAsyncStub(RaftServiceStub):
     Not idempotent.
     Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
     a member, is one no longer (then the message says "removed"), comes with another store than before ("another
-    store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version,
-    or a release that does not know the cluster's feature level ("too old");
+    store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
     RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
     replaced by a newer one.
     """
@@ -87,8 +85,7 @@ class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
         Not idempotent.
         Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
         a member, is one no longer (then the message says "removed"), comes with another store than before ("another
-        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version,
-        or a release that does not know the cluster's feature level ("too old");
+        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
         RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
         replaced by a newer one.
         """

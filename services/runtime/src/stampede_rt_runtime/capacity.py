@@ -13,7 +13,6 @@ from stampede_rt.status import abort
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
-from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import roles_for
 
 
@@ -49,10 +48,7 @@ class Slots:
 
 
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Lets a call in if there is a slot for it, and refuses it otherwise. Its requests are read and parsed after that.
-
-    It must be the innermost interceptor: those around it look at the caller first.
-    """
+    """Lets a call in if there is a slot for it, and refuses it otherwise, before any of its requests is read."""
 
     def __init__(self, limits: Limits) -> None:
         self._slots = Slots(limits)
@@ -80,4 +76,4 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
             finally:
                 give_back()
 
-        return guarded(reading_late(method, handler), slot)
+        return guarded(handler, slot)

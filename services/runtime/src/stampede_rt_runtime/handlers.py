@@ -33,12 +33,6 @@ def guarded(handler: Any, guard: Guard) -> Any:
     )
 
 
-def behavior_of(handler: Any) -> Callable[..., Any]:
-    """What a handler runs for each call."""
-    behavior: Callable[..., Any] = _kind(handler)[1]
-    return behavior
-
-
 def _around_call(behavior: Callable[..., Any], guard: Guard) -> Callable[..., Any]:
     async def call(request: Any, context: Any) -> Any:
         async with guard(context):

@@ -135,7 +135,6 @@ def _head(directory: Directory) -> bytes:
         time_marks=directory.answered.marks,
         former_cluster_ids=directory.former_cluster_ids,
         digest=directory.digest,
-        feature_level=directory.feature_level,
     ).SerializeToString()
 
 
@@ -180,7 +179,6 @@ def decode_snapshot(encoded: bytes) -> Directory:
         time_marks=message.time_marks,
         former_cluster_ids=message.former_cluster_ids,
         digest=message.digest,
-        feature_level=message.feature_level,
     )
 
 

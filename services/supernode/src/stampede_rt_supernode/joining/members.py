@@ -42,10 +42,14 @@ class Members:
         return founded and status.leader_id is not None and not status.diverged_at
 
     def refused(self) -> Mapping[str, str]:
-        """Members whose stores this one refuses, and itself, if its state differs from the leader's; and why."""
+        """Members whose stores this one refuses, and itself, if others refuse it or its state differs;
+        why, and who says so.
+        """
         status = self._log.status()
-        own = {status.self_id: why_diverged(status)} if status.diverged_at else {}
-        return {**status.refused, **own}
+        told = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
+        by = "; ".join(f"{why} (says {name})" for name, why in sorted(status.refused_by.items()))
+        own = why_diverged(status) if status.diverged_at else by
+        return {**told, status.self_id: own} if own else told
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
         """Every member, in the order of ids, and the term of the consensus."""
@@ -65,5 +69,4 @@ class Members:
             is_leader=member.member_id == status.leader_id,
             healthy=self.ready() if is_self else finding is not None and finding.healthy,
             round_trip_nanos=finding.round_trip_nanos if finding is not None else None,
-            highest_feature_level=status.highest_levels.get(member.member_id, 0),
         )

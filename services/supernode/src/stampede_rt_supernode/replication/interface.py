@@ -13,27 +13,12 @@ from typing import Protocol
 
 class StateMachine(Protocol):
     """What the log drives. Methods are called on the log's own thread, if nothing else is said; they neither raise nor
-    block.
-
-    Releases know commands up to a highest feature level. The state has a level, up to which all members know them.
-    """
-
-    @property
-    def highest_level(self) -> int:
-        """The highest feature level that this release knows, 1 or more. From any thread."""
-
-    @property
-    def feature_level(self) -> int:
-        """The state's, 1 or more; it never falls. From any thread."""
-
-    def takes(self, command: bytes) -> bool:
-        """Whether the state's level allows the command in the log. From any thread."""
+    block."""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
 
-        Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal. Raises
-        ReleaseTooOld if the state comes to a feature level that this release does not know: nothing goes on then.
+        Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal.
         """
 
     def digest(self) -> tuple[int, bytes]:
@@ -68,13 +53,12 @@ class ReplicationStatus:
     """What a replica believes of the log at this moment; it may be stale.
 
     `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may
-    be committed or not yet. `removed`: another member has said that this one was removed, for good;
-    `has_lost_store`: that it was here before with another store; `has_old_store`: that its store lacks what it has
-    promised; `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
+    be committed or not yet. `removed`: the leader, or most of the others, say that this one was removed, for good;
+    `has_lost_store`: that it was here before with another store, or lacks one; `has_old_store`: that its store lacks
+    what it has promised. `refused_by`: which members say one of these, and their words; it does not vote meanwhile.
+    `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
     take the store with which another member came last. `diverged_at`:
-    where this one's state was found to differ from the leader's; 0: nowhere. `feature_level` is the state's,
-    `highest_levels` what each member has told of its release, this one included. `too_old`: what another member has
-    said of this one's release, which does not know the cluster's level.
+    where this one's state was found to differ from the leader's; 0: nowhere.
     """
 
     self_id: str
@@ -90,14 +74,7 @@ class ReplicationStatus:
     other_cluster: str = ""
     diverged_at: int = 0
     refused: Mapping[str, str] = field(default_factory=dict)
-    feature_level: int = 1
-    highest_levels: Mapping[str, int] = field(default_factory=dict)
-    too_old: str = ""
-
-    @property
-    def level_of_members(self) -> int:
-        """The highest feature level that all members have told that they know; 0 as long as one has not told."""
-        return min((self.highest_levels.get(member.member_id, 0) for member in self.members), default=0)
+    refused_by: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,16 +83,6 @@ class TakenSnapshot:
 
     log_index: int
     record: bytes
-
-
-class ReleaseTooOld(Exception):
-    """The cluster is at a feature level that this release does not know: the member goes no further."""
-
-    def __init__(self, highest_level: int, cluster_level: int) -> None:
-        super().__init__(
-            f"this release knows feature level {highest_level}, and the cluster is at level {cluster_level}; start "
-            "this supernode with the release of the others and the same data folder, and it goes on"
-        )
 
 
 class Unavailable(Exception):
@@ -136,10 +103,6 @@ class ChangeRefused(Exception):
 
 class TicketSpent(ChangeRefused):
     """The ticket has let another member in."""
-
-
-class ReleaseOutdated(ChangeRefused):
-    """The newcomer's release does not know the cluster's feature level."""
 
 
 class Ambiguous(Exception):

@@ -11,15 +11,16 @@ from typing import Any, Protocol
 
 from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine, Unavailable
 from stampede_rt_supernode.replication.library.node import RandomSource
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX, TrialElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
+from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.rules.reads import Read
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest, SnapshotRequests
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.storage.store import Promise, Store
+from stampede_rt_supernode.replication.storage.store import REJOIN, Promise, Store, StoreDamaged
 from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
 from stampede_rt_supernode.replication.wire.mailroom import NetworkEvent, Outgoing, Received
 
@@ -35,6 +36,9 @@ class Network(Protocol):
 
     def has_room(self, member_id: str) -> bool:
         """Whether the queue to this member takes another piece of a snapshot."""
+
+    def drop(self, member_id: str, why: str) -> None:
+        """End the stream of a member that does not keep to the rules, and log it; never blocks."""
 
     def follow(self, roster: Roster) -> None:
         """Keep a link to every peer from now on, and to nobody else; never blocks."""
@@ -53,7 +57,32 @@ class Roster:
 
 
 class InboxFull(RuntimeError):
-    """More network events wait than are allowed: the sender's link must be dropped."""
+    """More of one member's messages wait than are allowed: its link must be dropped."""
+
+
+class _Inbox:
+    """What waits of each member's messages, counted apart so that nobody fills the others' share.
+
+    Two threads count, each its own half: what came, and what was taken out.
+    """
+
+    def __init__(self, items_max: int, bytes_max: int) -> None:
+        self._items_max, self._bytes_max = items_max, bytes_max
+        self._came: dict[str, tuple[int, int]] = {}
+        self._taken: dict[str, tuple[int, int]] = {}
+
+    def come(self, event: Received) -> None:
+        """Count it in. Raises InboxFull."""
+        items, size = self._came.get(event.member_id, (0, 0))
+        items_out, size_out = self._taken.get(event.member_id, (0, 0))
+        if items - items_out >= self._items_max or size - size_out >= self._bytes_max:
+            raise InboxFull(f"{items - items_out} messages of {event.member_id} wait for the log's thread")
+        self._came[event.member_id] = items + 1, size + event.size_bytes
+
+    def take(self, event: Received) -> None:
+        """Count it out."""
+        items, size = self._taken.get(event.member_id, (0, 0))
+        self._taken[event.member_id] = items + 1, size + event.size_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,10 +125,10 @@ class Replica:
         self._clock = clock
         self._wake = wake
         self._new = _Arrivals()
+        self._inbox = _Inbox(settings.inbox_items_max, settings.inbox_bytes_max)
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._journal = Journal(store, kept_bytes_max=settings.kept_log_bytes_max)
-        self._state_machine = state_machine
         self._node = self._open_node(state_machine, random_source, rules, run_aside)
         self._proposals = Proposals(self._node.propose, self._completions.append, handed_max=settings.proposals_max)
         self._changes = self._make_changes()
@@ -127,6 +156,13 @@ class Replica:
             run_aside=run_aside,
         )
         node.open_snapshot()
+        last_term, _ = node.log_end()
+        if node.is_voter() and node.term > last_term + 2 * TERMS_AHEAD_MAX:
+            raise StoreDamaged(
+                f"it has taken over term {node.term}, and its log ends in term {last_term}: no elections explain that, "
+                f"so somebody hostile has raised it. {REJOIN}; if all supernodes say so, found a new cluster from the "
+                "folder of one of them, which loses nothing that it holds (stampede supernode init --restore)"
+            )
         return node
 
     def _make_changes(self) -> MemberChanges:
@@ -143,8 +179,8 @@ class Replica:
 
     def deliver(self, event: NetworkEvent) -> None:
         """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
-        if isinstance(event, Received) and len(self._new.events) >= self._settings.inbox_items_max:
-            raise InboxFull(f"{len(self._new.events)} network events wait for the log's thread")
+        if isinstance(event, Received):
+            self._inbox.come(event)
         self._new.events.append(event)
         self._wake()
 
@@ -190,16 +226,6 @@ class Replica:
         """The view after the last step."""
         return self._status
 
-    @property
-    def highest_level(self) -> int:
-        """The highest feature level that this release knows."""
-        return self._state_machine.highest_level
-
-    @property
-    def feature_level(self) -> int:
-        """The state's."""
-        return self._state_machine.feature_level
-
     # -- tick thread ---------------------------------------------------------------------------------------------
 
     def step(self) -> bool:
@@ -207,12 +233,11 @@ class Replica:
 
         True when another step is due at once. Whatever it raises, the replica must not go on.
         """
-        for _ in range(len(self._new.events)):
-            self._node.mailroom.deliver(self._new.events.popleft())
+        self._hear()
         self._journal.sync()
         self._take_in()
         self._node.keeper.begin_step()
-        self._node.install_opened()
+        self._at_risk(self._node.install_opened)
         self._node.before_tick()
         confirm = self._node.reads.start_round()
         self._node.tick()
@@ -227,6 +252,20 @@ class Replica:
         self._journal.sync()
         self._release()
         return bool(self._new.events) or self._commits_alone()
+
+    def _hear(self) -> None:
+        for _ in range(len(self._new.events)):
+            event = self._new.events.popleft()
+            if isinstance(event, Received):
+                self._inbox.take(event)
+            self._at_risk(lambda event=event: self._node.mailroom.deliver(event))  # type: ignore[misc]
+
+    def _at_risk(self, act: Callable[[], None]) -> None:
+        """Do something that rests on what a member has said; who breaks the rules is heard no more, for a while."""
+        try:
+            act()
+        except PeerAtFault as fault:
+            self._network.drop(fault.member_id, str(fault))
 
     def close(self) -> None:
         """End everything that waits, write everything down and let go of the store."""
@@ -305,8 +344,6 @@ class Replica:
             applied_index=node.last_applied,
             members=members,
             diverged_at=node.digests.diverged_at,
-            feature_level=self._state_machine.feature_level,
-            highest_levels=node.known_levels(),
         )
 
     def _publish_roster(self) -> None:

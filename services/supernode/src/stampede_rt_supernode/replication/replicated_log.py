@@ -22,6 +22,7 @@ from stampede_rt_supernode.replication.interface import (
 )
 from stampede_rt_supernode.replication.network.greetings import introduction
 from stampede_rt_supernode.replication.network.links import Dial, Links
+from stampede_rt_supernode.replication.network.refusals import Grounds
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.replica import Replica
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, HandOver, MemberChange
@@ -68,16 +69,14 @@ class PySyncObjLog:
         self._servicer.add_to_server(server)
 
         def introduce(to: str) -> RaftHello:
-            return introduction(
-                settings,
-                to,
-                store_id=stores.own,
-                standing=replica.standing,
-                roster=replica.roster,
-                highest_level=replica.highest_level,
-            )
+            return introduction(settings, to, store_id=stores.own, standing=replica.standing, roster=replica.roster)
 
-        self._links.on_store_refused = stores.refuse_own
+        def see() -> tuple[set[str], str | None]:
+            others = {member.member_id for member in replica.roster.members} - {settings.self_member.member_id}
+            return others, replica.status().leader_id
+
+        self._links.see, self._links.on_refusal_confirmed = see, stores.refuse_own
+        self._links.on_fault = self._servicer.expel
         self._links.start(replica.deliver, replica.roster.peers, introduce)
         self._thread.start(replica)
 
@@ -117,16 +116,17 @@ class PySyncObjLog:
             # What the last step saw is long past: whoever led then has been replaced, as others tell.
             status = replace(status, leader_id=None, is_leader=False, tenure=0)
         refused = self._servicer.refused() if self._servicer is not None else {}
-        if not (links.is_refused or links.other_cluster or links.too_old or refused):
+        if not (links.refusals.by or links.refusals.confirmed or links.other_cluster or refused):
             return status
+        confirmed = links.refusals.confirmed
         return replace(
             status,
-            removed=links.removed,
-            has_lost_store=links.has_lost_store,
-            has_old_store=links.has_old_store,
+            removed=confirmed is Grounds.REMOVED,
+            has_lost_store=confirmed in (Grounds.ANOTHER_STORE, Grounds.NO_STORE),
+            has_old_store=confirmed is Grounds.OLDER_STORE,
             other_cluster=links.other_cluster,
-            too_old=links.too_old,
             refused=refused,
+            refused_by=dict(links.refusals.by),
         )
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:

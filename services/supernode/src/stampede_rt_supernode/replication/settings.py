@@ -9,13 +9,14 @@ from pathlib import Path
 from stampede_rt_supernode.replication.interface import Member
 
 COMMAND_BYTES_MAX = 64 * 1024
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 1
 SNAPSHOT_PIECE_BYTES_MAX = 1 << 20
 
 _POSITIVE = (
     "proposals_max",
     "reads_max",
     "inbox_items_max",
+    "inbox_bytes_max",
     "link_queue_bytes_max",
     "kept_log_bytes_max",
     "snapshot_every_seconds",
@@ -54,6 +55,7 @@ class ReplicationSettings:
     to be added by them; once the log knows better, it is what the log says. `data_dir` is the folder of this
     replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder without
     one: a member that lost its disk must come back under a new id, so say False where a store must be there.
+    Of each other member `inbox_items_max` messages and `inbox_bytes_max` may wait to be heard.
     A leader keeps `kept_log_bytes_max` of what a snapshot has cut off its log, for members that lag.
     """
 
@@ -70,6 +72,7 @@ class ReplicationSettings:
     snapshot_every_seconds: float = 300.0
     snapshot_piece_bytes: int = 256 * 1024
     inbox_items_max: int = 20_000
+    inbox_bytes_max: int = 64 << 20
     link_queue_bytes_max: int = 32 << 20
     kept_log_bytes_max: int = 64 << 20
 

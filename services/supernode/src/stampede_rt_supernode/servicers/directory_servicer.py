@@ -79,8 +79,6 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
             version=software_version(),
             refused_supernodes=self._members.refused(),
-            feature_level=self._replica.feature_level,
-            highest_feature_level=self._replica.highest_level,
         )
 
     @refusing
@@ -226,9 +224,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         """See the contract. Local knowledge, since it must be had when there is no majority, too."""
         records, term = self._members.records()
         index = self._replica.read(lambda directory: directory.applied_index)
-        return pb.ListSupernodesResponse(
-            supernodes=records, term=term, applied_index=index, feature_level=self._replica.feature_level
-        )
+        return pb.ListSupernodesResponse(supernodes=records, term=term, applied_index=index)
 
     async def Watch(self, request: pb.WatchRequest, context: Any) -> AsyncIterator[pb.WatchResponse]:
         """See the contract."""

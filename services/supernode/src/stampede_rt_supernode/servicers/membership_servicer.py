@@ -151,10 +151,6 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise VersionMismatch(f"{text} {PROTOCOL_VERSION}; install the same release on both")
         if not 0 < len(request.supernode_id) <= MEMBER_ID_CHARACTERS_MAX:
             raise InvalidArgument(f"supernode_id must have 1 to {MEMBER_ID_CHARACTERS_MAX} characters")
-        highest, level = max(1, request.highest_feature_level), self._replica.feature_level
-        if highest < level:
-            text = f"the supernode's release knows feature level {highest}, and the cluster is at level {level}"
-            raise VersionMismatch(f"{text}; install the release of the other supernodes")
         now, cluster_id = self._clock.time_unix_nano(), self._cluster_id()
         ticket = self._tokens.check(request.token, now_unix_nano=now, cluster_id=cluster_id)
         try:
@@ -173,8 +169,6 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise Overloaded(f"{error}; try again in a moment") from error
         except replication.TicketSpent as error:
             raise PermissionDenied(str(error), reason="UNAUTHENTICATED") from error
-        except replication.ReleaseOutdated as error:
-            raise VersionMismatch(str(error)) from error
         except replication.ChangeRefused as error:
             raise InvalidArgument(str(error)) from error
         except replication.Unavailable as error:

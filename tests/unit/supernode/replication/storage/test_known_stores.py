@@ -13,8 +13,8 @@ from stampede_rt_supernode.replication.storage.store import StoreDamaged
 def test_a_member_is_admitted_with_the_store_that_it_came_with_first_also_after_a_restart(tmp_path: Path) -> None:
     first = KnownStores.open(tmp_path, had_store=False)
     assert first.admits("b", "one")
-    first.note("b", "one")
-    first.note("b", "two")
+    first.note("b", "one", "abc")
+    first.note("b", "two", "abc")
     again = KnownStores.open(tmp_path, had_store=True)
     assert again.own == first.own
     assert (again.admits("b", "one"), again.admits("b", "two"), again.admits("c", "two")) == (True, False, True)
@@ -22,13 +22,13 @@ def test_a_member_is_admitted_with_the_store_that_it_came_with_first_also_after_
 
 def test_one_that_never_had_a_store_is_admitted_without_and_with_one(tmp_path: Path) -> None:
     stores = KnownStores.open(tmp_path, had_store=False)
-    stores.note("b", "")
+    stores.note("b", "", "abc")
     assert (stores.admits("b", ""), stores.admits("b", "one")) == (True, True)
 
 
 def test_one_that_came_with_a_store_before_is_refused_without_one(tmp_path: Path) -> None:
     stores = KnownStores.open(tmp_path, had_store=False)
-    stores.note("c", "one")
+    stores.note("c", "one", "abc")
     assert not stores.admits("c", "")
 
 
@@ -39,7 +39,7 @@ def test_a_store_that_others_refuse_knows_it_after_a_restart(tmp_path: Path) -> 
 
 def test_a_new_store_is_another_one_even_if_the_note_of_the_former_is_left(tmp_path: Path) -> None:
     former = KnownStores.open(tmp_path, had_store=False)
-    former.note("b", "one")
+    former.note("b", "one", "abc")
     new = KnownStores.open(tmp_path, had_store=False)
     assert new.own != former.own
     assert new.admits("b", "two")
@@ -47,16 +47,27 @@ def test_a_new_store_is_another_one_even_if_the_note_of_the_former_is_left(tmp_p
 
 def test_one_that_keeps_nothing_has_no_store_and_remembers_none() -> None:
     stores = KnownStores.open(None, had_store=False)
-    stores.note("b", "one")
+    stores.note("b", "one", "abc")
     assert (stores.own, stores.admits("b", "two")) == ("", True)
 
 
 @pytest.mark.parametrize("position", range(0, 60, 7))
 def test_a_flipped_bit_is_found(position: int, tmp_path: Path) -> None:
-    KnownStores.open(tmp_path, had_store=False).note("b", "one")
+    KnownStores.open(tmp_path, had_store=False).note("b", "one", "abc")
     place = tmp_path / FILE_NAME
     told = bytearray(place.read_bytes())
     told[position] ^= 4
     place.write_bytes(told)
     with pytest.raises(StoreDamaged, match="under a new id"):
         KnownStores.open(tmp_path, had_store=True)
+
+
+def test_invented_ids_push_no_member_out_and_are_bounded(tmp_path: Path) -> None:
+    stores = KnownStores.open(tmp_path, had_store=False)
+    for name in "bc":
+        stores.note(name, f"store of {name}", "abc")
+    for number in range(300):
+        stores.note(f"invented{number}", "any", "abc")
+    again = KnownStores.open(tmp_path, had_store=True)
+    assert [again.admits(name, "another") for name in "bc"] == [False, False]
+    assert len((tmp_path / FILE_NAME).read_bytes()) < 2000

@@ -12,9 +12,9 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.backups import BackupHeader, make_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
-from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoredSnapshot
-from stampede_rt_supernode.replication.wire.records import decode_configuration, encode_snapshot
-from tests.robustness.replication.live_cluster import LiveCluster, LiveMember, dial, running
+from stampede_rt_supernode.replication.storage.store import StoreChanges, StoreDamaged, StoredSnapshot
+from stampede_rt_supernode.replication.wire.codec import decode_configuration, encode_snapshot
+from tests.robustness.replication.live_cluster import QUICK, LiveCluster, LiveMember, dial, running
 from tests.robustness.replication.machine import ListMachine
 
 
@@ -105,3 +105,43 @@ def test_a_damaged_folder_cannot_be_restored(tmp_path: Path) -> None:
     founder = LiveMember.__new__(LiveMember)
     with pytest.raises(StoreDamaged):
         restore_from(tmp_path, tmp_path / "new", founder=founder, cluster_id="")  # type: ignore[arg-type]
+
+
+async def test_a_term_that_somebody_hostile_has_raised_is_told_and_a_new_cluster_goes_on_without_it(
+    tmp_path: Path,
+) -> None:
+    async with LiveCluster(1, tmp_path / "old") as cluster:
+        await running(cluster.all[0]).propose(b"kept", timeout=5.0)
+        [member] = cluster.all
+        await member.stop()
+        assert member.folder is not None
+        raise_term(member, 2**63 - 1)
+        with pytest.raises(StoreDamaged, match=r"no elections explain that.*init --restore"):
+            await cluster.start(member)
+    founder = LiveMember("new", tmp_path / "new", cluster.failures.append)
+    restore_from(member.folder, tmp_path / "new", founder=founder.member, cluster_id="")
+    await founder.start([founder.member], QUICK, snapshot_every=5000)
+    await running(founder).propose(b"after", timeout=5.0)
+    assert [command for _, command in founder.machine.entries] == [b"kept", b"after"]
+    await founder.stop()
+    assert cluster.failures == []
+
+
+def raise_term(member: LiveMember, term: int) -> None:
+    """As earlier releases took any term over that they were told."""
+    assert member.folder is not None
+    store = SqliteStore(member.folder, cluster_id="", member_id=member.member.member_id, create=False)
+    state = store.load()
+    last = state.entries[-1]
+    changes = StoreChanges(
+        replace_from=None,
+        entries=[],
+        first_index=state.entries[0].log_index,
+        last_index=last.log_index,
+        last_term=last.term,
+        term=term,
+        voted_for=None,
+        commit_index=state.commit_index,
+    )
+    store.commit(changes)
+    store.close()

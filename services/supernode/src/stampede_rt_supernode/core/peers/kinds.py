@@ -44,7 +44,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=RegisterPeer,
         result=PeerRegistered,
-        feature_level=1,
         subject=lambda one: one.peer_id.hex(),
         check=check_register_peer,
         check_in_time=_check_register_in_time,
@@ -53,7 +52,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=DeregisterPeer,
         result=PeerDeregistered,
-        feature_level=1,
         subject=lambda one: one.peer_id.hex(),
         check=lambda one: check_id(one.peer_id, "peer_id"),
         apply=_deregister,
@@ -61,7 +59,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=ExpirePeers,
         result=PeersExpired,
-        feature_level=1,
         subject=lambda one: f"{one.tenure} {len(one.leases)}",
         apply=_expire,
         needs_room=False,

@@ -6,7 +6,7 @@ unchanged library does. pinned_copy.py proves that the library is the one with t
 """
 
 # The library's own names are in camelCase.
-# ruff: noqa: N802, N803, N815
+# ruff: noqa: N802, N815
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.library.seams import LibraryLog
-from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.wire.messages import Message
+from stampede_rt_supernode.replication.wire.codec import Message
 
 T = TypeVar("T")
 
@@ -45,11 +44,9 @@ class Fate(enum.Enum):
 ProposalDone = Callable[[bytes | Fate], None]
 
 # The library's FAIL_REASON numbers. A command was not taken when its queue was full, no leader was known, its entry was
-# discarded, the leader refused, or the state does not take it yet. Nothing is known after a change of the leader, or
-# when the library says so.
+# discarded, or the leader refused. Nothing is known after a change of the leader, or when the library says so.
 _SUCCESS = 0
-_REASON_DENIED = 6
-_REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4, _REASON_DENIED))
+_REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4))
 _REASON_UNKNOWN = 7
 _REASONS_UNKNOWN = frozenset((5, _REASON_UNKNOWN))
 
@@ -104,13 +101,14 @@ class LibraryNode:
 
     _SyncObj__raftLog: LibraryLog
     _SyncObj__commandsWaitingCommit: dict[int, list[tuple[int, Callable[[Any, int], None]]]]
+    _SyncObj__commandsWaitingReply: dict[int, Callable[[Any, int], None]]
     _SyncObj__setCurrentTerm: Callable[[int, str | None], None]
     _SyncObj__onBecomeLeader: Callable[[], None]
     _SyncObj__onLeaderChanged: Callable[[], None]
     _SyncObj__onNodeConnected: Callable[[Any], None]
     _SyncObj__onNodeDisconnected: Callable[[Any], None]
     _SyncObj__generateRaftTimeout: Callable[[], float]
-    _SyncObj__callErrCallback: Callable[[int, Any], None]
+    _applyCommand: Callable[[bytes, Callable[[Any, int], None], int], None]
     doTick: Callable[[float], None]
     forceLogCompaction: Callable[[], None]
     conf: Any
@@ -164,6 +162,16 @@ class LibraryNode:
         """The leader that this node sent commands to is another one now: their callers learn that nothing is known."""
         self._SyncObj__onLeaderChanged()
 
+    def callers_waiting_count(self) -> int:
+        """Of how many positions callers wait to hear that they are committed."""
+        return len(self._SyncObj__commandsWaitingCommit)
+
+    def disown_forwarded(self, request_id: int) -> None:
+        """The caller of a forwarded command learns that nothing is known."""
+        callback = self._SyncObj__commandsWaitingReply.pop(request_id, None)
+        if callback is not None:
+            callback(None, _REASON_UNKNOWN)
+
     def give_up_waiting(self, log_index: int) -> None:
         """A snapshot has jumped over the commands up to a position: their callers learn that nothing is known."""
         waiting = self._SyncObj__commandsWaitingCommit
@@ -192,7 +200,7 @@ class LibraryNode:
 
     def receive(self, node: Any, message: Message) -> None:
         """Handle a member's message."""
-        super()._SyncObj__onMessageReceived(node, to_library(message))  # type: ignore[misc]
+        super()._SyncObj__onMessageReceived(node, message)  # type: ignore[misc]
 
     def set_role(self, role: int) -> None:
         """Become FOLLOWER, CANDIDATE or LEADER."""
@@ -217,8 +225,11 @@ class LibraryNode:
     def on_stream_opened(self, node: Any) -> None:
         """A member has opened a new stream; the library does not care."""
 
-    def on_members_told(self, members: tuple[Member, ...]) -> None:
+    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
         """A member has said who the members are; the library does not care."""
+
+    def on_disputed(self, member_id: str, why: str) -> None:
+        """A member refuses this one's store, or takes it again; the library does not care."""
 
     def on_introduced(self, member: Member) -> None:
         """A stranger has said that it is a member; the library does not care."""
@@ -226,13 +237,6 @@ class LibraryNode:
     def apply(self, log_index: int, command: bytes) -> bytes:
         """Apply a committed command."""
         return self.state_machine.apply(log_index, command)
-
-    def _applyCommand(self, command: bytes, callback: Any, commandType: int | None = None) -> None:
-        # Of this member's callers, or forwarded to it; only the latter has the byte for its kind.
-        if self.state_machine.takes(command if commandType is not None else command[1:]):
-            super()._applyCommand(command, callback, commandType)  # type: ignore[misc]
-        else:
-            self._SyncObj__callErrCallback(_REASON_DENIED, callback)
 
     def _SyncObj__setState(self, role: int) -> None:
         self.set_role(role)

@@ -6,9 +6,10 @@ import asyncio
 import contextlib
 import logging
 import random
+import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import grpc
@@ -17,22 +18,21 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import (
-    ANOTHER_STORE,
-    OLDER_STORE,
-    OTHER_CLUSTER,
-    REMOVED,
-    TOO_OLD,
-    UNKNOWN,
-    other_protocol,
-)
+from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, UNKNOWN
+from stampede_rt_supernode.replication.network.refusals import Refusals, grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.wire.codec import encode_message
-from stampede_rt_supernode.replication.wire.mailroom import Connected, Disconnected, MembersTold, NetworkEvent, Outgoing
-from stampede_rt_supernode.replication.wire.records import MalformedMessage, decode_members
+from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_members
+from stampede_rt_supernode.replication.wire.mailroom import (
+    Connected,
+    Disconnected,
+    Disputed,
+    MembersTold,
+    NetworkEvent,
+    Outgoing,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -43,6 +43,7 @@ Introduce = Callable[[str], pb.RaftHello]
 REQUEST_MESSAGES_MAX = 256
 REQUEST_BYTES = 1 << 20
 HELLO_SECONDS = 2.0
+REASON_CHARACTERS_MAX = 500
 # A snapshot is fed to a link only while less than this waits in it.
 ROOM_BYTES = 4 << 20
 
@@ -57,6 +58,9 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
 
 # The generated class carries no types.
 _stub_class: Any = raft_service_pb2_grpc.RaftServiceStub
+
+# What gRPC puts before the words of a refusal.
+_STATUS = re.compile(r"^(refused: )?(StatusCode\.)?[A-Z_]+: ")
 
 CANCELLATIONS_MAX = 5
 CANCEL_AGAIN_SECONDS = 1.0
@@ -144,7 +148,7 @@ class Link:
         if answer is grpc.aio.EOF:
             raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
         if answer.protocol_version != PROTOCOL_VERSION:
-            raise LinkBroken(other_protocol(self._settings.self_member.member_id, answer.protocol_version))
+            raise LinkBroken(f"speaks protocol {answer.protocol_version}, this member {PROTOCOL_VERSION}")
         self._told = ()
         self._take_members(answer)
         if answer.unknown_caller:
@@ -226,8 +230,8 @@ class Link:
 
 def _brief(error: BaseException) -> str:
     if isinstance(error, grpc.aio.AioRpcError):
-        return f"{error.code().name}: {error.details()}"
-    return str(error) or type(error).__name__
+        return f"{error.code().name}: {error.details()}"[:REASON_CHARACTERS_MAX]
+    return (str(error) or type(error).__name__)[:REASON_CHARACTERS_MAX]
 
 
 class Links:
@@ -250,20 +254,16 @@ class Links:
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
         self._introduce: Introduce | None = None
-        # True since a member has said that this one was removed for good, that it had another store before, or that
-        # its store is an older copy.
-        self.removed = self.has_lost_store = self.has_old_store = False
+        # Who refuses this member for good.
+        self.refusals = Refusals()
         # What a member has said that is of another cluster; empty if none has.
         self.other_cluster = ""
-        # What a member has said of this one's release, which does not know the cluster's feature level.
-        self.too_old = ""
-        # Told once why others do not take this member's store; blocks for one small file.
-        self.on_store_refused: Callable[[str], None] = lambda why: None
-
-    @property
-    def is_refused(self) -> bool:
-        """Whether a member has refused this one for good."""
-        return self.removed or self.has_lost_store or self.has_old_store
+        # Every other member by the log, and the leader whom it follows.
+        self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
+        # Told once why others refuse this member for good; blocks for one small file.
+        self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
+        # Told of a member that breaks the rules, and how.
+        self.on_fault: Callable[[str, str], None] = lambda member_id, why: None
 
     def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member], introduce: Introduce) -> None:
         """Begin to connect to every peer, by what `introduce` says; on the loop."""
@@ -293,24 +293,45 @@ class Links:
                 self._tasks[member_id] = task
 
     def _link(self, member: Member, deliver: Callable[[NetworkEvent], None], introduce: Introduce) -> Link:
-        return Link(member, self._settings, self._dial, deliver, self._on_refused, introduce, self._reports)
+        member_id = member.member_id
 
-    def _on_refused(self, why: str) -> None:
+        def deliver_first(event: NetworkEvent) -> None:
+            if isinstance(event, Connected) and self.refusals.accepted(member_id):
+                deliver(Disputed(member_id, ""))
+            deliver(event)
+
+        def on_refused(why: str) -> None:
+            self._on_refused(member_id, why, deliver)
+
+        return Link(member, self._settings, self._dial, deliver_first, on_refused, introduce, self._reports)
+
+    def _on_refused(self, member_id: str, why: str, deliver: Callable[[NetworkEvent], None]) -> None:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
-        if TOO_OLD in why:
-            self.too_old = why.partition(TOO_OLD)[2].removeprefix(": ")
-        was_refused = self.is_refused
-        self.removed = self.removed or REMOVED in why
-        self.has_lost_store = self.has_lost_store or ANOTHER_STORE in why
-        self.has_old_store = self.has_old_store or OLDER_STORE in why
-        if self.is_refused and not was_refused:
-            self.on_store_refused(why)
+        if grounds_of(why) is None:
+            return
+        why = _STATUS.sub("", why)
+        is_new = member_id not in self.refusals.by
+        was_confirmed, (others, leader_id) = self.refusals.confirmed is not None, self.see()
+        is_confirmed = self.refusals.refused(member_id, why, others=others, leader_id=leader_id)
+        if is_new:
+            deliver(Disputed(member_id, why))
+        if is_confirmed and not was_confirmed:
+            self.on_refusal_confirmed(self.refusals.why)
+        elif is_new and not is_confirmed:
+            logger.warning(
+                "%s refuses this member for good; until the leader or most of the others say the same, it goes on "
+                "without a vote (if %s is mistaken, stop that one and start this one again): %s",
+                *(member_id, member_id, why),
+            )
+
+    def drop(self, member_id: str, why: str) -> None:
+        """Have the stream of a member ended that breaks the rules; from the tick thread."""
+        self._bridge.post(lambda: self.on_fault(member_id, why))
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Queue messages on their links; from the tick thread, which encodes them."""
-        encoded = [(member_id, encode_message(message)) for member_id, message in messages]
-        self._bridge.post(lambda: self._enqueue(encoded))
+        """Queue messages on their links; from the tick thread."""
+        self._bridge.post(lambda: self._enqueue(messages))
 
     def has_room(self, member_id: str) -> bool:
         """Whether little enough waits for this member; from the tick thread."""
@@ -327,7 +348,7 @@ class Links:
             if tasks:
                 _, tasks = await asyncio.wait(tasks, timeout=CANCEL_AGAIN_SECONDS)
 
-    def _enqueue(self, messages: Sequence[tuple[str, pb.RaftMessage]]) -> None:
+    def _enqueue(self, messages: Sequence[Outgoing]) -> None:
         for member_id, message in messages:
             link = self._links.get(member_id)
             if link is not None:  # else the member is gone, and so is its link

@@ -28,11 +28,12 @@ from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import InboxFull, Replica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
-from stampede_rt_supernode.replication.wire.codec import decode_message
+from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_message, encode_members
 from stampede_rt_supernode.replication.wire.mailroom import Introduced, Received, StreamEnded, StreamOpened
-from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
 HELLO_SECONDS = 5.0
+# For so long a member that breaks the rules is not heard.
+EXPELLED_SECONDS = 5.0
 # How often a member that sends is told that it is heard.
 ANSWER_SECONDS = 0.5
 
@@ -51,6 +52,8 @@ class RaftServicer:
         self._replica = replica
         # Member id -> why its store was refused when it came last.
         self._refused: dict[str, str] = {}
+        # Member id -> until when it is not heard, by the clock of durations, and why.
+        self._expelled: dict[str, tuple[float, str]] = {}
         # Member id -> what reads its present stream. At most one each.
         self._readers: dict[str, asyncio.Task[None]] = {}
         self._reports = SparseReports()
@@ -62,12 +65,11 @@ class RaftServicer:
 
     async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
         """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
-        hello = await self._welcome(context)
-        member_id = hello.member_id
+        member_id = await self._welcome(context)
         replaced = self._readers.pop(member_id, None)
         if replaced is not None:
             replaced.cancel()
-        self._replica.deliver(StreamOpened(member_id, hello.highest_feature_level))
+        self._replica.deliver(StreamOpened(member_id))
         reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
         self._readers[member_id] = reader
         try:
@@ -84,13 +86,26 @@ class RaftServicer:
         members = {member.member_id for member in self._replica.roster.members} - self._readers.keys()
         return {member_id: why for member_id, why in self._refused.items() if member_id in members}
 
+    def expel(self, member_id: str, why: str) -> None:
+        """End the stream of a member that breaks the rules, and hear it no more for a while."""
+        self._expelled = {one: until for one, until in self._expelled.items() if until[0] > time.monotonic()}
+        self._expelled[member_id] = time.monotonic() + EXPELLED_SECONDS, why
+        if self._reports.is_due((member_id, "expelled"), time.monotonic()):
+            logger.error(
+                "%s: no member that keeps to the rules does so, and it is not heard for %.0f s; if that goes on, stop "
+                "it, let it go (stampede supernode remove %s), and find out what runs there",
+                *(why, EXPELLED_SECONDS, member_id),
+            )
+        if (reader := self._readers.get(member_id)) is not None:
+            reader.cancel()
+
     def close(self) -> None:
         """End every stream, and refuse new ones."""
         self._closed = True
         for reader in self._readers.values():
             reader.cancel()
 
-    async def _welcome(self, context: Any) -> pb.RaftHello:
+    async def _welcome(self, context: Any) -> str:
         try:
             async with asyncio.timeout(HELLO_SECONDS):
                 request = await context.read()
@@ -100,10 +115,10 @@ class RaftServicer:
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
         await self._check(request.hello, context)
         # Before anything is heard of this member, and so before anything rests on what it says.
-        await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id)
+        members = {member.member_id for member in self._replica.roster.members}
+        await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id, members)
         await context.write(self._greeting(knows_caller=True))
-        hello: pb.RaftHello = request.hello
-        return hello
+        return str(request.hello.member_id)
 
     def _greeting(self, *, knows_caller: bool) -> pb.RaftServiceExchangeResponse:
         return pb.RaftServiceExchangeResponse(
@@ -120,15 +135,11 @@ class RaftServicer:
             await context.abort(
                 grpc.StatusCode.PERMISSION_DENIED, f"{hello.member_id!r} bears the certificate of {caller}"
             )
+        until, why = self._expelled.get(hello.member_id, (0.0, ""))
+        if until > time.monotonic():
+            await context.abort(grpc.StatusCode.UNAVAILABLE, f"not heard for a while: {why}")
         roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
-        refusal = refusal_of(
-            hello,
-            self._settings,
-            roster=roster,
-            stores=self._stores,
-            promise=promise,
-            feature_level=self._replica.feature_level,
-        )
+        refusal = refusal_of(hello, self._settings, roster=roster, stores=self._stores, promise=promise)
         self._note_outcome(hello, refusal)
         if refusal is None:
             return
@@ -157,7 +168,7 @@ class RaftServicer:
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
                 raise MalformedMessage("a second hello, or too many messages at once")
             for message in request.messages:
-                self._replica.deliver(Received(member_id, decode_message(message)))
+                self._replica.deliver(Received(member_id, decode_message(message), message.ByteSize()))
             if loop.time() - answered_at >= ANSWER_SECONDS:
                 answered_at = loop.time()
                 await context.write(self._greeting(knows_caller=True))

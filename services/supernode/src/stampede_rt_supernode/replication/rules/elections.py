@@ -7,24 +7,17 @@ unseats a leader that serves well. The library has none.
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from typing import Any
 
 from stampede_rt_supernode.replication.library.node import CANDIDATE
 from stampede_rt_supernode.replication.rules.following import Following
 from stampede_rt_supernode.replication.rules.leading import Leading
-from stampede_rt_supernode.replication.wire.messages import (
-    AppendEntries,
-    AppendReply,
-    ForwardedCommand,
-    ForwardedCommandReply,
-    InstallSnapshot,
-    Message,
-    ReadIndexReply,
-    ReadIndexRequest,
-    TimeoutNow,
-    VoteReply,
-    VoteRequest,
-)
+from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation, PeerAtFault
+from stampede_rt_supernode.replication.wire.codec import Message
+
+# Every leader begins with an entry, so no term is so many elections ahead of the log: at one a second without a pause,
+# they take twelve days.
+TERMS_AHEAD_MAX = 1 << 20
 
 
 class RaftRules(Following, Leading):
@@ -37,69 +30,87 @@ class RaftRules(Following, Leading):
         """Hand a member's message to its rule. The library takes messages from anybody."""
         if self.mailroom.node(node.id) is None:
             return
+        self._check_term(node.id, message)
         self._note_promise(node.id, message)
-        match message:
-            case AppendEntries() | InstallSnapshot():
+        match message["type"]:
+            case "append_entries":
                 self._on_append(node, message)
-            case AppendReply():
+            case "next_node_idx":
                 self._on_append_reply(node, message)
-            case VoteRequest():
+            case "request_vote":
                 self._on_vote_request(node, message)
-            case VoteReply():
+            case "response_vote":
                 self._on_vote(node, message)
-            case ForwardedCommand() | ForwardedCommandReply():
+            case "apply_command":
                 super().receive(node, message)
-            case ReadIndexRequest():
-                self.reads.on_request(node, message)
-            case ReadIndexReply():
-                self.reads.on_reply(message)
-            case TimeoutNow():
+            case "apply_command_response":
+                self._on_command_answer(node, message)
+            case "read_index" | "read_index_response":
+                self.reads.on_message(node, message)
+            case "timeout_now":
                 self._on_timeout_now(node, message)
-            case _:
-                assert_never(message)
+            case kind:
+                raise InvariantViolation(f"a message of kind {kind!r} came through")
+
+    def _check_term(self, member_id: str, message: Message) -> None:
+        """A term that no elections explain is not taken over: it would leave none for the elections to come.
+
+        Who is not in yet knows no term to measure it by.
+        """
+        claimed, (last_term, _) = max(message.get("term", 0), message.get("voter_term", 0)), self.log_end()
+        if claimed > last_term + TERMS_AHEAD_MAX and self.is_voter():
+            raise PeerAtFault(member_id, f"speaks of term {claimed}, and the log ends in term {last_term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
         """Remember what a member says of itself: it was on its disk before it was said.
 
         A leader holds all that it calls committed. What followers hold is noted when it is committed.
         """
-        match message:
-            case AppendEntries() | InstallSnapshot():
-                self.log.note_promise(member_id, message.term, message.commit_index)
-            case AppendReply():
-                self.log.note_promise(member_id, message.term, 0)
-            case VoteRequest(trial=False) | VoteReply(trial=False):
-                self.log.note_promise(member_id, message.term, 0)
-            case VoteReply():
-                self.log.note_promise(member_id, message.voter_term, 0)
+        match message["type"]:
+            case "append_entries":
+                self.log.note_promise(member_id, message["term"], message["commit_index"])
+            case "next_node_idx":
+                self.log.note_promise(member_id, message["term"], 0)
+            case "request_vote" | "response_vote":
+                term = message.get("voter_term", 0) if message["trial"] else message["term"]
+                self.log.note_promise(member_id, term, 0)
 
-    def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
+    def _on_command_answer(self, node: Any, message: Message) -> None:
+        """The leader has taken a command of this node's, or not. What it says of the log is waited for in bounds."""
+        if node != self.leader:
+            return
+        if self.callers_waiting_count() >= self.conf.commandsQueueSize:
+            self.disown_forwarded(message["request_id"])
+        else:
+            super().receive(node, message)
+
+    def _on_timeout_now(self, node: Any, message: Message) -> None:
         """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
-        may_lead = self.is_voter() and not self.digests.diverged_at
-        if message.term == self.term and node == self.leader and may_lead:
+        may_lead = self.is_voter() and not self.stands_aside()
+        if message["term"] == self.term and node == self.leader and may_lead:
             self.election_deadline = float("-inf")
 
-    def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
-        if message.term > self.term:
-            self.become_follower(message.term)
-        if message.term < self.term or self.is_leader:
+    def _on_vote_request(self, node: Any, message: Message) -> None:
+        if message["term"] > self.term:
+            self.become_follower(message["term"])
+        if message["term"] < self.term or self.is_leader:
             return
-        if (message.last_log_term, message.last_log_index) < self.log_end():
+        if (message["last_log_term"], message["last_log_index"]) < self.log_end():
             return
-        if self.voted_for not in (None, node.id):
+        if self.voted_for not in (None, node.id) or self.disputed_by:
             return
         self.set_term(self.term, node.id)
         self.put_off_election()
-        self.mailroom.send(node, VoteReply(term=message.term))
+        self.mailroom.send(node, {"type": "response_vote", "term": message["term"]})
 
-    def _on_vote(self, node: Any, message: VoteReply) -> None:
+    def _on_vote(self, node: Any, message: Message) -> None:
         """Count a vote once per node and term. The library counts messages."""
-        if message.term != self.term or self.role != CANDIDATE:
+        if message["term"] != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:
             return  # no member, or no longer one
-        if self._votes[0] != message.term:
-            self._votes = (message.term, set())
+        if self._votes[0] != message["term"]:
+            self._votes = (message["term"], set())
         self._votes[1].add(node.id)
         self.votes_count = 1 + len(self._votes[1])
         if self.is_majority(self.votes_count):
@@ -120,10 +131,11 @@ class TrialElections(RaftRules):
     def before_tick(self) -> None:
         """Turn an election that is due into a trial, unless its trial was won already."""
         self.follow_log()
+        self.listen_to_strangers()
         due = self.election_deadline < self.clock()
         if not due or self.is_leader:
             return
-        if not self.is_voter() or self.digests.diverged_at:
+        if not self.is_voter() or self.stands_aside():
             # Nobody may vote for a node that is not in yet, or was removed; and a state that differs must not lead.
             self.put_off_election()
             self._lose_leader()
@@ -137,9 +149,17 @@ class TrialElections(RaftRules):
         self.put_off_election()
         self._trial = (term, set())
         last_term, last_index = self.log_end()
-        request = VoteRequest(term=term, last_log_index=last_index, last_log_term=last_term, trial=True)
         for node in self.other_voters:
-            self.mailroom.send(node, request)
+            self.mailroom.send(
+                node,
+                {
+                    "type": "request_vote",
+                    "trial": True,
+                    "term": term,
+                    "last_log_index": last_index,
+                    "last_log_term": last_term,
+                },
+            )
 
     def _lose_leader(self) -> None:
         """Nothing was heard of the leader for an election timeout: nobody's commands or reads go to it any more."""
@@ -148,24 +168,25 @@ class TrialElections(RaftRules):
             self.give_up_forwarded()
             self.reads.on_leader_lost()
 
-    def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
-        if not message.trial:
+    def _on_vote_request(self, node: Any, message: Message) -> None:
+        if not message["trial"]:
             super()._on_vote_request(node, message)
             return
         leader_alive = self.clock() - self.last_leader_contact < self.leader_alive_seconds
-        complete = (message.last_log_term, message.last_log_index) >= self.log_end()
-        if leader_alive or not complete or self.is_leader:
+        complete = (message["last_log_term"], message["last_log_index"]) >= self.log_end()
+        if leader_alive or not complete or self.is_leader or self.disputed_by:
             return
-        self.mailroom.send(node, VoteReply(term=message.term, trial=True, voter_term=self.term))
+        reply = {"type": "response_vote", "trial": True, "term": message["term"]}
+        self.mailroom.send(node, {**reply, "voter_term": self.term})
 
-    def _on_vote(self, node: Any, message: VoteReply) -> None:
-        if not message.trial:
+    def _on_vote(self, node: Any, message: Message) -> None:
+        if not message["trial"]:
             super()._on_vote(node, message)
             return
-        if message.voter_term > self.term:
-            self.become_follower(message.voter_term)
+        if message["voter_term"] > self.term:
+            self.become_follower(message["voter_term"])
         term, voters = self._trial
-        if message.term != term or self.is_leader or node not in self.other_voters:
+        if message["term"] != term or self.is_leader or node not in self.other_voters:
             return
         voters.add(node.id)
         if self.is_majority(1 + len(voters)):
@@ -173,7 +194,7 @@ class TrialElections(RaftRules):
             self._trial_won_term = self.term + 1
             self.election_deadline = float("-inf")
 
-    def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
+    def _on_timeout_now(self, node: Any, message: Message) -> None:
         super()._on_timeout_now(node, message)
         if self.election_deadline == float("-inf"):
             # Those who hear the leader would refuse a trial; the leader itself has asked for this election.

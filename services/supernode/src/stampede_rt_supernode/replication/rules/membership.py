@@ -4,21 +4,25 @@ Three circles: the *voters* are counted; the *learner* is sent the log, so that 
 *known* node is heard, since a member that was away does not know yet who leads by now (Ongaro's dissertation,
 section 4.1: requests are taken from servers that are not in the configuration). Whose removal is applied is not heard
 again.
+
+Known are those whom the log names, and those whom one of these has named as members. Who has only named itself is a
+*stranger*, and heard while this node is locked out: while it has heard no leader for so long that those whom it knows
+may all be gone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LEADER
 from stampede_rt_supernode.replication.rules.raft_node import NodeState
-from stampede_rt_supernode.replication.wire.messages import TimeoutNow
-from stampede_rt_supernode.replication.wire.records import encode_configuration
+from stampede_rt_supernode.replication.wire.codec import encode_configuration
 
 TOLD_MEMBERS_MAX = 64
+STRANGERS_MAX = 16
 
 
 class Membership(NodeState):
@@ -30,8 +34,17 @@ class Membership(NodeState):
     # Who is catching up in order to be added; only while this node leads.
     learner: Member | None = None
 
-    # Members of whom others told us, by id, the last told of last; at first those of whom the settings told.
+    # When this node followed somebody last, or led; after so long without it is locked out.
+    had_leader_at: float
+    locked_out_seconds: float
+
+    # Members of whom known ones told us, by id, the last told of last; at first those of whom the settings told.
     _told: dict[str, Member]
+    # Who has named itself, or was named by a stranger, by id, the last one last.
+    _strangers: dict[str, Member]
+    _hears_strangers: bool = False
+    # Known members that do not take this node's store, by id, and why: it does not vote for as long.
+    disputed_by: dict[str, str]
     # Everybody whom this node hears, itself excepted, by id.
     peers: dict[str, Member]
     # What was adopted last: the version of the log's configurations, and the one that is applied.
@@ -63,22 +76,52 @@ class Membership(NodeState):
             self._adopted = seen
             self._adopt()
 
-    def on_members_told(self, members: tuple[Member, ...]) -> None:
-        """A known member has said who the members are.
+    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
+        """Somebody who is heard has said who the members are.
 
         Those known already are noted, too: a snapshot from before they came may take them off the log's own list.
         """
-        if any(self._told.get(member.member_id) != member for member in members):
+        if self._is_stranger(teller_id):
             for member in members:
-                self._told.pop(member.member_id, None)
-                self._told[member.member_id] = member
-            for member_id in list(self._told)[:-TOLD_MEMBERS_MAX]:
-                del self._told[member_id]
+                self.on_introduced(member)
+        elif any(self._told.get(member.member_id) != member for member in members):
+            _remember(self._told, members, TOLD_MEMBERS_MAX)
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
-        """A stranger has said that it is a member: hear it, as requests are heard from whoever leads."""
-        self.on_members_told((member,))
+        """Somebody unknown has said that it is a member: remember it for the time when nobody else is left."""
+        if self._strangers.get(member.member_id) != member:
+            _remember(self._strangers, (member,), STRANGERS_MAX)
+            if self._hears_strangers:
+                self._adopt()
+
+    def listen_to_strangers(self) -> None:
+        """Begin to when this node is locked out; cease to once it leads, or hears a leader whom it knows."""
+        hears = self._hears_strangers
+        if self.leader is None:
+            hears = hears or self.clock() - self.had_leader_at > self.locked_out_seconds
+        else:
+            self.had_leader_at = self.clock()
+            hears = hears and self._is_stranger(self.leader.id)
+        if hears != self._hears_strangers:
+            self._hears_strangers = hears
+            self._adopt()
+
+    def _is_stranger(self, member_id: str) -> bool:
+        if member_id in self._told or member_id == self.self_member.member_id:
+            return False
+        return all(member.member_id != member_id for member in self.log.configurations.known_members())
+
+    def on_disputed(self, member_id: str, why: str) -> None:
+        """A member does not take this node's store, or, with an empty `why`, takes it again."""
+        if not why:
+            self.disputed_by.pop(member_id, None)
+        elif member_id in self.peers and not self._is_stranger(member_id):
+            self.disputed_by[member_id] = why
+
+    def stands_aside(self) -> bool:
+        """Whether this node must not lead: its state differs, or its store may lack what it has promised."""
+        return bool(self.digests.diverged_at or self.disputed_by)
 
     def set_learner(self, learner: Member | None) -> None:
         """Begin or end to send the log to a node that is no member yet."""
@@ -113,7 +156,8 @@ class Membership(NodeState):
         self._forget_progress()
 
     def _adopt_peers(self, known: list[Member], current: Configuration) -> None:
-        peers = {**self._told, **{member.member_id: member for member in known}}
+        strangers = self._strangers if self._hears_strangers else {}
+        peers = {**strangers, **self._told, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner
         peers.update({member.member_id: member for member in current.members})
@@ -160,16 +204,6 @@ class Membership(NodeState):
         """
         return self.can_confirm_reads() and self.log.configurations.current_index <= self.commit_index
 
-    def known_levels(self) -> dict[str, int]:
-        """The highest feature level of each member that has told one, and of this one."""
-        return {**self.mailroom.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
-
-    def level_to_join(self) -> int:
-        """The level that a newcomer's release must know: the cluster's, or the one to which it is about to rise."""
-        known = self.known_levels()
-        told = [known.get(member.member_id, 0) for member in self.configuration().members]
-        return max(self.state_machine.feature_level, min(told))
-
     def configuration(self) -> Configuration:
         """The one that holds."""
         return self.log.configurations.current
@@ -206,4 +240,13 @@ class Membership(NodeState):
     def send_timeout_now(self, member_id: str) -> bool:
         """Ask a member to lead; False when the message cannot leave."""
         node = self.mailroom.node(member_id)
-        return node is not None and self.mailroom.send(node, TimeoutNow(term=self.term))
+        return node is not None and self.mailroom.send(node, {"type": "timeout_now", "term": self.term})
+
+
+def _remember(members: dict[str, Member], news: Iterable[Member], members_max: int) -> None:
+    """Put them last, and forget the first of too many."""
+    for member in news:
+        members.pop(member.member_id, None)
+        members[member.member_id] = member
+    for member_id in list(members)[:-members_max]:
+        del members[member_id]

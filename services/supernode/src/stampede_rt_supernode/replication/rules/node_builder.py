@@ -45,6 +45,8 @@ def build_node(
     node.clock, node.state_machine, node.has_room, node.digests = clock, state_machine, has_room, Digests()
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
     node._told = dict(peers)
+    node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()
+    node.locked_out_seconds = 2 * settings.timing.election_timeout_max_seconds
     node.keeper = SnapshotKeeper(
         journal, state_machine, has_room, run_aside=run_aside, chunk_bytes=settings.snapshot_piece_bytes
     )

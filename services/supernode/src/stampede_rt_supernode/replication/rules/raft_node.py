@@ -19,6 +19,14 @@ class InvariantViolation(RuntimeError):
     """The log broke a promise of Raft. The replica stops before it can do more harm."""
 
 
+class PeerAtFault(Exception):
+    """A member has broken the rules: its stream is dropped, and this replica goes on."""
+
+    def __init__(self, member_id: str, why: str) -> None:
+        super().__init__(f"{member_id} {why}")
+        self.member_id = member_id
+
+
 class NodeState(LibraryNode):
     """What all rules read and change. Tick thread only."""
 

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from stampede_rt_supernode.replication.wire.codec import Message
 from stampede_rt_supernode.replication.wire.mailroom import Mailroom
-from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, ReadIndexRequest
 
 
 @dataclass(slots=True)
@@ -43,6 +43,11 @@ class _Asked:
     request_id: int
     reads: list[Read]
     give_up_at: float
+    leader_id: str
+
+    def is_answered_by(self, member_id: str, request_id: int) -> bool:
+        """Whether this is the answer, of whom was asked."""
+        return (self.leader_id, self.request_id) == (member_id, request_id)
 
 
 class ConfirmedReads:
@@ -60,10 +65,9 @@ class ConfirmedReads:
         self._clock = clock
         self._retry_seconds = retry_seconds
         self._next_request_id = first_request_id
-        # The newest round. The leader puts it on every append message, and the replies echo it.
-        self.round = 0
         self._new: list[Read] = []
-        self._new_requests: list[tuple[Any, int]] = []
+        # Of each member the last one: whoever asks again has given up what it asked before.
+        self._new_requests: dict[Any, int] = {}
         self._rounds: list[_Round] = []
         self._echoes: dict[str, int] = {}
         self._asked: _Asked | None = None
@@ -73,16 +77,14 @@ class ConfirmedReads:
         """Begin a read."""
         self._new.append(read)
 
-    def on_request(self, node: Any, message: ReadIndexRequest) -> None:
-        """A member asks for a position."""
-        self._new_requests.append((node, message.request_id))
-
-    def on_reply(self, message: ReadIndexReply) -> None:
-        """The leader answers."""
-        if self._asked is not None and self._asked.request_id == message.request_id:
+    def on_message(self, node: Any, message: Message) -> None:
+        """A member asks for a position, or answers."""
+        if message["type"] == "read_index":
+            self._new_requests[node] = message["request_id"]
+        elif self._asked is not None and self._asked.is_answered_by(node.id, message["request_id"]):
             asked, self._asked = self._asked, None
-            if message.read_index > 0:
-                self._confirmed.append((message.read_index, asked.reads))
+            if message["read_index"] > 0:
+                self._confirmed.append((message["read_index"], asked.reads))
             else:
                 self._new.extend(asked.reads)
 
@@ -107,15 +109,16 @@ class ConfirmedReads:
             self._new.extend(self._asked.reads)
             self._asked = None
         if not self._node.can_confirm_reads():
-            requests, self._new_requests = self._new_requests, []
+            requests, self._new_requests = list(self._new_requests.items()), {}
             self._refuse(requests)
             self._ask_leader()
             return False
         if not self._new and not self._new_requests:
             return False
-        self.round += 1
-        self._rounds.append(_Round(self.round, self._node.commit_index, reads=self._new, requests=self._new_requests))
-        self._new, self._new_requests = [], []
+        self._mailroom.round += 1
+        requests = list(self._new_requests.items())
+        self._rounds.append(_Round(self._mailroom.round, self._node.commit_index, reads=self._new, requests=requests))
+        self._new, self._new_requests = [], {}
         return True
 
     def finish(self) -> None:
@@ -152,8 +155,8 @@ class ConfirmedReads:
         if not self._mailroom.is_reachable(leader.id):
             return
         self._next_request_id += 1
-        self._mailroom.send(leader, ReadIndexRequest(request_id=self._next_request_id))
-        self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds)
+        self._mailroom.send(leader, {"type": "read_index", "request_id": self._next_request_id})
+        self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
         self._new = []
 
     def _refuse(self, requests: list[tuple[Any, int]]) -> None:
@@ -161,7 +164,8 @@ class ConfirmedReads:
             self._answer(node, request_id, 0)
 
     def _answer(self, node: Any, request_id: int, read_index: int) -> None:
-        self._mailroom.send(node, ReadIndexReply(request_id=request_id, read_index=read_index))
+        reply = {"type": "read_index_response", "request_id": request_id, "read_index": read_index}
+        self._mailroom.send(node, reply)
 
     def _expire(self) -> None:
         now = self._clock()

@@ -21,7 +21,7 @@ from stampede_rt_supernode.replication.storage.store import (
     StoreChanges,
     StoredSnapshot,
 )
-from stampede_rt_supernode.replication.wire.records import decode_configuration
+from stampede_rt_supernode.replication.wire.codec import decode_configuration
 
 # More than there can be members at any time; those of removed ones make room.
 PROMISES_MAX = 64
@@ -133,8 +133,16 @@ class Journal:
             # A new dictionary: other threads read the one before.
             promises = {one: promise for one, promise in self._promises.items() if one != member_id}
             promises[member_id] = Promise(max(term, known.term), max(held, known.held))
-            self._promises = dict(list(promises.items())[-PROMISES_MAX:])
+            self._promises = self._bounded(promises)
             self._promises_changed = True
+
+    def _bounded(self, promises: dict[str, Promise]) -> dict[str, Promise]:
+        """Of too many, those of the oldest that are no members go."""
+        members = {member.member_id for member in self.configurations.known_members()}
+        others = [member_id for member_id in promises if member_id not in members]
+        for member_id in others[: max(0, len(promises) - PROMISES_MAX)]:
+            del promises[member_id]
+        return promises
 
     def flush_promises(self) -> None:
         """Have promises on the disk with the next sync, even if nothing else is."""

@@ -13,15 +13,17 @@ import os
 import secrets
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
 
 FILE_NAME = "replicated_log.stores"
-KNOWN_MAX = 256
+# Of those whom the log does not name, beside all whom it does.
+OTHERS_MAX = 32
 ID_BYTES = 8
+STORE_ID_BYTES_MAX = 64
 
 
 class KnownStores:
@@ -67,13 +69,17 @@ class KnownStores:
             if self._place is not None:
                 self._write()
 
-    def note(self, member_id: str, store_id: str) -> None:
-        """Remember an admitted member's store for good; blocks at the first time. Raises OSError."""
+    def note(self, member_id: str, store_id: str, members: Collection[str]) -> None:
+        """Remember an admitted member's store for good; blocks at the first time. Raises OSError.
+
+        `members`: whom the log names. Of the others only the last few are kept, and none takes a member's place.
+        """
         with self._mutex:
             if self._place is None or not store_id or member_id in self._known:
                 return
             self._known[member_id] = store_id
-            for oldest in list(self._known)[:-KNOWN_MAX]:
+            others = [known for known in self._known if known not in members]
+            for oldest in others[:-OTHERS_MAX]:
                 del self._known[oldest]
             self._write()
 

@@ -10,13 +10,13 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import Result, RunAside
-from stampede_rt_supernode.replication.wire import records
-from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
+from stampede_rt_supernode.replication.wire import codec
 
 
 @dataclass
@@ -34,15 +34,19 @@ class _Decoded:
     """A whole snapshot, and what lets the state machine go on from it."""
 
     stored: StoredSnapshot
-    snapshot: records.Snapshot
+    snapshot: codec.Snapshot
     restore: Callable[[], None]
+
+
+class UnreadableSnapshot(Exception):
+    """What came is whole, and yet no snapshot that this member can go on from."""
 
 
 @dataclass(slots=True)
 class _Opening:
     """A whole snapshot that another thread decodes; then, piece by piece, on its way to the disk."""
 
-    decoded: Result[_Decoded]
+    decoded: Result[_Decoded | UnreadableSnapshot]
     pieces_written: int = 0
 
 
@@ -61,7 +65,7 @@ class SnapshotReceiver:
         """Whether a whole snapshot is being decoded or written."""
         return self._opening is not None
 
-    def take_in(self, chunk: SnapshotChunk) -> StoredSnapshot | None:
+    def take_in(self, chunk: pb.RaftSnapshotChunk) -> StoredSnapshot | None:
         """Take in a piece; the snapshot when it is whole and its checksum holds.
 
         A piece that does not follow the last one drops what there is: the leader starts again when it sees
@@ -86,24 +90,33 @@ class SnapshotReceiver:
     def open(self, received: StoredSnapshot) -> None:
         """Begin to open a snapshot. None other is being opened."""
 
-        def decode() -> _Decoded:
-            snapshot = records.decode_snapshot(received.record)
-            stored = replace(received, last_log_index=snapshot.last.log_index)
-            return _Decoded(stored, snapshot, self._state_machine.prepare_restore(snapshot.state))
+        def decode() -> _Decoded | UnreadableSnapshot:
+            try:
+                snapshot = codec.decode_snapshot(received.record)
+                restore = self._state_machine.prepare_restore(snapshot.state)
+            except Exception as error:  # noqa: BLE001 - a peer has made it, and whatever it holds must end nobody
+                return UnreadableSnapshot(f"it cannot be read: {error!r}")
+            return _Decoded(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
 
         self._opening = _Opening(self._run_aside(decode))
 
-    def advance(self, *, newer_than: int) -> Entry | None:
+    def advance(self, *, newer_than: int, term_max: int) -> Entry | None:
         """Go on, a piece to the disk at a time; the last entry once state and log begin with the snapshot.
 
-        One that ends at or before `newer_than` is dropped: going back would undo what was applied.
-        Raises what decoding and the state machine raise.
+        One that ends at or before `newer_than` is dropped: going back would undo what was applied. Raises
+        UnreadableSnapshot for one that is none, or of a later term than `term_max`; then the log is as before.
         """
         opening = self._opening
         if opening is None or not opening.decoded.done():
             return None
         decoded = opening.decoded.result()
+        if isinstance(decoded, UnreadableSnapshot):
+            self._opening = None
+            raise decoded
         stored, snapshot = decoded.stored, decoded.snapshot
+        if snapshot.last.term > term_max:
+            self._opening = None
+            raise UnreadableSnapshot(f"it ends in term {snapshot.last.term}, and this is term {term_max}")
         if snapshot.last.log_index <= newer_than:
             self._opening = None
             return None
@@ -119,7 +132,7 @@ class SnapshotReceiver:
         return snapshot.last
 
 
-def _continues(incoming: _Incoming, chunk: SnapshotChunk) -> bool:
+def _continues(incoming: _Incoming, chunk: pb.RaftSnapshotChunk) -> bool:
     return (
         chunk.offset_bytes == len(incoming.data)
         and chunk.last_log_index == incoming.last_log_index

@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.backups import read_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store, read_identity
 from stampede_rt_supernode.replication.storage.store import StoreChanges, StoredState, StoreRefused
-from stampede_rt_supernode.replication.wire.records import decode_configuration, decode_snapshot, encode_configuration
+from stampede_rt_supernode.replication.wire.codec import decode_configuration, decode_snapshot, encode_configuration
 
 
 def restore_from(source: Path, new_dir: Path, *, founder: Member, cluster_id: str) -> int:
@@ -54,7 +54,8 @@ def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
 
 def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
     last = state.entries[-1]
-    term = max(state.term, last.term) + 1
+    # Nobody else is in this cluster: the votes of the former one do not bind it, and a hostile term ends with it.
+    term = last.term + 1
     former = {old_member_id, *(member.member_id for member in _last_members(state))} - {founder.member_id}
     configuration = Configuration.of([founder], retired=sorted(former))
     entry = Entry(encode_configuration(configuration), last.log_index + 1, term)

@@ -10,8 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.wire.messages import Message
+from stampede_rt_supernode.replication.wire.codec import Message, encode_message
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +31,9 @@ class Disconnected:
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """A member has opened a new stream to us: what it sent before and we have not received is lost.
-
-    `highest_level`: the highest feature level that its release knows.
-    """
+    """A member has opened a new stream to us: what it sent before and we have not received is lost."""
 
     member_id: str
-    highest_level: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +49,7 @@ class Received:
 
     member_id: str
     message: Message
+    size_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +68,16 @@ class Introduced:
     member: Member
 
 
-NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced
-Outgoing = tuple[str, Message]
+@dataclass(frozen=True, slots=True)
+class Disputed:
+    """A member has refused our store, and `why`; empty: it takes it."""
+
+    member_id: str
+    why: str
+
+
+NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced | Disputed
+Outgoing = tuple[str, pb.RaftMessage]
 
 
 class Handler(Protocol):
@@ -89,8 +95,11 @@ class Handler(Protocol):
     def on_stream_opened(self, node: Any) -> None:
         """A member has opened a new stream to us."""
 
-    def on_members_told(self, members: tuple[Member, ...]) -> None:
+    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
         """A member has said who the members are."""
+
+    def on_disputed(self, member_id: str, why: str) -> None:
+        """A member refuses our store, or, with an empty `why`, takes it again."""
 
     def on_introduced(self, member: Member) -> None:
         """A stranger has said that it is a member."""
@@ -106,10 +115,10 @@ class Mailroom:
         self._connected: set[str] = set()
         # Whose answers reach us at present, likewise.
         self._heard: set[str] = set()
-        # The highest feature levels of whoever has opened a stream to us and is still known.
-        self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
         self._handler: Handler | None = None
+        # Stamped on every append message; the replies echo it (see rules/reads.py).
+        self.round = 0
 
     def attach(self, handler: Handler) -> None:
         """Hand what comes in to this node; once."""
@@ -135,8 +144,10 @@ class Mailroom:
                 handler.on_disconnected(node)
             case StreamOpened():
                 handler.on_stream_opened(node)
+            case Disputed():
+                handler.on_disputed(event.member_id, event.why)
             case MembersTold():
-                handler.on_members_told(event.members)
+                handler.on_members_told(event.member_id, event.members)
 
     def _note_links(self, event: NetworkEvent) -> None:
         match event:
@@ -146,20 +157,16 @@ class Mailroom:
                 self._connected.discard(event.member_id)
             case StreamOpened():
                 self._heard.add(event.member_id)
-                self._note_level(event.member_id, event.highest_level)
             case StreamEnded():
                 self._heard.discard(event.member_id)
-
-    def _note_level(self, member_id: str, highest_level: int) -> None:
-        # A new dictionary: other threads read the one before.
-        known = {one: level for one, level in self.highest_levels.items() if one in self._nodes}
-        self.highest_levels = {**known, member_id: highest_level}
 
     def send(self, node: Any, message: Message) -> bool:
         """Queue a message for the next release; False when the member is not connected. Never blocks."""
         if node.id not in self._connected or node.id not in self._nodes:
             return False
-        self._outbox.append((node.id, message))
+        if message["type"] == "append_entries":
+            message["round"] = self.round
+        self._outbox.append((node.id, encode_message(message)))
         return True
 
     def is_reachable(self, member_id: str) -> bool:

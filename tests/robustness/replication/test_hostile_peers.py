@@ -1,0 +1,221 @@
+"""Hostile peers with valid credentials, drawn by seeds: outsiders who claim to be members, and members who lie.
+
+An outsider costs the cluster nothing. A member may break what Raft rests on, so that nothing holds of what its victim
+then knows; but it ends no process, nor does it leave a store behind that cannot be opened.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.replica import InboxFull, Replica, Roster
+from stampede_rt_supernode.replication.rules.proposals import Proposal
+from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
+from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
+from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_message
+from stampede_rt_supernode.replication.wire.mailroom import (
+    Connected,
+    Introduced,
+    MembersTold,
+    Outgoing,
+    Received,
+    StreamOpened,
+)
+from tests.robustness.replication.hostile_messages import Liar
+from tests.robustness.replication.machine import History, ListMachine
+from tests.robustness.replication.simulate import Storm, calm, weather_of
+from tests.robustness.replication.world import Weather, World
+
+SEEDS = range(int(os.environ.get("STAMPEDE_HOSTILE_SEEDS", "25")))
+MESSAGES = 400
+
+
+class Ears:
+    """The victim's network: notes whose stream was dropped, and sends nothing."""
+
+    def __init__(self) -> None:
+        self.dropped: list[str] = []
+        # Ids of requests that nobody has answered.
+        self.asked: list[int] = []
+
+    def release(self, messages: Sequence[Outgoing]) -> None:
+        """Nobody answers truly."""
+        for _, message in messages:
+            for asking in (message.forwarded_command, message.read_index_request):
+                if asking.request_id:
+                    self.asked = [*self.asked[-20:], asking.request_id]
+
+    def has_room(self, member_id: str) -> bool:
+        """There is always room."""
+        return True
+
+    def drop(self, member_id: str, why: str) -> None:
+        """A member was found at fault."""
+        self.dropped.append(member_id)
+
+    def follow(self, roster: Roster) -> None:
+        """Everybody is connected anyway."""
+
+
+class Credulous(History):
+    """What a hostile leader makes of the state is not held against the victim."""
+
+    def applied(self, index: int, command: bytes) -> None:
+        """Whatever it is."""
+
+
+class CredulousMachine(ListMachine):
+    """A state machine that a hostile leader may also set back."""
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """Without a look at what was before."""
+        self.entries.append((index, command))
+        return b"%d" % index
+
+
+class Victim:
+    """Member `a` of `a`, `b` and `c` with a store on a disk, and a clock that is moved by hand."""
+
+    def __init__(self, dice: random.Random, folder: Path) -> None:
+        self._dice, self._folder = dice, folder
+        members = [Member(member_id=name, address=f"{name}:1") for name in "abc"]
+        self._settings = ReplicationSettings(
+            self_member=members[0],
+            initial_members=members,
+            timing=RaftTiming(),
+            snapshot_every_entries=20,
+            snapshot_piece_bytes=100,
+        )
+        self.now, self.network = 100.0, Ears()
+        self.replica = self._open()
+
+    def _open(self) -> Replica:
+        replica = Replica(
+            self._settings,
+            CredulousMachine(Credulous()),
+            store=SqliteStore(self._folder, cluster_id="", member_id="a", create=True),
+            network=self.network,
+            clock=lambda: self.now,
+            random_source=self._dice,
+        )
+        for name in "bc":
+            replica.deliver(Connected(name))
+            replica.deliver(StreamOpened(name))
+        return replica
+
+    def hear(self, sender: str, message: pb.RaftMessage) -> None:
+        """As the servicer does: what cannot be read, and what is too much, ends the stream."""
+        try:
+            told = decode_message(pb.RaftMessage.FromString(message.SerializeToString()))
+            self.replica.deliver(Received(sender, told, message.ByteSize()))
+        except (MalformedMessage, InboxFull):
+            self.replica.deliver(StreamOpened(sender))
+
+    def step(self) -> None:
+        """Let a little time pass, and perhaps somebody ask for something."""
+        self.now += self._dice.choice((0.001, 0.03, 0.5))
+        if self._dice.random() < 0.3:
+            self.replica.propose(Proposal(self._dice.randbytes(8), self.now + 1.0, lambda outcome: None))
+            self.replica.read(Read(self.now + 1.0, lambda index: None))
+        self.replica.step()
+
+    def restart(self) -> None:
+        """End, and come up with what is on the disk."""
+        self.replica.close()
+        self.replica = self._open()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tmp_path: Path) -> None:
+    dice = random.Random(f"hostile-{seed}")
+    victim = Victim(dice, tmp_path)
+    for _ in range(MESSAGES):
+        victim.hear(dice.choice("bbc"), Liar(dice, victim.replica, victim.network.asked).message())
+        if dice.random() < 0.5:
+            victim.step()
+        if dice.random() < 0.01:
+            victim.restart()
+    victim.restart()
+    victim.replica.close()
+    assert victim.replica._node.callers_waiting_count() <= 1000
+    assert len(victim.replica._journal.promises) <= 64
+
+
+class Outsider:
+    """Has valid credentials and is no member: introduces itself, and lies to whoever hears it."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._dice = random.Random(f"outsider-{world.dice.random()}")
+        self.over = False
+        self.heard = 0
+
+    def begin(self) -> None:
+        """Bother somebody every few milliseconds."""
+        if self.over:
+            return
+        for member in self._world.alive():
+            assert member.replica is not None
+            self._bother(member.replica)
+        self._world.after(self._dice.uniform(0.005, 0.05), self.begin)
+
+    def _bother(self, replica: Replica) -> None:
+        name = f"outsider{self._dice.randint(0, 40)}"
+        member = Member(member_id=name, address=f"{name}:1")
+        if name not in replica.roster.peers:  # as a hello is refused, and remembered
+            replica.deliver(Introduced(name, member))
+            return
+        self.heard += 1
+        replica.deliver(Connected(name))
+        replica.deliver(StreamOpened(name))
+        replica.deliver(MembersTold(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
+        try:
+            message = Liar(self._dice, replica).message()
+            replica.deliver(Received(name, decode_message(pb.RaftMessage.FromString(message.SerializeToString()))))
+        except (MalformedMessage, InboxFull):
+            pass
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
+    world = World(seed, size=3, weather=Weather())
+    for member in world.members.values():
+        member.start()
+    outsider, storm = Outsider(world), Storm(world)
+    outsider.begin()
+    assert world.run_until(5.0, lambda: any(one.replica and one.replica.status().is_leader for one in world.alive()))
+    [leader] = [one for one in world.alive() if one.replica and one.replica.status().is_leader]
+    assert leader.replica is not None
+    term, acknowledged = leader.replica.status().term, len(world.history.acknowledged)
+    world.run_until(world.now + 20.0)
+    status = leader.replica.status()
+    assert (status.is_leader, status.term) == (True, term)
+    assert len(world.history.acknowledged) > acknowledged + 100
+    assert outsider.heard == 0
+    outsider.over = storm.over = True
+    calm(world)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_outsiders_are_forgotten_after_bad_weather(seed: int) -> None:
+    """Outsiders may be heard by who is locked out. No process ends of it, and the members find together again."""
+    world = World(seed, size=3, weather=weather_of(random.Random(seed)))
+    for member in world.members.values():
+        member.start()
+    outsider = Outsider(world)
+    outsider.begin()
+    world.run_until(8.0)
+    outsider.over = True
+    world.weather = Weather()
+    for member in world.members.values():
+        world.restart(member)
+    ends = world.now + 20.0
+    assert world.run_until(ends, lambda: any(one.replica and one.replica.status().is_leader for one in world.alive()))

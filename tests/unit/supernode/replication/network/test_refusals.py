@@ -1,0 +1,63 @@
+"""When the refusals of others hold for good: by the leader's word, or by that of most of the others."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_supernode.replication.network.greetings import (
+    ANOTHER_STORE,
+    NO_STORE,
+    OLDER_STORE,
+    OTHER_CLUSTER,
+    REMOVED,
+    UNKNOWN,
+)
+from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
+
+COPY = f"PERMISSION_DENIED: 'a' {OLDER_STORE}: it has held term 3"
+
+
+@pytest.mark.parametrize(
+    ("others", "refusing", "leader_id", "confirmed"),
+    [
+        ("bc", "b", None, False),
+        ("bc", "b", "c", False),
+        ("bc", "b", "b", True),
+        ("bc", "bc", None, True),
+        ("bcde", "bc", None, False),
+        ("bcde", "bcd", None, True),
+        ("b", "b", None, True),
+        ("bc", "xyz", None, False),
+        ("", "x", None, False),
+    ],
+)
+def test_the_leader_or_most_of_the_others_confirm_a_refusal(
+    others: str, refusing: str, leader_id: str | None, confirmed: bool
+) -> None:
+    refusals = Refusals()
+    outcomes = [refusals.refused(name, COPY, others=others, leader_id=leader_id) for name in refusing]
+    assert outcomes[-1] is confirmed
+    assert (refusals.confirmed is Grounds.OLDER_STORE) is confirmed
+    assert not any(outcomes[:-1])
+
+
+def test_what_is_confirmed_names_who_says_so() -> None:
+    refusals = Refusals()
+    for name in "bc":
+        refusals.refused(name, COPY, others="bc", leader_id=None)
+    assert refusals.why == f"{COPY} (says b, c)"
+
+
+def test_who_takes_the_store_again_refuses_it_no_more() -> None:
+    refusals = Refusals()
+    refusals.refused("b", COPY, others="bc", leader_id=None)
+    assert refusals.accepted("b")
+    assert not refusals.accepted("b")
+    assert not refusals.refused("c", COPY, others="bc", leader_id=None)
+
+
+def test_only_what_cannot_pass_by_itself_counts() -> None:
+    for words in (ANOTHER_STORE, NO_STORE, OLDER_STORE, REMOVED):
+        assert grounds_of(f"'a' {words}; more") is not None
+    for words in (UNKNOWN, OTHER_CLUSTER, "UNAVAILABLE: closing"):
+        assert grounds_of(words) is None
