@@ -15,7 +15,8 @@ from tests.robustness.mutants.hunt import SIMULATORS
 from tests.robustness.mutants.planted import SEEDS_MAX, Mutant
 
 ROOT = Path(__file__).parents[3]
-SECONDS_MAX = 900.0
+SECONDS_MAX = 600.0
+NOT_ASKED = "could not be asked"
 TESTS_FAILED = 1  # pytest's exit code
 
 
@@ -49,15 +50,18 @@ def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple
     hunt = ["-m", "tests.robustness.mutants.hunt", who, str(seeds)]
     test = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *who.split()]
     path = {"PYTHONPATH": str(package_path)} if package_path else {}
-    done = subprocess.run(
-        [sys.executable, *(hunt if simulated else test)],
-        cwd=ROOT,
-        env={**os.environ, **path, "PYTHONDONTWRITEBYTECODE": "1"},
-        capture_output=True,
-        text=True,
-        timeout=SECONDS_MAX,
-        check=False,
-    )
+    try:
+        done = subprocess.run(
+            [sys.executable, *(hunt if simulated else test)],
+            cwd=ROOT,
+            env={**os.environ, **path, "PYTHONDONTWRITEBYTECODE": "1"},
+            capture_output=True,
+            text=True,
+            timeout=SECONDS_MAX,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return False, f"{NOT_ASKED} to the end: it took more than {SECONDS_MAX:.0f} s"
     said = (done.stdout.strip() or done.stderr.strip()).splitlines()
     last = said[-1] if said else ""
     if simulated and done.returncode == 0:
@@ -66,5 +70,5 @@ def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple
     if not simulated and done.returncode == TESTS_FAILED:
         return True, next((line.split("::")[-1] for line in said if line.startswith("FAILED")), last)
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:
-        return False, f"could not be asked: {(done.stderr.strip().splitlines() or [last])[-1]}"
+        return False, f"{NOT_ASKED}: {(done.stderr.strip().splitlines() or [last])[-1]}"
     return False, f"{seeds} seeds found nothing" if simulated else "the test passes"
