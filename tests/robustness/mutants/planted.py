@@ -30,7 +30,10 @@ class Mutant:
         """The file with the fault. Raises LookupError if it does not fit any more."""
         for old, new in self.edits:
             if text.count(old) != 1:
-                raise LookupError(f"mutant {self.name}: {self.file} holds {text.count(old)} times {old!r}")
+                raise LookupError(
+                    f"mutant {self.name} does not fit any more: {self.file} holds {text.count(old)} times (not once) "
+                    f"{old!r}; mend the piece of text in {__name__}, so that the same fault is planted"
+                )
             text = text.replace(old, new)
         return text
 

@@ -1,0 +1,74 @@
+"""Callers who use up all the streams that the ports of supernodes allow."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.limits import Limits
+from tests.unit.supernode.processes import (
+    Supernode,
+    called,
+    open_channel,
+    register,
+    renew,
+    resolve,
+    running_cluster,
+)
+
+pytestmark = pytest.mark.timeout(240)
+
+AT_ONCE = 128
+
+
+@contextlib.asynccontextmanager
+async def filled(one: Supernode) -> AsyncIterator[list[Any]]:
+    """All streams of its port are taken by watches, which are open while this lasts."""
+    channel = dial(one.address, secret=None)
+    stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+    watches: list[Any] = []
+
+    async def watch() -> None:
+        call = stub.Watch(pb.WatchRequest(name_glob="nothing/*"))
+        await call.read()
+        watches.append(call)
+
+    try:
+        for _ in range(Limits().streams_max // AT_ONCE):
+            await asyncio.gather(*(watch() for _ in range(AT_ONCE)))
+        with pytest.raises(grpc.aio.AioRpcError) as refused:
+            await watch()
+        assert refused.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
+        yield watches
+    finally:
+        await channel.close()
+
+
+async def test_watches_that_fill_the_ports_of_two_members_do_not_keep_a_third_from_coming_back(tmp_path: Path) -> None:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
+        leader = await cluster.leader()
+        third, other = cluster.others(leader)
+        await register(leader, 1)
+        await open_channel(leader, "cam/before")
+        async with filled(leader) as first, filled(other) as second:
+            await third.end(signal.SIGKILL)
+            await open_channel(leader, "cam/meanwhile")
+            await third.start()
+            assert (await resolve(third, "cam/meanwhile")).channel.name == "cam/meanwhile"
+            await open_channel(third, "cam/through-it")
+            assert await renew(await cluster.leader(), 1)
+            assert not any(one.done() for one in (*first, *second)), "nobody was pushed out for it"
+            # It counts for the majority: with another one gone the two that are left go on.
+            await other.end(signal.SIGKILL)
+            await called(third.stub.ResolveChannel(pb.ResolveChannelRequest(name="cam/before"), timeout=20), third)
+            await open_channel(third, "cam/after")
