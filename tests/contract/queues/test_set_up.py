@@ -25,6 +25,16 @@ async def test_an_absent_queue_is_not_made_when_that_is_not_wanted(rig: Rig) -> 
         await rig.queue(max_deliveries=1, dead_letter="contract/nowhere")
 
 
+async def test_a_queue_cannot_be_its_own_dead_letter_queue(rig: Rig) -> None:
+    name = rig.name()
+    with pytest.raises(st.InvalidArgument, match=f"dead_letter is queue '{name}' itself"):
+        await rig.queue(name, dead_letter=name)  # before it is there, too
+    queue = await rig.queue(name)
+    for own in (name, queue):
+        with pytest.raises(st.InvalidArgument, match=f"dead_letter is queue '{name}' itself"):
+            await queue.configure(dead_letter=own)
+
+
 async def test_a_queue_can_be_changed_while_it_runs(rig: Rig) -> None:
     queue = await rig.queue(max_items=1, on_full="reject")
     await queue.put(b"1")

@@ -1,9 +1,13 @@
 import pytest
 
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.channels import transitions
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
+from stampede_rt_supernode.core.channels.policies import check_ranges
 from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.queues.specs import check_queue_spec
+from stampede_rt_supernode.core.records import QueueSpec
 from tests.unit.supernode.operations import Log, delete, deregister, id_of, open_channel, register, update
 
 
@@ -221,3 +225,12 @@ def test_the_number_of_channels_is_bounded(log: Log, monkeypatch: pytest.MonkeyP
     opened(log, "cam/left")
     assert refused(log, "cam/right").reason == "OVERLOADED"
     assert not opened(log, "cam/left").created
+
+
+def test_a_duration_out_of_range_is_told_as_callers_write_it() -> None:
+    with pytest.raises(InvalidArgument) as caught:
+        check_ranges("cam", Policy(overlap_nanos=7200 * 10**9))
+    assert caught.value.message == "channel cam: overlap is 2 h; it must be more than 0 and at most 1 h"
+    with pytest.raises(InvalidArgument) as caught:
+        check_queue_spec("work", QueueSpec(lease_nanos=0))
+    assert caught.value.message == "queue work: lease is 0 s; it must be more than 0"

@@ -240,7 +240,7 @@ class Connection(Discovery, Reference):
             on_full=on_full,
             lease=lease,
             max_deliveries=max_deliveries,
-            dead_letter_queue_id=await dead_letter_id(self._session, dead_letter),
+            dead_letter_queue_id=await dead_letter_id(self._session, dead_letter, name),
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)

@@ -99,13 +99,20 @@ class Listener(Beginning, OfOneProcess):
             while not self._cancelled:
                 await self._listen()
         except StampedeError as error:
-            if not (self._cancelled or self._session.closed):
-                self.error = error
-                _log.error("on_item of %s has ended: %s", self._name, error)
+            self._fail(error)
+        except Exception as defect:  # noqa: BLE001  # a thread's end is heard by nobody else
+            failure = StampedeError(f"on_item of {self._name} met a defect: {type(defect).__name__}: {defect}")
+            failure.__cause__ = defect
+            self._fail(failure)
         finally:
             self.active = False
             self._holds.set()
             self._session.detach(self)
+
+    def _fail(self, error: StampedeError) -> None:
+        if not (self._cancelled or self._session.closed):
+            self.error = error
+            _log.error("on_item of %s has ended: %s", self._name, error, exc_info=error.__cause__)
 
     async def _listen(self) -> None:
         try:

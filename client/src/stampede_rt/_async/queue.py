@@ -15,6 +15,7 @@ from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference, shown
 from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_async import Port
@@ -201,7 +202,7 @@ class Queue(Taking, Reference):
             on_full=on_full,
             lease=lease,
             max_deliveries=max_deliveries,
-            dead_letter_queue_id=await dead_letter_id(self._session, dead_letter),
+            dead_letter_queue_id=await dead_letter_id(self._session, dead_letter, self.info.name),
         )
         identity, since_s = request_id(), age_clock_s()
 
@@ -264,10 +265,14 @@ async def pending_at(session: Session, place: Place, limit: int) -> list[Pending
     return await attempt(place, pages_at, CALL_TIMEOUT_S)
 
 
-async def dead_letter_id(session: Session, queue: Queue | str | None) -> bytes | None:
-    """The id of a dead-letter queue, given by its handle or name. Raises QueueNotFound, InvalidArgument."""
+async def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> bytes | None:
+    """The id of the dead-letter queue of queue `of`, given by handle or name. Raises QueueNotFound, InvalidArgument."""
     if queue is None:
         return None
+    if of and of == (queue.info.name if isinstance(queue, Queue) else queue):
+        raise InvalidArgument(
+            f"dead_letter is queue {of!r} itself, so that a dead letter would never leave it; name another queue"
+        )
     if isinstance(queue, Queue):
         return queue.info.queue_id
     request = queue_directory_pb.ResolveQueueRequest(name=parse_name(queue, "dead-letter queue"))

@@ -239,7 +239,7 @@ class Connection(Discovery, Reference):
             on_full=on_full,
             lease=lease,
             max_deliveries=max_deliveries,
-            dead_letter_queue_id=dead_letter_id(self._session, dead_letter),
+            dead_letter_queue_id=dead_letter_id(self._session, dead_letter, name),
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"queue {parse_name(name, 'queue')!r}", content_type)

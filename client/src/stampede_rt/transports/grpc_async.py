@@ -287,11 +287,12 @@ class GetExchange(_Exchange):
         request.call_id = call_id = self._next_id
         future: asyncio.Future[list[channel_pb.GetResponse]] = asyncio.get_running_loop().create_future()
         self._waiting[call_id] = (future, [])
-        self._requests.send(request)
+        number = self._requests.send(request)
         try:
             return await _within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded):
-            self._requests.send(channel_pb.GetRequest(call_id=call_id, cancel=True))
+            if not self._requests.withdraw(number):  # the host may have it
+                self._requests.send(channel_pb.GetRequest(call_id=call_id, cancel=True))
             raise
         finally:
             self._waiting.pop(call_id, None)

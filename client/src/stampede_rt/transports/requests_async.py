@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
+from collections import OrderedDict
 from contextlib import suppress
 from typing import Any
 
@@ -21,7 +21,8 @@ class Requests:
 
     def __init__(self, call: Any, tasks: set[asyncio.Task[None]]) -> None:
         self._call = call
-        self._waiting: deque[Any] = deque()
+        self._waiting: OrderedDict[int, Any] = OrderedDict()
+        self._sent = 0
         self._more = asyncio.Event()
         self._task = spawn(tasks, self._write_each())
         call.add_done_callback(self._stop)
@@ -30,16 +31,28 @@ class Requests:
         """How many requests wait for being written."""
         return len(self._waiting)
 
-    def send(self, request: Any) -> None:
-        """Write `request` behind those that were left before. What the call does not take any more is dropped."""
-        self._waiting.append(request)
+    def send(self, request: Any) -> int:
+        """Write `request` behind those that were left before; a number for `withdraw`.
+
+        What the call does not take any more is dropped.
+        """
+        self._sent += 1
+        self._waiting[self._sent] = request
         self._more.set()
+        return self._sent
+
+    def withdraw(self, number: int) -> bool:
+        """Do not write this request, if it still waits here; whether it did.
+
+        Without it the requests that callers gave up would pile up while the other side is stopped and takes none.
+        """
+        return self._waiting.pop(number, None) is not None
 
     async def _write_each(self) -> None:
         with suppress(grpc.RpcError, asyncio.InvalidStateError, asyncio.CancelledError):
             while True:
                 while self._waiting:
-                    await self._call.write(self._waiting.popleft())
+                    await self._call.write(self._waiting.popitem(last=False)[1])
                 self._more.clear()
                 await self._more.wait()
 

@@ -43,10 +43,20 @@ Bounds = Literal["[]", "[)", "(]", "()"]
 def parse_duration(value: DurationLike, what: str = "a duration") -> int:
     """Nanoseconds of `"30ms"`, `"1.5 s"` or a timedelta. Units: ns, us, ms, s, m, h, d.
 
-    Bare numbers are refused: `max_age=10` would be ten nanoseconds beside `timeout=1.0` seconds.
+    Bare numbers are refused: `max_age=10` would be ten nanoseconds beside `timeout=1.0` seconds. 292 years or more are
+    refused, too: they do not fit into 64 bits. Raises InvalidArgument.
     """
-    if isinstance(value, timedelta):
-        return (value.days * 86_400 + value.seconds) * 1_000_000_000 + value.microseconds * 1_000
+    nanos = _nanos_of(value) if isinstance(value, timedelta) else _read_duration(value, what)
+    if not MIN_INSTANT <= nanos <= MAX_INSTANT:
+        raise InvalidArgument(f"{what} is {value!r}; a duration is less than 292 years")
+    return nanos
+
+
+def _nanos_of(value: timedelta) -> int:
+    return (value.days * 86_400 + value.seconds) * 1_000_000_000 + value.microseconds * 1_000
+
+
+def _read_duration(value: str, what: str) -> int:
     if not isinstance(value, str):
         raise InvalidArgument(f'{what} is {value!r}; write it with its unit, such as "30ms", or as a timedelta')
     match = _DURATION.fullmatch(value.strip())
@@ -55,7 +65,7 @@ def parse_duration(value: DurationLike, what: str = "a duration") -> int:
     nanos = Decimal(match[1]) * _UNITS_NANOS[match[2]]
     if nanos != nanos.to_integral_value():
         raise InvalidArgument(f"{what} is {value!r}, which is no whole number of nanoseconds")
-    return clamp(int(nanos))
+    return int(nanos)
 
 
 def parse_item_duration(value: DurationLike | int | None) -> int | None:
@@ -74,13 +84,17 @@ def parse_instant(value: InstantLike, what: str = "a time") -> int:
         if value.utcoffset() is None:
             shown = value.isoformat()
             raise InvalidArgument(f"{what} is {shown} without a timezone; give it one, such as datetime.now(UTC)")
-        return parse_duration(value - _EPOCH)
+        return _in_range(_nanos_of(value - _EPOCH), value, what)
     if isinstance(value, bool | float | str):
         raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with timezone")
     try:
         instant = operator.index(value)
     except TypeError:
         raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch, or a datetime") from None
+    return _in_range(instant, value, what)
+
+
+def _in_range(instant: int, value: InstantLike, what: str) -> int:
     if not MIN_INSTANT <= instant <= MAX_INSTANT:
         raise InvalidArgument(f"{what} is {value!r}, which does not fit into 64 bits of nanoseconds")
     return instant

@@ -143,3 +143,16 @@ def test_times_are_shown_as_people_read_them() -> None:
         "1 m",
     ]
     assert "ns" in format_instant(MAX_INSTANT * 1000)
+
+
+@pytest.mark.parametrize("value", ["1000000000d", "-1000000000d", "106752d", timedelta(days=106752)])
+def test_a_duration_that_does_not_fit_is_refused_and_not_cut(value: str | timedelta) -> None:
+    with pytest.raises(InvalidArgument, match=r"max_age is .*; a duration is less than 292 years"):
+        parse_duration(value, "max_age")
+    with pytest.raises(InvalidArgument, match="less than 292 years"):
+        NOW - value
+
+
+def test_a_moment_that_does_not_fit_is_refused_by_its_name() -> None:
+    with pytest.raises(InvalidArgument, match=r"time is .*, which does not fit into 64 bits of nanoseconds"):
+        parse_instant(datetime(9999, 1, 1, tzinfo=UTC), "time")

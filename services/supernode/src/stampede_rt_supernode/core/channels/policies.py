@@ -25,13 +25,13 @@ IN_EFFECT_UNSTATED = {
 }
 FIXED = "overlap_nanos"  # at creation: another value would change the spans of items that readers have seen
 _RANGES = {
-    "max_age_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
+    "max_age_nanos": (1, 2**63 - 1, "more than 0"),
     "max_items": (1, 2**64 - 1, "at least 1"),
     "max_bytes": (1, 2**64 - 1, "at least 1"),
     "consumers": (1, 1024, "1 to 1024"),
-    "max_age_unconsumed_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
-    "max_future_nanos": (0, 2**63 - 1, "0 or more nanoseconds"),
-    "overlap_nanos": (1, OVERLAP_NANOS_MAX, "more than 0 nanoseconds and at most 1 h"),
+    "max_age_unconsumed_nanos": (1, 2**63 - 1, "more than 0"),
+    "max_future_nanos": (0, 2**63 - 1, "0 or more"),
+    "overlap_nanos": (1, OVERLAP_NANOS_MAX, "more than 0 and at most 1 h"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
 }
 
@@ -52,10 +52,17 @@ def check_ranges(channel: str, policy: Policy) -> None:
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(policy, name)
         if value is not None and not low <= value <= high:
-            raise _invalid(channel, name, f"{name} is {value}; it must be {allowed}")
+            raise _invalid(channel, name, out_of_range(name, value, allowed))
     if policy.on_full is not None and policy.on_full not in ON_FULL:
         raise _invalid(channel, "on_full", f"on_full is {policy.on_full!r}; it must be one of {', '.join(ON_FULL)}")
     _check_content_type(channel, policy.content_type)
+
+
+def out_of_range(field: str, value: int, allowed: str) -> str:
+    """What is wrong with a field, in the words of callers, who write durations with their units."""
+    if field.endswith("_nanos"):
+        return f"{field.removesuffix('_nanos')} is {format_duration(value)}; it must be {allowed}"
+    return f"{field} is {value}; it must be {allowed}"
 
 
 def check_policy(channel: str, policy: Policy) -> None:

@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 
 from stampede_rt.errors import InvalidArgument, StampedeError, error_for
 from stampede_rt.values.timeline import format_duration
-from stampede_rt_supernode.core.channels.policies import CONTENT_TYPE_BYTES_MAX, ITEM_BYTES_MAX
+from stampede_rt_supernode.core.channels.policies import CONTENT_TYPE_BYTES_MAX, ITEM_BYTES_MAX, out_of_range
 from stampede_rt_supernode.core.records import QueueSpec
 from stampede_rt_supernode.core.validation import check_id
 
@@ -29,7 +29,7 @@ _RANGES = {
     "max_items": (1, 2**64 - 1, "at least 1"),
     "max_bytes": (1, 2**64 - 1, "at least 1"),
     "copies": (1, 2**32 - 1, "at least 1"),
-    "lease_nanos": (1, 2**63 - 1, "more than 0 nanoseconds"),
+    "lease_nanos": (1, 2**63 - 1, "more than 0"),
     "max_deliveries": (1, 2**32 - 1, "at least 1"),
     "max_item_bytes": (1, ITEM_BYTES_MAX, f"1 to {ITEM_BYTES_MAX} bytes"),
 }
@@ -40,7 +40,7 @@ def check_queue_spec(queue: str, spec: QueueSpec) -> None:
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(spec, name)
         if value is not None and not low <= value <= high:
-            raise _invalid(queue, name, f"{name} is {value}; it must be {allowed}")
+            raise _invalid(queue, name, out_of_range(name, value, allowed))
     if spec.on_full is not None and spec.on_full not in ON_FULL:
         raise _invalid(queue, "on_full", f"on_full is {spec.on_full!r}; it must be one of {', '.join(ON_FULL)}")
     if spec.dead_letter_queue_id is not None:
