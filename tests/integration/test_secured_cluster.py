@@ -314,7 +314,8 @@ def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster
     words = ("join", "--data-dir", str(tmp_path / "s9"), "--listen", "localhost:7599", "--id", "s9")
     code, printed = supernode_command(cluster, newcomer, *words)
     assert (code, "may not call MembershipService/CreateJoinToken, which is for operator" in printed) == (1, True)
-    code, printed = supernode_command(cluster, cluster.tls_files("boss", Role.OPERATOR), "add", "-o", "json")
+    boss = cluster.tls_files("boss", Role.OPERATOR)
+    code, printed = supernode_command(cluster, boss, "add", "localhost:7599", "--id", "s9", "-o", "json")
     assert code == 0, printed
     code, printed = supernode_command(cluster, newcomer, *words, "--token", json.loads(printed)["token"])
     assert (code, "Supernode s9 may enter the cluster of s1, s2, s3" in printed) == (0, True), printed
@@ -324,7 +325,8 @@ def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster
 def test_every_verb_of_supernode_says_what_a_caller_without_a_certificate_lacks(
     verb: str, cluster: LocalCluster, tmp_path: Path
 ) -> None:
-    words = {"remove": ("s1",), "join": ("--data-dir", str(tmp_path / "x"), "--listen", "localhost:7599")}.get(verb, ())
+    joining = ("--data-dir", str(tmp_path / "x"), "--listen", "localhost:7599")
+    words = {"remove": ("s1",), "add": ("localhost:7599",), "join": joining}.get(verb, ())
     code, printed = supernode_command(cluster, None, verb, *words)
     told = f"stampede supernode: {cluster.supernodes[0].address} asks for certificates (TLS), and this caller has none"
     assert (code, printed.count("\n")) == (1, 1)

@@ -17,46 +17,63 @@ from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode import replication
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.joining.founding import Founding, check_unused, note_started, read_founding, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, log_cluster_of, valid_until
+from stampede_rt_supernode.replication import Member
 from stampede_rt_supernode.servicers.membership_servicer import SNAPSHOTS_MAX, MembershipServicer
 from stampede_rt_supernode.settings import SupernodeSettings
 from tests.unit.supernode.node import Node, reason_of, running_node
 
-TOKENS = JoinTokens("the secret")
+TOKENS = JoinTokens(b"a key that nobody is told")
+NEW = Member(member_id="new", address="new:1")
 REQUEST_ID = bytes(range(16))
 
 
 def token(**changes: Any) -> str:
-    fields = {"valid_until_unix_nano": 1000, "cluster_id": "c", "log_cluster_id": "log", **changes}
-    return TOKENS.make(REQUEST_ID, **fields)
+    fields = {"valid_until_unix_nano": 1000, "log_cluster_id": "log", **changes}
+    return TOKENS.make(REQUEST_ID, NEW, **fields)
 
 
 def test_a_token_lets_in_until_it_is_over() -> None:
-    assert TOKENS.check(token(), now_unix_nano=999, cluster_id="c") == TOKENS.check(
-        token(), now_unix_nano=1, cluster_id="c"
-    )
+    assert TOKENS.check(token(), NEW, now_unix_nano=999) == TOKENS.check(token(), NEW, now_unix_nano=1)
     with pytest.raises(PermissionDenied, match="over"):
-        TOKENS.check(token(), now_unix_nano=1000, cluster_id="c")
+        TOKENS.check(token(), NEW, now_unix_nano=1000)
 
 
-@pytest.mark.parametrize("text", ["", ".", "sj2...", "sj1.3e8.00.1", "sj2.3e8.00.1.2", "\u20ac.\u20ac.\u20ac.\u20ac"])
+@pytest.mark.parametrize("text", ["", ".", "sj3...", "sj1.3e8.00.1", "sj3.3e8.00.1.2", "\u20ac.\u20ac.\u20ac.\u20ac"])
 def test_what_is_no_token_is_refused(text: str) -> None:
     with pytest.raises(PermissionDenied, match="not one of this cluster"):
-        TOKENS.check(text, now_unix_nano=1, cluster_id="c")
+        TOKENS.check(text, NEW, now_unix_nano=1)
 
 
-def test_a_token_of_another_cluster_or_secret_or_with_a_later_end_is_refused() -> None:
-    later = token().replace("3e8", "3e9")
-    for text, tokens, cluster_id in ((token(), TOKENS, "d"), (token(), JoinTokens("x"), "c"), (later, TOKENS, "c")):
+def test_a_token_of_another_key_id_or_address_or_with_a_later_end_is_refused() -> None:
+    later, other_id, elsewhere = token().replace("3e8", "3e9"), replace(NEW, member_id="x"), replace(NEW, address="x:1")
+    for text, tokens, newcomer in (
+        (token(), JoinTokens(b"x"), NEW),
+        (later, TOKENS, NEW),
+        (token(), TOKENS, other_id),
+        (token(), TOKENS, elsewhere),
+    ):
         with pytest.raises(PermissionDenied, match="not one of this cluster"):
-            tokens.check(text, now_unix_nano=1, cluster_id=cluster_id)
+            tokens.check(text, newcomer, now_unix_nano=1)
+
+
+async def test_the_key_of_join_tokens_is_random_and_survives_in_snapshots() -> None:
+    keys = set()
+    for _ in range(2):
+        async with running_node() as node:
+            keys.add(node.replica.read(lambda directory: directory.join_key))
+            copy = node.replica.read(lambda directory: decode_snapshot(encode_snapshot(directory)))
+            assert copy.join_key in keys
+    assert len(keys) == 2
+    assert {len(key) for key in keys} == {32}
 
 
 def test_a_token_tells_a_newcomer_which_log_it_is_for() -> None:
     assert log_cluster_of(token()) == "log"
     assert log_cluster_of(token(log_cluster_id="")) == ""
-    for text in ("", "sj2", token().rpartition(".")[0], token().replace("sj2", "sj1"), token().replace(".6c", ".6x")):
+    for text in ("", "sj3", token().rpartition(".")[0], token().replace("sj3", "sj1"), token().replace(".6c", ".6x")):
         with pytest.raises(InvalidArgument, match="stampede supernode add"):
             log_cluster_of(text)
 
@@ -72,7 +89,7 @@ def test_a_token_is_good_for_a_day_at_most() -> None:
 async def rig() -> AsyncIterator[tuple[Node, Any]]:
     async with running_node() as node:
         members: Any = type("Nobody", (), {"records": lambda self: ([], 1), "self_id": "s1"})()
-        servicer = MembershipServicer(node.log, node.replica, members, TOKENS, node.clock, log_cluster_id="log")
+        servicer = MembershipServicer(node.log, node.replica, members, node.clock, log_cluster_id="log")
         register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
         async with (
             serving(lambda server: register(servicer, server)) as server,
@@ -82,7 +99,8 @@ async def rig() -> AsyncIterator[tuple[Node, Any]]:
 
 
 async def addition(stub: Any, **changes: Any) -> pb.AddSupernodeRequest:
-    made = await stub.CreateJoinToken(pb.CreateJoinTokenRequest(request_id=REQUEST_ID), timeout=10)
+    asked = pb.CreateJoinTokenRequest(request_id=REQUEST_ID, supernode_id="new", target="new:1")
+    made = await stub.CreateJoinToken(asked, timeout=10)
     fields = {
         "supernode_id": "new",
         "endpoint": directory_pb2.Endpoint(target="new:1"),
@@ -106,6 +124,8 @@ async def test_a_newcomer_with_a_token_is_added(rig: tuple[Node, Any]) -> None:
         ({"token": "nonsense"}, "UNAUTHENTICATED"),
         ({"protocol_version": 2}, "VERSION_MISMATCH"),
         ({"supernode_id": ""}, "INVALID_ARGUMENT"),
+        ({"supernode_id": "another"}, "UNAUTHENTICATED"),
+        ({"endpoint": directory_pb2.Endpoint(target="elsewhere:1")}, "UNAUTHENTICATED"),
         ({"endpoint": directory_pb2.Endpoint(target="nowhere")}, "INVALID_ARGUMENT"),
     ],
 )

@@ -58,9 +58,11 @@ class Cluster:
         except StampedeError:
             return None
 
-    def make_token(self, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
-        """A token that lets one supernode in."""
-        request = pb.CreateJoinTokenRequest(request_id=secrets.token_bytes(16), valid_nanos=valid_nanos)
+    def make_token(self, supernode_id: str, address: str, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
+        """A token that lets that supernode in, at that address."""
+        request = pb.CreateJoinTokenRequest(
+            request_id=secrets.token_bytes(16), valid_nanos=valid_nanos, supernode_id=supernode_id, target=address
+        )
         made: pb.CreateJoinTokenResponse = self._first(
             lambda port: port.call(_membership(port).CreateJoinToken, request, CALL_SECONDS)
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import secrets
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +22,7 @@ ADMINISTERING = ("status", "add", "remove", "snapshot")
 FAILED = 1
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
 TOKEN_HOURS_MAX = 24
+ID_BYTES = 4
 
 
 def add_place(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +38,8 @@ def administer(argv: Sequence[str]) -> int:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     status = _verb(verbs, "status", "who is a member, who leads, and how they do", _run_status)
     add = _verb(verbs, "add", "make a token that lets one supernode in, and say how to use it", _run_add)
+    add.add_argument("address", metavar="HOST:PORT", help="where it will listen, and the members will reach it")
+    add.add_argument("--id", help="its name among the members, never used before; left out: a random one")
     add.add_argument("--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="how long it can be used; 1")
     remove = _verb(verbs, "remove", "remove a supernode for ever", _run_remove)
     remove.add_argument("id", help="its id, see `stampede supernode status`")
@@ -126,19 +130,23 @@ def _state(record: SupernodeRecord, pong: Any) -> str:
 
 def _run_add(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
-        made = cluster.make_token(valid_nanos=round(arguments.valid_hours * 3600 * 1e9))
+        name = arguments.id or f"supernode-{secrets.token_hex(ID_BYTES)}"
+        made = cluster.make_token(name, arguments.address, valid_nanos=round(arguments.valid_hours * 3600 * 1e9))
         known = ",".join(one.endpoint.target for one in cluster.members().supernodes)
         is_secured = cluster.is_secured
-    command = f"stampede supernode join --member {known} --token {made.token} --data-dir DIR --listen HOST:PORT"
-    command += " --id ID" if is_secured else ""
+    command = (
+        f"stampede supernode join --member {known} --token {made.token} --id {name} --listen {arguments.address} "
+        "--data-dir DIR"
+    )
     if arguments.output == "json":
-        print_facts({"token": made.token, "cluster_id": made.cluster_id, "join": command}, "json")
+        print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, "json")
         return 0
     until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
-    print(f"The token lets one supernode in, until {until}.")
+    print(f"The token lets supernode {name} in, at {arguments.address}, once, until {until}.")
     if is_secured:
         print("It needs a certificate of its own, named there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
-        print("  stampede certs issue --role supernode --name ID --address HOST\n")
+        host = arguments.address.rpartition(":")[0]
+        print(f"  stampede certs issue --role supernode --name {name} --address {host}\n")
     print(f"On its machine, run:\n\n  {command}")
     return 0
 

@@ -140,20 +140,22 @@ class ExpireHostCommand(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
 
 class BeginTenureCommand(_message.Message):
-    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos", "founded_anew", "takes_over")
+    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos", "founded_anew", "takes_over", "new_join_key")
     TENURE_FIELD_NUMBER: _ClassVar[int]
     SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     FOUNDED_ANEW_FIELD_NUMBER: _ClassVar[int]
     TAKES_OVER_FIELD_NUMBER: _ClassVar[int]
+    NEW_JOIN_KEY_FIELD_NUMBER: _ClassVar[int]
     tenure: int
     supernode_id: str
     new_cluster_id: str
     new_lease_ttl_nanos: int
     founded_anew: bool
     takes_over: bool
-    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ..., takes_over: bool = ...) -> None: ...
+    new_join_key: bytes
+    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ..., takes_over: bool = ..., new_join_key: _Optional[bytes] = ...) -> None: ...
 
 class OpenGroupCommand(_message.Message):
     __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation")
@@ -558,7 +560,7 @@ class RememberedOperation(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
-    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest")
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest", "join_key")
     FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
@@ -574,6 +576,7 @@ class DirectorySnapshot(_message.Message):
     TIME_MARKS_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     DIGEST_FIELD_NUMBER: _ClassVar[int]
+    JOIN_KEY_FIELD_NUMBER: _ClassVar[int]
     format_version: int
     applied_index: int
     tenure: int
@@ -589,4 +592,5 @@ class DirectorySnapshot(_message.Message):
     time_marks: _containers.RepeatedScalarFieldContainer[int]
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
     digest: bytes
-    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ...) -> None: ...
+    join_key: bytes
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ..., join_key: _Optional[bytes] = ...) -> None: ...

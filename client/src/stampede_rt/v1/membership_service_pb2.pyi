@@ -8,12 +8,16 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class CreateJoinTokenRequest(_message.Message):
-    __slots__ = ("request_id", "valid_nanos")
+    __slots__ = ("request_id", "valid_nanos", "supernode_id", "target")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     VALID_NANOS_FIELD_NUMBER: _ClassVar[int]
+    SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
+    TARGET_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     valid_nanos: int
-    def __init__(self, request_id: _Optional[bytes] = ..., valid_nanos: _Optional[int] = ...) -> None: ...
+    supernode_id: str
+    target: str
+    def __init__(self, request_id: _Optional[bytes] = ..., valid_nanos: _Optional[int] = ..., supernode_id: _Optional[str] = ..., target: _Optional[str] = ...) -> None: ...
 
 class CreateJoinTokenResponse(_message.Message):
     __slots__ = ("token", "valid_until_unix_nano", "cluster_id", "log_cluster_id")

@@ -23,7 +23,6 @@ from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.joining.founding import Founding, note_started, read_founding
-from stampede_rt_supernode.joining.join_tokens import JoinTokens
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
@@ -128,7 +127,6 @@ def _assemble(
     leases.takes_over, leases.in_memory = founding.takes_over, settings.data_dir is None
     probe = Probe(log, credentials, explain=credentials.explain)
     members = Members(log, replica, probe, advertise=settings.advertise or founding.address, zone=settings.zone)
-    tokens = JoinTokens(credentials.secret.text if credentials.secret else "")
     return _Parts(
         log=log,
         replica=replica,
@@ -138,7 +136,7 @@ def _assemble(
         watches=Watches(replica, log),
         probe=probe,
         members=members,
-        membership=MembershipServicer(log, replica, members, tokens, clock, log_cluster_id=founding.log_cluster_id),
+        membership=MembershipServicer(log, replica, members, clock, log_cluster_id=founding.log_cluster_id),
     )
 
 

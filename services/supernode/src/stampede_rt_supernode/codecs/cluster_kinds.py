@@ -17,6 +17,7 @@ def _tenure_message(operation: BeginTenure) -> pb.BeginTenureCommand:
         new_lease_ttl_nanos=operation.new_lease_ttl_nanos,
         founded_anew=operation.founded_anew,
         takes_over=operation.takes_over,
+        new_join_key=operation.new_join_key,
     )
 
 
@@ -28,6 +29,7 @@ def _read_tenure(message: pb.BeginTenureCommand) -> BeginTenure:
         new_lease_ttl_nanos=message.new_lease_ttl_nanos,
         founded_anew=message.founded_anew,
         takes_over=message.takes_over,
+        new_join_key=message.new_join_key,
     )
 
 

@@ -134,6 +134,7 @@ def _head(directory: Directory) -> bytes:
         hosts=[host_entry(hosts[host_id]) for host_id in sorted(hosts)],
         time_marks=directory.answered.marks,
         former_cluster_ids=directory.former_cluster_ids,
+        join_key=directory.join_key,
         digest=directory.digest,
     ).SerializeToString()
 
@@ -178,6 +179,7 @@ def decode_snapshot(encoded: bytes) -> Directory:
         answers=[_answer(operation) for operation in message.remembered_operations],
         time_marks=message.time_marks,
         former_cluster_ids=message.former_cluster_ids,
+        join_key=message.join_key,
         digest=message.digest,
     )
 

@@ -33,6 +33,7 @@ class DirectoryState:
         answers: Iterable[Answer] = (),
         time_marks: Iterable[int] = (),
         former_cluster_ids: Iterable[str] = (),
+        join_key: bytes = b"",
         digest: bytes = b"",
     ) -> None:
         self.tenure = tenure
@@ -43,6 +44,8 @@ class DirectoryState:
         self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
         # The clusters whose place this one has taken.
         self.former_cluster_ids = tuple(former_cluster_ids)
+        # Signs join tokens; no caller is ever told.
+        self.join_key = join_key
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
         self.answered = Answered(answers, time_marks)
 

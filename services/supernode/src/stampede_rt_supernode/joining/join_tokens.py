@@ -1,8 +1,8 @@
 """Join tokens: made by any supernode, checked by any other, kept by none until they are used. Pure.
 
-A token carries its own end, the id of the cluster's log, which a newcomer must know, and a proof that only holders of
-the cluster's secret can make (HMAC, RFC 2104). In a cluster without a secret everybody could join anyway, or everybody
-with a supernode's certificate. That it lets in only one supernode is seen to by the log.
+A token carries its own end, the id of the cluster's log, which a newcomer must know, and a proof (HMAC, RFC 2104) for
+one supernode id and one address. Its key is random and made when the cluster is founded; the supernodes keep it in the
+directory, and tell it to nobody. That a token lets in only once is seen to by the log.
 """
 
 from __future__ import annotations
@@ -11,37 +11,42 @@ import hashlib
 import hmac
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied
+from stampede_rt_supernode.replication import Member
 
 VALID_NANOS_DEFAULT = 3600 * 10**9
 VALID_NANOS_MAX = 24 * 3600 * 10**9
-_PREFIX = "sj2"
+KEY_BYTES = 32
+_PREFIX = "sj3"
 _PARTS = 4
 
 
 class JoinTokens:
-    """Makes and checks the tokens of one cluster."""
+    """Makes and checks the tokens of one cluster, whose key is `join_key`."""
 
-    def __init__(self, secret_text: str) -> None:
-        self._secret_text = secret_text
+    def __init__(self, join_key: bytes) -> None:
+        self._join_key = join_key
 
-    def make(self, request_id: bytes, *, valid_until_unix_nano: int, cluster_id: str, log_cluster_id: str) -> str:
+    def make(self, request_id: bytes, newcomer: Member, *, valid_until_unix_nano: int, log_cluster_id: str) -> str:
         """The token for a request; the same for the same arguments."""
         body = f"{_PREFIX}.{valid_until_unix_nano:x}.{request_id.hex()}.{log_cluster_id.encode().hex()}"
-        return f"{body}.{self._proof(body, cluster_id)}"
+        return f"{body}.{self._proof(body, newcomer)}"
 
-    def check(self, token: str, *, now_unix_nano: int, cluster_id: str) -> str:
+    def check(self, token: str, newcomer: Member, *, now_unix_nano: int) -> str:
         """What the log knows the token by. Raises PermissionDenied with reason UNAUTHENTICATED."""
         body, _, proof = token.rpartition(".")
         parts = body.split(".")
-        if not hmac.compare_digest(proof.encode(), self._proof(body, cluster_id).encode()) or len(parts) != _PARTS:
-            raise _refused("the join token is not one of this cluster; make one with `stampede supernode add`")
+        if not hmac.compare_digest(proof.encode(), self._proof(body, newcomer).encode()) or len(parts) != _PARTS:
+            raise _refused(
+                f"the join token is not one of this cluster for {newcomer.member_id} at {newcomer.address}; make one "
+                "with `stampede supernode add`, which prints the whole command"
+            )
         if int(parts[1], 16) <= now_unix_nano:
             raise _refused("the join token is over; make another one with `stampede supernode add`")
         return hashlib.sha256(token.encode()).hexdigest()
 
-    def _proof(self, body: str, cluster_id: str) -> str:
-        key = f"stampede-rt join token\n{cluster_id}\n{self._secret_text}".encode()
-        return hmac.new(key, body.encode(), hashlib.sha256).hexdigest()
+    def _proof(self, body: str, newcomer: Member) -> str:
+        told = f"stampede-rt join token\n{body}\n{newcomer.member_id}\n{newcomer.address}"
+        return hmac.new(self._join_key, told.encode(), hashlib.sha256).hexdigest()
 
 
 def log_cluster_of(token: str) -> str:

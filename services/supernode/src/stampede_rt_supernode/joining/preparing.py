@@ -94,7 +94,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
     name, address = _name(arguments), _address(arguments)
     with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members().supernodes
-        token = arguments.token or cluster.make_token(valid_nanos=VALID_NANOS_DEFAULT).token
+        token = arguments.token or cluster.make_token(name, address, valid_nanos=VALID_NANOS_DEFAULT).token
     members = {record.supernode_id: record.endpoint.target for record in listed}
     if name in members:
         raise StampedeError(f"{name} is a member already; a wiped supernode, too, joins under a new id")

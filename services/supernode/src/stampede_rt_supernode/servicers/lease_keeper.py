@@ -25,6 +25,7 @@ from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, Pe
 from stampede_rt_supernode.core.peers.transitions import check_peer_boot
 from stampede_rt_supernode.core.records import ID_BYTES, Host, Peer
 from stampede_rt_supernode.core.validation import check_id
+from stampede_rt_supernode.joining.join_tokens import KEY_BYTES
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog, ReplicationStatus
 from stampede_rt_supernode.servicers.submission import Submission
@@ -113,6 +114,7 @@ class LeaseKeeper:
             # Front-ends tell clusters apart by it: they must not take one that comes back for the restored one.
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
             takes_over=self.takes_over,
+            new_join_key=secrets.token_bytes(KEY_BYTES),
         )
         begun = await self._submission.submit(operation, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:

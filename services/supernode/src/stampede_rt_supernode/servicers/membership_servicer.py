@@ -44,7 +44,6 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         log: ReplicatedLog,
         replica: DirectoryReplica,
         members: Members,
-        tokens: JoinTokens,
         clock: HostClock,
         *,
         log_cluster_id: str,
@@ -52,7 +51,6 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         self._log = log
         self._replica = replica
         self._members = members
-        self._tokens = tokens
         self._clock = clock
         self._log_cluster_id = log_cluster_id
         self._snapshots_under_way = 0
@@ -63,10 +61,10 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             check_id(request.request_id, "request_id")
             valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
             until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
-            token = self._tokens.make(
+            token = self._tokens().make(
                 request.request_id,
+                _member("supernode_id", request.supernode_id, "target", request.target),
                 valid_until_unix_nano=until,
-                cluster_id=cluster_id,
                 log_cluster_id=self._log_cluster_id,
             )
         except StampedeError as error:
@@ -149,15 +147,14 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         if request.protocol_version != PROTOCOL_VERSION:
             text = f"the supernode speaks version {request.protocol_version} of the wire contract, this one"
             raise VersionMismatch(f"{text} {PROTOCOL_VERSION}; install the same release on both")
-        if not 0 < len(request.supernode_id) <= MEMBER_ID_CHARACTERS_MAX:
-            raise InvalidArgument(f"supernode_id must have 1 to {MEMBER_ID_CHARACTERS_MAX} characters")
-        now, cluster_id = self._clock.time_unix_nano(), self._cluster_id()
-        ticket = self._tokens.check(request.token, now_unix_nano=now, cluster_id=cluster_id)
-        try:
-            address = parse_target(request.endpoint.target)
-        except ValueError as error:
-            raise InvalidArgument(f"endpoint.target is {request.endpoint.target!r}; it must be {error}") from error
-        return Member(member_id=request.supernode_id, address=address), ticket
+        member = _member("supernode_id", request.supernode_id, "endpoint.target", request.endpoint.target)
+        ticket = self._tokens().check(request.token, member, now_unix_nano=self._clock.time_unix_nano())
+        return member, ticket
+
+    def _tokens(self) -> JoinTokens:
+        """Raises Unavailable before the cluster is founded."""
+        self._cluster_id()
+        return JoinTokens(self._replica.read(lambda directory: directory.join_key))
 
     async def _done(self, change: Awaitable[int]) -> int:
         """The log position of a change. Raises what the contract names."""
@@ -181,6 +178,16 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         if not cluster_id:
             raise Unavailable("the cluster is just being founded; try again in a moment", reason="NO_QUORUM")
         return cluster_id
+
+
+def _member(id_field: str, supernode_id: str, target_field: str, target: str) -> Member:
+    """Raises InvalidArgument."""
+    if not 0 < len(supernode_id) <= MEMBER_ID_CHARACTERS_MAX:
+        raise InvalidArgument(f"{id_field} must have 1 to {MEMBER_ID_CHARACTERS_MAX} characters")
+    try:
+        return Member(member_id=supernode_id, address=parse_target(target))
+    except ValueError as error:
+        raise InvalidArgument(f"{target_field} is {target!r}; it must be {error}") from error
 
 
 def _seconds(context: Any) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from stampede_rt_supernode.core.commands import Operation, Success
 
@@ -21,6 +21,7 @@ class BeginTenure(Operation):
     new_lease_ttl_nanos: int
     founded_anew: bool = False
     takes_over: bool = False
+    new_join_key: bytes = field(default=b"", repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,7 +14,8 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
     if operation.founded_anew or not state.cluster_id:
         if state.cluster_id and operation.takes_over and state.cluster_id != operation.new_cluster_id:
             state.former_cluster_ids = (*state.former_cluster_ids, state.cluster_id)[-FORMER_MAX:]
-        state.cluster_id = operation.new_cluster_id
+        state.cluster_id, state.join_key = operation.new_cluster_id, operation.new_join_key
+    state.join_key = state.join_key or operation.new_join_key
     state.lease_ttl_nanos = state.lease_ttl_nanos or operation.new_lease_ttl_nanos
     return TenureBegun(tenure=state.tenure, cluster_id=state.cluster_id)
 
