@@ -111,6 +111,24 @@ async def large_get(rig: Rig, items: int) -> tuple[str, Work]:
     return f"get of {items:,} items of two producers that interleave, no payloads", asked(rig, channel, "get")
 
 
+async def given_up_get(rig: Rig, items: int) -> tuple[str, Work]:
+    """Its answer is gathered, and the reader goes when the first message of it has come."""
+    channel, hosted = await opened(rig)
+    interleaved(hosted, rig, items)
+
+    async def work() -> None:
+        call = rig.channels.Get()
+        interval = between(MIN_INSTANT, MAX_INSTANT)
+        await call.write(channel.get_request(interval=interval, without_payloads=True))
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            await call.read()
+        call.cancel()
+        for _ in range(2 * items // 256):
+            await asyncio.sleep(0)
+
+    return f"the same get, given up when the first message of {items:,} items has come", work
+
+
 async def subscription(rig: Rig, items: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     in_order(hosted, rig, items)
@@ -267,6 +285,7 @@ async def batches(rig: Rig, items: int) -> tuple[str, Work]:
 
 CASES: dict[str, tuple[Case, int]] = {
     "get": (large_get, ITEMS),
+    "given-up": (given_up_get, ITEMS),
     "subscribe": (subscription, ITEMS),
     "configure": (smaller_limit, ITEMS),
     "late": (late_items, LATE_ITEMS),

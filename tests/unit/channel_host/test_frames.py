@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import pytest
 from hypothesis import given
@@ -126,7 +127,7 @@ def interleaved(items: int) -> tuple[Channel, list[bytes]]:
 
 def test_a_run_of_which_every_item_goes_alone_is_looked_into_once(monkeypatch: pytest.MonkeyPatch) -> None:
     channel, _ = interleaved(200)
-    answer, looked = read_all(channel), []
+    looked: list[bytes] = []
 
     class Counting(RunSlicer):
         def __init__(self, sealed: bytes) -> None:
@@ -135,7 +136,7 @@ def test_a_run_of_which_every_item_goes_alone_is_looked_into_once(monkeypatch: p
 
     monkeypatch.setattr(frames, "RunSlicer", Counting)
     for without_payloads in (False, True, False):
-        messages = get_responses(1, answer, pb.GetSummary(), without_payloads=without_payloads)
+        messages = get_responses(1, read_all(channel), pb.GetSummary(), without_payloads=without_payloads)
         runs = [run for one in messages for run in pb.GetResponse.FromString(one.encoded).runs]
         assert [run.run.time_unix_nano[0] for run in runs] == [NOW - 1000 + at for at in range(400)]
         found = [run.run.payloads for run in runs]
@@ -149,3 +150,15 @@ def test_a_message_holds_a_bounded_number_of_runs_however_small_they_are() -> No
     runs = [len(pb.GetResponse.FromString(message.encoded).runs) for message in messages]
     assert runs == [frames.MESSAGE_RUNS_MAX, 998 - frames.MESSAGE_RUNS_MAX]
     assert [message.is_last for message in messages] == [False, True]
+
+
+def test_what_is_sent_of_a_large_answer_is_let_go_of_message_by_message() -> None:
+    channel, _ = interleaved(500)
+    answer = read_all(channel)
+    left = [len(answer.slices)]
+    for message in get_responses(1, answer, pb.GetSummary(), without_payloads=True):
+        assert len(message.encoded) < frames.MESSAGE_BYTES_MAX
+        left.append(len(answer.slices))
+    assert left == sorted(left, reverse=True)
+    assert max(before - after for before, after in pairwise(left)) <= frames.MESSAGE_RUNS_MAX + 256
+    assert left[-1] == 0

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.channels.frames import Message
 from stampede_rt_channel_host.channels.outbox import ANSWERS_QUEUED_MAX, QUEUED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.core.channel import Pieces, Slice
+from stampede_rt_channel_host.core.channel.gathered import Gathered
+from stampede_rt_channel_host.core.channel.run import OneRun
 
 
 class Context:
@@ -32,7 +36,8 @@ class Box:
         self.context = Context()
         self.ended: list[int] = []
         self.sent = 0
-        self.outbox = Outbox(self.context, OpenStream(task), self.ended.append)
+        self.begun: list[Pieces[None]] = []
+        self.outbox = Outbox(self.context, OpenStream(task), self.ended.append, begin=self.begun.append)
 
     def add(self, call_id: int, messages: int = 1) -> None:
         self.outbox.add(call_id, answer(call_id, messages), self.count)
@@ -127,3 +132,19 @@ async def test_a_dropped_answer_keeps_nothing_and_makes_room() -> None:
     box.outbox.add(1, answer(1, 1), box.count, 10 * QUEUED_BYTES_MAX)
     box.outbox.drop(1)
     assert (box.outbox.queued_bytes, box.ended) == (0, [1])
+
+
+def gathered(parts: int) -> Gathered:
+    return Gathered(deque([Slice(OneRun(seq, seq, -1, 1, b"x"), 0, 1)] for seq in range(1, parts + 1)))
+
+
+async def test_what_was_not_sent_of_a_call_that_is_dropped_or_of_a_stream_that_ends_is_let_go_of_in_pieces() -> None:
+    box, one, other = Box(), gathered(5), gathered(7)
+    box.outbox.add(1, answer(1, 1), box.count, slices=one)
+    box.outbox.add(2, answer(2, 1), box.count, slices=other)
+    box.outbox.drop(1)
+    box.outbox.close()
+    assert (len(one), len(other)) == (5, 7)
+    assert [sum(1 for _ in rest) for rest in box.begun] == [5, 7]
+    assert not one
+    assert not other

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
-from stampede_rt_channel_host.core.channel import Answer, Channel, Coming, Position, Query, Slice, index, pieces
+from stampede_rt_channel_host.core.channel import (
+    Answer,
+    Channel,
+    Coming,
+    Position,
+    Query,
+    Slice,
+    abandoning,
+    emptying,
+    index,
+    pieces,
+)
 from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.unit.core.channels import CLOCK, a_channel, put
@@ -185,3 +197,35 @@ def test_ageing_of_what_consumers_have_consumed_looks_at_a_bounded_number_of_sli
             break
     assert before == 1
     assert most <= 2 * SLICES_AGED_MAX + 2 * BLOCK_ITEMS + 20
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_large_answer_that_nobody_wants_is_let_go_of_in_pieces(newest_first: bool) -> None:
+    answer = shuffled().read(everything(newest_first=newest_first), CLOCK)
+    left = [ITEMS]
+    for _ in emptying(answer.slices):
+        left.append(len(answer.slices))
+    assert max(before - after for before, after in pairwise(left)) <= pieces.STEPS_PER_PIECE
+    assert left[-1] == 0
+
+
+def test_a_large_get_that_is_given_up_lets_go_of_what_it_has_found_in_pieces() -> None:
+    channel, rounds = shuffled(), ITEMS // pieces.STEPS_PER_PIECE - 2
+    reading = channel.reading(everything(), CLOCK)
+    for _ in range(rounds):
+        next(reading)
+    leaving = abandoning(reading)
+    next(leaving)
+    assert not channel.look(CLOCK)[0]._snapshots  # what it was to look at is not held back meanwhile
+    assert sum(1 for _ in leaving) >= rounds - 2
+
+
+def test_a_subscription_resumed_among_very_many_ranges_does_not_walk_them_at_once(looked: Counter) -> None:
+    channel = shuffled()
+    low = parse_interval(MIN_INSTANT, MAX_INSTANT).start
+    saved = channel.subscribe_all(CLOCK, start=low).saved(channel.incarnation)
+    put(channel, CLOCK + 2 * ITEMS)
+    looked.slices = 0
+    for _ in channel.subscribing_all(CLOCK, saved=saved):
+        assert looked.slices <= pieces.STEPS_PER_PIECE + 10
+        looked.slices = 0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
-from stampede_rt_channel_host.core.channel import Answer, ColumnRun, DeliveredSlice, Slice
+from stampede_rt_channel_host.core.channel import Answer, ColumnRun, DeliveredSlice, Slice, drained
 
 MESSAGE_BYTES_MAX = 2**20  # of runs; a single item may be larger
 MESSAGE_RUNS_MAX = 512  # so that a message of many small ones is made within a millisecond or two
@@ -53,15 +53,15 @@ def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, witho
     """The messages that answer a call, made one by one; the last one has the summary."""
     head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves a zero away
     parts, runs, size, payload_bytes = [head], 0, 0, 0
-    next_time, rest = answer.next_time, [*reversed(answer.slices)]
-    del answer  # what is sent is let go of: half a million slices at the end would be one long step
-    while rest:
-        part = rest.pop()
+    next_time, rest = answer.next_time, drained(answer.slices)
+    following = next(rest, None)
+    while (part := following) is not None:
+        following = next(rest, None)
         body = run_bytes(part, without_payloads=without_payloads)
         if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
             yield Message(b"".join(parts), payload_bytes, False)
             parts, runs, size, payload_bytes = [head], 0, 0, 0
-        _add_run(parts, _GET_RUNS, body, None if rest else next_time)
+        _add_run(parts, _GET_RUNS, body, None if following else next_time)
         runs += 1
         size += len(body)
         payload_bytes += 0 if without_payloads else part.payload_bytes

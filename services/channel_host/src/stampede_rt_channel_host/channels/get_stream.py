@@ -27,6 +27,7 @@ from stampede_rt_channel_host.core.channel import (
     Pieces,
     Unfinished,
     WakeAt,
+    emptying,
     first_of,
 )
 
@@ -62,7 +63,7 @@ class GetStream:
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: being answered
         self._plans = GetPlans()
         self._idle = asyncio.Event()
-        self._outbox = Outbox(context, stream, self._ended, self._room_came)
+        self._outbox = Outbox(context, stream, self._ended, self._room_came, store.turns.begin)
         self._held_back: dict[int, _Begun] = {}  # released, and looked at again once there is room for their answers
 
     async def run(self) -> None:
@@ -125,17 +126,30 @@ class GetStream:
         plan, hosted = begun.plan, begun.hosted
         try:
             await self._outbox.room()
-            found = await self._store.turns.finish(pieces)
-            self._store.find(plan.channel_id, plan.epoch)
+            found: Answer | WakeAt | Unfinished[Any] = await self._store.turns.finish(pieces)
+            self._check_served(plan, found)
             now = self._store.now()
             if isinstance(found, WakeAt) and begun.pending is not None:  # the channel may have changed meanwhile
-                found = hosted.channel.poll(begun.pending, now)
+                found = first_of(hosted.channel.polling(begun.pending, now))
             self._calls[begun.call_id] = None
             self._go_on(begun, found, now)
         except StampedeError as error:
             self._calls[begun.call_id] = None
             self._refuse(begun.call_id, error)
         self._outbox.kick()
+
+    def _check_served(self, plan: GetPlan, found: object) -> None:
+        """Raises StaleBinding if the channel went elsewhere, and lets go of what was found there."""
+        try:
+            self._store.find(plan.channel_id, plan.epoch)
+        except StampedeError:
+            self._let_go(found)
+            raise
+
+    def _let_go(self, found: object) -> None:
+        """Nobody is sent it, if it is an answer."""
+        if isinstance(found, Answer):
+            self._store.turns.begin(emptying(found.slices))
 
     def _begin_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel, now: int) -> None:
         found = self._groups.read_now(ask, hosted, plan.query, plan.wait_nanos, now)
@@ -149,6 +163,7 @@ class GetStream:
             began, wait_nanos = self._store.now(), plan.wait_nanos
             found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
             while not self._outbox.has_room:  # its answer is taken when it can be sent, and kept by nobody
+                self._let_go(found.answer)
                 del found
                 await self._outbox.room()
                 self._store.find(plan.channel_id, plan.epoch)
@@ -192,7 +207,8 @@ class GetStream:
         self._calls[begun.call_id] = None
         summary = summary_of(answer, now, cut)
         messages = get_responses(begun.call_id, answer, summary, without_payloads=begun.plan.without_payloads)
-        self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered, _kept_bytes(answer))
+        on_sent, kept_bytes = begun.hosted.count_delivered, _kept_bytes(answer)
+        self._outbox.add(begun.call_id, messages, on_sent, kept_bytes, answer.slices)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Not entered among the calls: a refused id may be one that is under way."""

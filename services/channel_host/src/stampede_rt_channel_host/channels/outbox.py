@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from stampede_rt_channel_host.channels.frames import Message
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.core.channel import Pieces, Slice, at_once, emptying
 
 ANSWERS_QUEUED_MAX = 256
 QUEUED_BYTES_MAX = 8 * 2**20
@@ -21,10 +22,12 @@ class _Answer(NamedTuple):
     """The messages of one call, made as they are written; `on_sent` hears of each one's payload bytes.
 
     `kept_bytes`: what the items that it refers to keep of the host's memory, even if retention has let them go.
+    `emptying` lets go of those that were not sent.
     """
 
     call_id: int
     kept_bytes: int
+    emptying: Pieces[None]
     messages: Iterator[Message]
     on_sent: Callable[[int], None]
 
@@ -42,12 +45,15 @@ class Outbox:
         stream: OpenStream,
         on_end: Callable[[int], None],
         on_room: Callable[[], None] = lambda: None,
+        begin: Callable[[Pieces[None]], None] = at_once,
     ) -> None:
+        """`begin` does long work that nobody waits for (`Turns.begin`)."""
         self._context = context
         self._stream = stream
         self.queued_bytes = 0
         self._on_end = on_end
         self._on_room = on_room
+        self._begin = begin
         self._answers: deque[_Answer] = deque()
         self._writing = False
         self._task: asyncio.Task[None] | None = None
@@ -59,10 +65,11 @@ class Outbox:
         return len(self._answers) <= ANSWERS_QUEUED_MAX and self.queued_bytes <= QUEUED_BYTES_MAX
 
     def add(
-        self, call_id: int, messages: Iterator[Message], on_sent: Callable[[int], None], kept_bytes: int = 0
-    ) -> None:
-        """Queue an answer; `flush` or `kick` writes it."""
-        self._answers.append(_Answer(call_id, kept_bytes, messages, on_sent))
+        self, call_id: int, messages: Iterator[Message], on_sent: Callable[[int], None], kept_bytes: int = 0,
+        slices: Sequence[Slice] = (),
+    ) -> None:  # fmt: skip
+        """Queue an answer, which was made of `slices`; `flush` or `kick` writes it."""
+        self._answers.append(_Answer(call_id, kept_bytes, emptying(slices), messages, on_sent))
         self.queued_bytes += kept_bytes
 
     def drop(self, call_id: int) -> None:
@@ -70,6 +77,7 @@ class Outbox:
         for answer in [answer for answer in self._answers if answer.call_id == call_id]:
             self._answers.remove(answer)
             self._let_go(answer)
+            self._begin(answer.emptying)
         self._on_end(call_id)
 
     def kick(self) -> None:
@@ -105,7 +113,9 @@ class Outbox:
 
     def close(self) -> None:
         """Write no more."""
-        self._answers.clear()
+        answers, self._answers = self._answers, deque()
+        for answer in answers:
+            self._begin(answer.emptying)
         if self._task is not None:
             self._task.cancel()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TypeVar
 
-from stampede_rt_channel_host.core.channel import Pieces, Unfinished, first_of
+from stampede_rt_channel_host.core.channel import Pieces, Unfinished, abandoning, first_of
 
 Result = TypeVar("Result")
 
@@ -32,7 +32,7 @@ class Turns:
             task.add_done_callback(self._begun.discard)
 
     async def finish(self, pieces: Pieces[Result]) -> Result:
-        """The result, once all pieces that are left are done. Raises what they raise; cancelled, it closes them."""
+        """The result, once all pieces that are left are done. Raises what they raise; cancelled, it abandons them."""
         try:
             while True:  # ends with the pieces
                 async with self._turn:
@@ -41,5 +41,6 @@ class Turns:
                     except StopIteration as end:
                         return end.value  # type: ignore[no-any-return]
                     await asyncio.sleep(0)
-        finally:
-            pieces.close()
+        except asyncio.CancelledError:
+            self.begin(abandoning(pieces))
+            raise

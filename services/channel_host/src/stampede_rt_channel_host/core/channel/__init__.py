@@ -27,8 +27,9 @@ from stampede_rt_channel_host.core.channel.consumption import (
     Consumed,
     ConsumerPlace,
 )
+from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import Limits
-from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, at_once, first_of
+from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, at_once, first_of
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
@@ -86,6 +87,9 @@ __all__ = [
     "Slicer",
     "Unfinished",
     "WakeAt",
+    "abandoning",
     "at_once",
+    "drained",
+    "emptying",
     "first_of",
 ]

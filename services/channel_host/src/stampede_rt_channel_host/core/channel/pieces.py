@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 STEPS_PER_PIECE = 256
 """So many slices, or so much work as these take, is one piece."""
@@ -16,8 +16,26 @@ Result = TypeVar("Result")
 Pieces = Generator[None, None, Result]
 """Work that stops after each piece and goes on when it is asked for the next one; its result comes with the last one.
 
-What it finds is as of the moment when it was begun. Close it, if it is not taken to its end.
+What it finds is as of the moment when it was begun. If it is not taken to its end, close it; or take `abandoning`, if
+what it has found so far may be much.
 """
+
+
+class Abandoned(Exception):
+    """Raised in work whose result nobody wants: it lets go of what it has found, in pieces, and raises this on."""
+
+
+def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
+    """Take the work no further: let go of what it has found, in pieces."""
+    try:
+        pieces.throw(Abandoned())
+        while True:  # ends with what it has found
+            yield
+            next(pieces)
+    except (StopIteration, Abandoned):
+        return
+    finally:
+        pieces.close()
 
 
 def at_once(pieces: Pieces[Result]) -> Result:

@@ -9,7 +9,7 @@ from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval, format_instant
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
-from stampede_rt_channel_host.core.channel.selection import Readable, Selected, select
+from stampede_rt_channel_host.core.channel.selection import Readable, select
 from stampede_rt_channel_host.core.channel.values import Answer, Position, Query, WakeAt
 from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
@@ -67,23 +67,15 @@ class Reading:
         region = _region(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
-        selecting = select(self._held, query, within, self.now(clock))
-        reasons: dict[bool, Reason | None] | None = None  # if the limit cut it, and if not
-        try:
-            while True:  # ends with what is selected
-                try:
-                    next(selecting)
-                except StopIteration as end:
-                    found: Selected = end.value
-                    break
-                if reasons is None:
-                    reasons = {more: self._reason(query, region, complete, truncated, more) for more in (False, True)}
-                yield
-        finally:
-            selecting.close()
+        reasons: dict[bool, Reason | None] = {}  # if the limit cut it, and if not: of an answer in several pieces
+
+        def judge() -> None:
+            reasons.update({more: self._reason(query, region, complete, truncated, more) for more in (False, True)})
+
+        found = yield from select(self._held, query, within, self.now(clock), judge)
         if not found.slices:
             reason: Reason | None = self._absence(query, region)
-        elif reasons is None:
+        elif not reasons:
             reason = self._reason(query, region, complete, truncated, found.more)
         else:
             reason = reasons[found.more]

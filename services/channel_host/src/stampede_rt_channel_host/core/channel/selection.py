@@ -8,13 +8,15 @@ of one `overlap` before that bucket, too: an earlier item cannot reach so far.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.gathered import Gathered, emptying
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
-from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.snapshot import Snapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
@@ -76,16 +78,18 @@ class Selected(NamedTuple):
     """The slices that match, ascending; whether the limit cut more of them off; and the time of the bucket behind the
     last one, None if that is the newest."""
 
-    slices: list[Slice]
+    slices: Sequence[Slice]
     more: bool
     next_time: int | None
 
 
-NOTHING = Selected([], False, None)
+NOTHING = Selected((), False, None)
 
 
-def select(held: Readable, query: Query, within: ResolvedInterval, now: int) -> Pieces[Selected]:
-    """What matches, in pieces. `now` is the resolved meta-time."""
+def select(
+    held: Readable, query: Query, within: ResolvedInterval, now: int, on_hold: Callable[[], object] = lambda: None
+) -> Pieces[Selected]:  # fmt: skip
+    """What matches, in pieces. `now` is the resolved meta-time. If the first piece is not all, `on_hold` is called."""
     if within.is_empty or held.oldest is None:
         return NOTHING
     stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
@@ -95,7 +99,9 @@ def select(held: Readable, query: Query, within: ResolvedInterval, now: int) -> 
         for stretch in reversed(stretches) if query.newest_first else stretches:
             while (rest := taking.take(stretch)) is not None:
                 stretch = rest  # the same stretch, without what was taken
-                snapshot.hold()
+                if not snapshot.is_held:
+                    snapshot.hold()
+                    on_hold()
                 yield
         slices = taking.finish()
         if not slices:
@@ -103,6 +109,10 @@ def select(held: Readable, query: Query, within: ResolvedInterval, now: int) -> 
         last_time = slices[-1].last_time
         next_time = snapshot.next_time(last_time, held.end) if snapshot.is_held else held.next_time(last_time)
         return Selected(slices, taking.more, next_time)
+    except Abandoned:
+        snapshot.close()
+        yield from emptying(taking.finish())
+        raise
     finally:
         snapshot.close()
 
@@ -114,6 +124,7 @@ class _Taking:
         self._snapshot = snapshot
         self._left = limit
         self._down = down
+        self._parts: deque[list[Slice]] = deque()  # of the pieces before this one
         self._slices: list[Slice] = []
         self.more = False
 
@@ -133,6 +144,7 @@ class _Taking:
             if fits is not None:
                 steps += part.items // pieces.ITEMS_PER_STEP
             if steps >= steps_max:
+                self._close_part()
                 return self._behind(part, stretch)
         return None
 
@@ -159,11 +171,17 @@ class _Taking:
             self._left = None if self._left is None else self._left - one.items
         return True
 
-    def finish(self) -> list[Slice]:
-        """All that was taken, ascending."""
+    def _close_part(self) -> None:
+        part, self._slices = self._slices, []
         if self._down:
-            self._slices.reverse()
-        return self._slices
+            part.reverse()
+        if part:
+            (self._parts.appendleft if self._down else self._parts.append)(part)
+
+    def finish(self) -> Sequence[Slice]:
+        """All that was taken, ascending."""
+        self._close_part()
+        return Gathered(self._parts) if len(self._parts) > 1 else self._parts[0] if self._parts else ()
 
 
 def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable, Iterator
 from heapq import merge
-from itertools import islice
+from itertools import chain, islice
 
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import pieces
@@ -90,22 +91,35 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     gone = (held.newest_collected, held.newest_consumed)
     if low is None or any(time is not None and time >= low[0] for time in gone):  # they go in the order of time
         begun = first
-    next_seq, ranges = held.next_seq, [[(begun, held.next_seq)]]
+    next_seq, ranges = held.next_seq, [iter([(begun, held.next_seq)])]
     if low is not None:
         found = yield from _seq_ranges(held, low)
-        ranges += [[(max(one, first), min(end, begun)) for one, end in piece] for piece in found]
+        ranges += [_clipped(piece, first, begun) for piece in found]
     owed = ((one, end) for one, end in merge(*ranges) if one < end)
     return AllCursor(_joined(owed), next_seq, low, live)
 
 
-def _seq_ranges(held: Holdings, low: Place) -> Pieces[list[list[Range]]]:
+class _Ranges:
+    """Ranges of seqs, kept as two numbers each: a cursor may have half a million, and is let go of in one step."""
+
+    __slots__ = ("_bounds",)
+
+    def __init__(self, ranges: Iterable[Range]) -> None:
+        self._bounds = array("q", chain.from_iterable(ranges))
+
+    def __iter__(self) -> Iterator[Range]:
+        bounds = self._bounds
+        return ((bounds[at], bounds[at + 1]) for at in range(0, len(bounds), 2))
+
+
+def _seq_ranges(held: Holdings, low: Place) -> Pieces[list[_Ranges]]:
     """The seqs of the items from `low` on. Each piece gives a list of ranges, ascending."""
-    found: list[list[Range]] = []
+    found: list[_Ranges] = []
     snapshot = held.snapshot()
     try:
         while True:  # ends with what is held
             parts = [*islice(snapshot.slices(low, LAST_PLACE), pieces.STEPS_PER_PIECE)]
-            found.append([*_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))])
+            found.append(_Ranges(_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))))
             if len(parts) < pieces.STEPS_PER_PIECE:
                 return found
             low = parts[-1].last_time, parts[-1].end_seq
@@ -115,7 +129,11 @@ def _seq_ranges(held: Holdings, low: Place) -> Pieces[list[list[Range]]]:
         snapshot.close()
 
 
-def _merged(ranges: list[list[Range]]) -> Iterator[Range]:
+def _clipped(ranges: Iterable[Range], first: int, end: int) -> Iterator[Range]:
+    return ((max(low, first), min(high, end)) for low, high in ranges)
+
+
+def _merged(ranges: list[_Ranges]) -> Iterator[Range]:
     """All ranges, ascending, as they are asked for: sorting them together would be one long step."""
     return _joined(merge(*ranges))
 

@@ -132,7 +132,7 @@ class Answer(NamedTuple):
     says why the answer is empty or partial.
     """
 
-    slices: Sequence[Slice]
+    slices: Sequence[Slice]  # many are `Gathered`
     next_time: int | None
     interval: ResolvedInterval | None
     complete: bool
