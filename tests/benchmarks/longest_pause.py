@@ -225,6 +225,52 @@ async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
     return f"{items:,} items that are owed to a consumer go by count", work
 
 
+async def first_consumers(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    retention = channel_pb2.RetentionPolicy(consumers=1)
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=b"0123456789abcdef",
+        channel_id=channel.channel_id,
+        epoch=channel.epoch,
+        spec=channel_pb2.ChannelSpec(retention=retention),
+    )
+
+    async def work() -> None:
+        await rig.gate.ConfigureChannel(request)
+        about = {"channel_id": channel.channel_id, "epoch": channel.epoch}
+        await rig.channels.Consume(pb.ConsumeRequest(consumer_id=1, seqs=[1], **about))  # type: ignore[arg-type]
+        assert (await channel.status()).consumers[0].waiting == items - 1
+
+    return f"configure(consumers=1) with {items:,} items, a consume, and a status", work
+
+
+async def backwards(rig: Rig, items: int) -> tuple[str, Work]:
+    """What goes first came last; each other one of the items is consumed, too."""
+    channel, hosted = await opened(rig, consumers=10)
+    now = rig.now()
+    for at in range(items):
+        fill(hosted, now, [now - at if at % 2 else now - 2 * items + at])
+    for consumer in range(1, 11):
+        hosted.channel.consume(consumer, range(2, 2 * CALLS, 2), now)
+
+    async def work() -> None:
+        retention = channel_pb2.RetentionPolicy(max_items=items // 2, consumers=10)
+        await rig.gate.ConfigureChannel(
+            gate_pb.ConfigureChannelRequest(
+                request_id=b"0123456789abcdef",
+                channel_id=channel.channel_id,
+                epoch=channel.epoch,
+                spec=channel_pb2.ChannelSpec(retention=retention),
+            )
+        )
+        await channel.status()
+        page = await rig.gate.ListHostedChannels(gate_pb.ListHostedChannelsRequest())
+        assert len(page.channels[0].consumers) == 10
+
+    return f"the status of 10 consumers when {items // 2:,} items went out of the order of seqs", work
+
+
 async def deletion(rig: Rig, items: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     in_order(hosted, rig, items)
@@ -292,6 +338,8 @@ CASES: dict[str, tuple[Case, int]] = {
     "page": (page, BUCKET_ITEMS),
     "reach": (reach, BUCKET_ITEMS),
     "consumption": (consumption, ITEMS),
+    "first-consumers": (first_consumers, ITEMS),
+    "backwards": (backwards, 2 * CHANNELS * 10),
     "delete": (deletion, ITEMS),
     "list": (listing, CHANNELS),
     "batches": (batches, QUEUED_ITEMS),

@@ -239,7 +239,8 @@ def test_a_channel_without_consumers_keeps_nothing_for_anybody_and_says_so() -> 
 def test_the_places_go_with_the_channel_as_values() -> None:
     channel, heir = three_items(), three_items()
     channel.consume(ANN, [1, 3], CLOCK)
-    heir.restore_consumers(channel.consumers(CLOCK + 4), CLOCK + 4)
+    heir.restore_consumers(channel.consumer_places(CLOCK + 4), CLOCK + 4)
+    assert heir.consumer_places(CLOCK + 4) == channel.consumer_places(CLOCK + 4)
     assert heir.consumers(CLOCK + 4) == channel.consumers(CLOCK + 4)
     heir.consume(BOB, [1, 2], CLOCK + 4)
     assert held(heir, CLOCK + 4) == [2, 3]

@@ -21,7 +21,9 @@ from stampede_rt_channel_host.core.channel import (
     emptying,
     index,
     pieces,
+    seq_set,
 )
+from stampede_rt_channel_host.core.channel.consumption import RANGES_PER_LOOK_MAX
 from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.unit.core.channels import CLOCK, a_channel, put
@@ -229,3 +231,105 @@ def test_a_subscription_resumed_among_very_many_ranges_does_not_walk_them_at_onc
     for _ in channel.subscribing_all(CLOCK, saved=saved):
         assert looked.slices <= pieces.STEPS_PER_PIECE + 10
         looked.slices = 0
+
+
+def backwards(items: int, **policy: Any) -> Channel:
+    """Each item is earlier than the one before it, so that what is collected is out of the order of seqs."""
+    channel = a_channel(max_age_nanos=10**12, **policy)
+    for time in range(items):
+        put(channel, CLOCK - time)
+    return channel
+
+
+def test_the_first_consumers_of_a_full_channel_cost_its_set_up_nothing(looked: Counter) -> None:
+    channel = shuffled()
+    looked.slices = 0
+    channel.configure(Policy(consumers=1, max_age_nanos=10**12), CLOCK)
+    assert looked.slices <= 20
+    most = before = 0
+    for _ in channel.catching_up(CLOCK):
+        most, before = max(most, looked.slices - before), looked.slices
+    assert most <= 4 * pieces.STEPS_PER_PIECE
+    assert channel.consume(1, range(1, 101), CLOCK).items == 100
+    assert [one.waiting for one in channel.consumers(CLOCK)] == [ITEMS - 100]
+
+
+def test_what_goes_while_new_consumers_learn_what_had_gone_is_owed_by_nobody() -> None:
+    channel = backwards(3000)
+    channel.configure(Policy(max_items=2000, max_age_nanos=10**12), CLOCK)
+    channel.configure(Policy(max_items=2000, max_age_nanos=10**12, consumers=1), CLOCK)
+    for at, _ in enumerate(channel.catching_up(CLOCK)):
+        put(channel, CLOCK + at)  # the earliest item goes, whose seq is the highest of the first 2000
+    channel.consume(1, [1], CLOCK)
+    assert [one.waiting for one in channel.consumers(CLOCK)] == [1999]
+    assert channel.counters(CLOCK).held == 2000
+
+
+def test_how_many_items_wait_for_a_consumer_is_known_without_a_walk_over_what_has_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    channel = backwards(ITEMS, consumers=10)
+    for consumer in range(1, 11):
+        channel.consume(consumer, [], CLOCK)
+    channel.configure(Policy(max_items=1, max_age_nanos=10**12, consumers=10), CLOCK)  # leaves seq 1
+    for _ in channel.catching_up(CLOCK):
+        pass
+    for time in range(2 * BLOCK_ITEMS):  # every other one of them goes: they come in two orders
+        put(channel, CLOCK + (time if time % 2 else -time))
+    calls, add = 0, seq_set.SeqSet.add
+
+    def counting(self: seq_set.SeqSet, first: int, end: int) -> int:
+        nonlocal calls
+        calls += 1
+        return add(self, first, end)
+
+    monkeypatch.setattr(seq_set.SeqSet, "add", counting)
+    assert {one.waiting for one in channel.consumers(CLOCK)} == {channel.counters(CLOCK).held}
+    assert calls == 0
+
+
+def test_the_status_of_consumers_that_have_consumed_much_out_of_order_is_counted_in_pieces() -> None:
+    channel = filled(4 * pieces.STEPS_PER_PIECE, consumers=3)
+    for consumer in (1, 2, 3):
+        channel.consume(consumer, range(2, 4 * pieces.STEPS_PER_PIECE + 1, 2), CLOCK)
+    counting = channel.counting_consumers(CLOCK)
+    assert sum(1 for _ in counting) >= 3 * 2
+    assert {one.waiting for one in channel.consumers(CLOCK)} == {2 * pieces.STEPS_PER_PIECE}
+
+
+def test_what_is_kept_of_a_consumer_is_bounded_by_what_is_held() -> None:
+    channel = a_channel(consumers=2, max_items=100)
+    put(channel, CLOCK + 10**6)  # is never consumed
+    for time in range(5000):
+        put(channel, CLOCK + time)
+        if time % 2:
+            channel.consume(1, [channel.next_seq - 1], CLOCK)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    done = retention.consumers._taken[1].done
+    assert done is not None
+    assert len(done.ranges) <= 150
+
+
+def test_a_consumer_that_has_much_behind_a_gap_goes_on_behind_it_by_and_by() -> None:
+    channel = filled(4000, consumers=2)
+    channel.consume(1, range(3, 4001, 2), CLOCK)
+    channel.consume(2, [], CLOCK)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    for seq in range(2, 4000, 2):
+        retention.consumers.let_go(seq, seq + 1)
+    place, below = retention.consumers._taken[1], []
+    channel.consume(1, [1], CLOCK)
+    while place.below < 4000:
+        below.append(place.below)
+        channel.consume(1, [], CLOCK)
+    assert max(after - before for before, after in pairwise(below)) <= 2 * (RANGES_PER_LOOK_MAX + 16 + 1)
+
+
+def test_items_that_all_come_late_are_counted_in_blocks_too(looked: Counter) -> None:
+    channel = backwards(ITEMS)
+    looked.slices = 0
+    channel.configure(Policy(max_items=ITEMS // 2, max_age_nanos=10**12), CLOCK)
+    assert channel.counters(CLOCK).held == ITEMS // 2
+    assert looked.slices <= 3 * BLOCK_ITEMS + 20

@@ -11,9 +11,9 @@ import grpc
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -74,8 +74,7 @@ class ChannelServicer:
     async def consume(self, request: pb.ConsumeRequest, context: Any) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
         try:
-            await self._catch_up(self._store.find(request.channel_id, request.epoch))
-            return self._store.find(request.channel_id, request.epoch).consume(request)
+            return await self._store.turns.do(consuming(self._store, request))
         except StampedeError as error:
             await abort(context, error)
 
@@ -88,14 +87,10 @@ class ChannelServicer:
                 hosted = self._store.find(request.channel_id, request.epoch)
             else:
                 hosted = self._store.find_any_epoch(request.channel_id)
-            await self._catch_up(hosted)
         except StampedeError as error:
             await abort(context, error)
-        return pb.GetChannelStatusResponse(status=self._store.status(hosted))
-
-    async def _catch_up(self, hosted: HostedChannel) -> None:
-        """Long work that both would do at once."""
-        await self._store.turns.do(hosted.channel.catching_up(self._store.now()))
+        status = await self._store.turns.do(self._store.status(hosted))
+        return pb.GetChannelStatusResponse(status=status)
 
 
 def _unary(method: Any, request: Any, response: Any) -> grpc.RpcMethodHandler[Any, Any]:

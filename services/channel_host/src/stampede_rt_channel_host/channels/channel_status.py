@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
+from stampede_rt.values.timeline import clamp
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
 
 
-def channel_status(hosted: HostedChannel, now: int) -> channel_pb2.ChannelStatus:
-    """Everything at the one moment `now`."""
+def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
+    """Everything at the moment of the last piece; what consumers have waiting may be a little older."""
+    consumers = yield from hosted.channel.counting_consumers(now())
+    return _status(hosted, consumers, now())
+
+
+def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: int) -> channel_pb2.ChannelStatus:
     counters = _counters(hosted, now)  # first: it brings the bounds up to `now`
     channel = hosted.channel
     return channel_pb2.ChannelStatus(
@@ -24,7 +33,7 @@ def channel_status(hosted: HostedChannel, now: int) -> channel_pb2.ChannelStatus
         host_time_unix_nano=now,
         consumers=[
             channel_pb2.ConsumerStatus(consumer_id=one.consumer_id, lease_nanos=one.lease_nanos, waiting=one.waiting)
-            for one in channel.consumers(now)
+            for one in consumers
         ],
     )
 

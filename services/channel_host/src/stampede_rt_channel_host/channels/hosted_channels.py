@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2
-from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.records import policy_from_spec
 from stampede_rt.wire.run_slices import slice_run
-from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import LEASE_NANOS, Channel, Coming, Pieces
+from stampede_rt_channel_host.core.channel import Channel, Coming, Consumed, Pieces
 
 SUBSCRIPTIONS_MAX = 4096
 _orders = itertools.count()
@@ -83,18 +81,12 @@ class HostedChannel:
         self.changed(now)
         return advanced
 
-    def consume(self, request: pb.ConsumeRequest) -> pb.ConsumeResponse:
-        """Use items up for one consumer, and let puts in that waited for room.
-
-        Raises InvalidArgument, ChannelFull, and IncarnationLost if the seqs are those of another incarnation.
-        """
-        if request.incarnation not in (0, self.record.incarnation):
-            raise refusals.other_incarnation(self.record.name, request.incarnation, self.record.incarnation)
+    def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Consumed:
+        """Use items up for one consumer, and let puts in that waited for room. Raises InvalidArgument, ChannelFull."""
         now = self._now()
-        lease_nanos = request.lease_nanos if request.HasField("lease_nanos") else LEASE_NANOS
-        consumed = self.channel.consume(request.consumer_id, request.seqs, now, lease_nanos=lease_nanos)
+        consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos)
         self.puts.changed(now)  # which tells of the change, too
-        return pb.ConsumeResponse(consumed=consumed.items, lease_nanos=consumed.lease_nanos)
+        return consumed
 
     def changed(self, now: int) -> None:
         """After an advance or another policy: everybody looks again."""

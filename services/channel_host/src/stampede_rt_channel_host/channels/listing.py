@@ -31,8 +31,7 @@ def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, s
                 continue
             if len(shown) == size:
                 return Page(shown, has_more=True)
-            yield from hosted.channel.catching_up(store.now())
-            shown.append(store.status(hosted))
+            shown.append((yield from store.status(hosted)))
             if len(shown) % STATUSES_PER_PIECE == 0:
                 yield
         yield

@@ -164,9 +164,9 @@ class ChannelStore:
         behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
         return [self._channels[channel_id] for _, channel_id in islice(behind, count)]
 
-    def status(self, hosted: HostedChannel) -> channel_pb2.ChannelStatus:
-        """A channel's counters and bounds, at this moment."""
-        return channel_status(hosted, self.now())
+    def status(self, hosted: HostedChannel) -> Pieces[channel_pb2.ChannelStatus]:
+        """A channel's counters and bounds."""
+        return channel_status(hosted, self.now)
 
     def all(self) -> list[HostedChannel]:
         """All channels that were bound here."""

@@ -9,7 +9,7 @@ Nothing here reads a clock, waits, locks, or knows the wire. The shell around it
 - reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (at once, after each change and at
   the instant of `WakeAt`), `give_up`;
 - subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
-- consumption: `consume`; `consumers` and `restore_consumers` carry the places to another owner;
+- consumption: `consume`, `consumers`; `consumer_places` and `restore_consumers` carry the places to another owner;
 - housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
 - long work: reads and subscriptions that begin with much come in pieces, too (`reading`, `polling`, `giving_up`,
   `subscribing_all`); between two pieces the channel may be used, and the result is as of the first one;
@@ -26,6 +26,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
     SEQS_MAX,
     Consumed,
     ConsumerPlace,
+    ConsumerStanding,
 )
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import Limits
@@ -65,6 +66,7 @@ __all__ = [
     "Coming",
     "Consumed",
     "ConsumerPlace",
+    "ConsumerStanding",
     "Counters",
     "DeliveredSlice",
     "Delivery",

@@ -9,7 +9,13 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
-from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, Consumed, ConsumerPlace
+from stampede_rt_channel_host.core.channel.consumption import (
+    LEASE_NANOS,
+    Consumed,
+    ConsumerPlace,
+    ConsumerStanding,
+    check_consumption,
+)
 from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import Limits
@@ -247,12 +253,9 @@ class Channel:
         """
         at_once(self.catching_up(now))
         clock = self._settle(self._tick(now))
+        self.check_consumption(consumer_id, seqs, lease_nanos)
         consumers = self._retention.consumers
-        if consumers is None:
-            raise InvalidArgument(
-                "the channel counts no consumption: it was set up without consumers; set it up with consumers=, or "
-                "configure it so"
-            )
+        assert consumers is not None, "it is checked"
         newest_seq = self._held.newest_seq
         consumed = consumers.consume(
             consumer_id, seqs, next_seq=self.next_seq, newest_seq=newest_seq, clock=clock, lease=lease_nanos
@@ -260,22 +263,42 @@ class Channel:
         self._settle(clock)
         return consumed
 
+    def check_consumption(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> None:
+        """Raises InvalidArgument if `consume` would for any of these, whatever happens meanwhile."""
+        if self._retention.consumers is None:
+            raise InvalidArgument(
+                "the channel counts no consumption: it was set up without consumers; set it up with consumers=, or "
+                "configure it so"
+            )
+        check_consumption(consumer_id, seqs, self.next_seq, lease_nanos)
+
     def catching_up(self, now: int) -> Pieces[None]:
-        """Let consumers know all that was collected, in pieces: do it before `consume`, `consumers` and
-        `restore_consumers`, which otherwise do it at once."""
+        """Let consumers know all that was collected, in pieces: do it before `consume` and `restore_consumers`, which
+        otherwise do it at once."""
         self._settle(self._tick(now))
-        while self._held.tell_gone(pieces.STEPS_PER_PIECE):
+        while self._retention.learn_gone(pieces.STEPS_PER_PIECE):
             yield
 
-    def consumers(self, now: int) -> list[ConsumerPlace]:
-        """The places that were taken, as values: what moves with the channel, and what its status shows."""
+    def consumers(self, now: int) -> list[ConsumerStanding]:
+        """How the places stand that were taken."""
+        return at_once(self.counting_consumers(now))
+
+    def counting_consumers(self, now: int) -> Pieces[list[ConsumerStanding]]:
+        """The same in pieces. What a consumer has waiting is as of when it was counted."""
+        yield from self.catching_up(now)
+        clock = self._settle(self._tick(now))
+        consumers = self._retention.consumers
+        return [] if consumers is None else (yield from consumers.standings(clock, self.next_seq))
+
+    def consumer_places(self, now: int) -> list[ConsumerPlace]:
+        """The places that were taken, as values: what moves with the channel."""
         at_once(self.catching_up(now))
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else consumers.places(clock, self.next_seq)
 
     def restore_consumers(self, places: Iterable[ConsumerPlace], now: int) -> None:
-        """Take over the places that `consumers` told at the channel's former owner. Without consumers= nothing."""
+        """Take over the places that `consumer_places` told elsewhere. Without consumers= nothing."""
         at_once(self.catching_up(now))
         clock = self._settle(self._tick(now))
         if self._retention.consumers is not None:
@@ -285,8 +308,8 @@ class Channel:
     def collect(self, now: int, entries_max: int = 1024) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
-        self._held.tell_gone(entries_max)
-        return self._held.free(entries_max) or self._retention.has_more
+        knows_less = self._retention.learn_gone(entries_max)
+        return self._held.free(entries_max) or knows_less or self._retention.has_more
 
     def emptying(self) -> Pieces[None]:
         """Let go of all items, in pieces: the channel is not used any more, and is no good afterwards."""

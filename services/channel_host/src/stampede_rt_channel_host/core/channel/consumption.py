@@ -24,8 +24,10 @@ from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import ChannelFull, InvalidArgument
 from stampede_rt.values.timeline import format_duration
+from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
-from stampede_rt_channel_host.core.channel.seq_set import SeqSet
+from stampede_rt_channel_host.core.channel.seq_set import BLOCK_SEQS, CountedSeqs, SeqSet
 from stampede_rt_channel_host.core.deadlines import Deadlines
 
 LEASE_NANOS = 10_000_000_000
@@ -33,6 +35,8 @@ LEASE_NANOS = 10_000_000_000
 
 LEASE_NANOS_MAX = 3_600_000_000_000
 SEQS_MAX = 4096
+RANGES_PER_LOOK_MAX = 256
+"""So many ranges of seqs one call goes on behind what a consumer has consumed."""
 
 
 class Consumed(NamedTuple):
@@ -46,30 +50,39 @@ class ConsumerPlace(NamedTuple):
     """A place as a value; it moves with its channel. Times are durations, since two hosts' clocks differ.
 
     `consumer_id` 0: never taken. `lease_nanos` 0: the lease has ended. Consumed is everything below `consumed_below`
-    and the `consumed` ranges (first and end, the end excluded). `waiting`: held items that it has not consumed.
+    and the `consumed` ranges (first and end, the end excluded); what is gone need not be in them.
     """
 
     consumer_id: int
     lease_nanos: int
     consumed_below: int
     consumed: Sequence[tuple[int, int]]
-    waiting: int = 0
+
+
+class ConsumerStanding(NamedTuple):
+    """How a place stands. `lease_nanos` 0: the lease has ended. `waiting`: held items that it has not consumed."""
+
+    consumer_id: int
+    lease_nanos: int
+    waiting: int
 
 
 class _Place:
     """A place that was taken; `done` is None once its lease has ended, at `until`.
 
-    `below`: every seq below it is done, as far as was looked. `order` tells those apart that are otherwise alike; `due`
+    `below`: every seq below it is done, as far as was looked; up to `tidied` its ranges were looked at in this round.
+    `order` tells those apart that are otherwise alike; `due`
     belongs to `Deadlines`.
     """
 
-    __slots__ = ("below", "consumer_id", "done", "due", "order", "until")
+    __slots__ = ("below", "consumer_id", "done", "due", "order", "tidied", "until")
 
     def __init__(self, consumer_id: int, order: int, done: SeqSet | None) -> None:
         self.consumer_id = consumer_id
         self.order = order
         self.done = done
         self.below = 1
+        self.tidied = 0
         self.until = 0
         self.due: int | None = None
 
@@ -77,13 +90,14 @@ class _Place:
 class Consumers:
     """The places of one channel. `clock` is the host's clock, which never goes back; `expire` is called before others.
 
-    `gone`: every seq below `next_seq` that is not held. `looked_at` counts looks at a place.
+    They hear from `let_go` of every seq that was given out and is not held; until they have heard of it, it counts as
+    owed. `looked_at` counts looks at a place.
     """
 
-    def __init__(self, places: int, gone: SeqSet) -> None:
+    def __init__(self, places: int) -> None:
         self.looked_at = 0
         self._places = places
-        self._gone = gone
+        self._gone = CountedSeqs()
         self._taken: dict[int, _Place] = {}
         self._live: Any = SortedKeyList(key=attrgetter("below", "order"))
         self._ended: Any = SortedKeyList(key=attrgetter("until", "order"))
@@ -116,17 +130,18 @@ class Consumers:
     ) -> Consumed:
         """Note that a consumer has consumed `seqs`, and keep its place for `lease` more; 0 gives the place up.
 
-        `newest_seq` is the newest item's. Raises InvalidArgument, and ChannelFull if all places are taken.
+        `newest_seq` is the newest item's. What makes no sense is for `check_consumption` to find before. Raises
+        ChannelFull if all places are taken.
         """
-        _check(consumer_id, seqs, next_seq, lease)
         if not lease and not seqs and not self._holds_place(consumer_id):
             return Consumed(0, 0)
         place, done = self._take(consumer_id, next_seq if newest_seq is None else newest_seq)
-        items = 0
-        for first, end in _ranges(seqs):
+        items, ranges = 0, _ranges(seqs)
+        for first, end in ranges:
             for known in self._gone.touching(first, end):
                 done.add(*known)
             items += done.add(first, end)
+        self._tidy(place, done, len(ranges) + 16)
         place.until = clock + lease
         if lease:
             self._leases.arm(place, place.until)
@@ -151,7 +166,7 @@ class Consumers:
                 f"{format_duration(LEASE_NANOS)} at the latest after one of them stops, or raise consumers (configure)",
                 metadata={"consumers": str(self._places)},
             )
-        done = self._gone.copy()
+        done = SeqSet(self._gone.below)
         former = own or (self._ended[0] if self._ended else None)  # the one that ended the longest ago
         if former is not None:
             self._drop(former)
@@ -180,13 +195,27 @@ class Consumers:
         self._ended.add(place)
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
-        """It has done more: it stands where that says."""
-        while (end := self._gone.end_of(done.below)) > done.below:
+        """It has done more: it stands where that says, or, where it would go on for long, a part of the way there."""
+        for _ in range(RANGES_PER_LOOK_MAX):
+            end = self._gone.end_of(done.below)
+            if end == done.below:
+                break
             done.add(done.below, end)
         if done.below != place.below:
             self._live.remove(place)
             place.below = done.below
             self._live.add(place)
+
+    def _tidy(self, place: _Place, done: SeqSet, ranges: int) -> None:
+        """Take in what has gone behind so many of its ranges: they never are many more than items are held."""
+        for _ in range(ranges):
+            found = done.first_range(place.tidied)
+            if found is None:
+                place.tidied = 0
+                return
+            end = self._gone.end_of(found[1])
+            place.tidied = found[1] if end == found[1] else found[0]
+            done.add(found[1], end)
 
     def let_go(self, first: int, end: int) -> None:
         """Items were collected, whatever for: nobody owes them any more."""
@@ -221,18 +250,38 @@ class Consumers:
         return None if place.done is None else place.done.end_of(seq)
 
     def places(self, clock: int, next_seq: int) -> list[ConsumerPlace]:
-        """Every place that was taken, as a value; first those whose leases have ended, the longest ago first."""
+        """Every place that was taken, as a value, in the order of `standings`. Takes as long as there are ranges."""
         shown = []
         for place in sorted(self._taken.values(), key=_worth):
+            done = SeqSet() if place.done is None else place.done
+            for known in self._gone.touching(1, next_seq) if place.done is not None else ():
+                done.add(*known)
+            lease = 0 if place.done is None else place.until - clock
+            shown.append(ConsumerPlace(place.consumer_id, lease, done.below, done.ranges))
+        return shown
+
+    def standings(self, clock: int, next_seq: int) -> Pieces[list[ConsumerStanding]]:
+        """Every place that was taken; first those whose leases have ended, the longest ago first.
+
+        In pieces: where consumers have consumed much out of order, others count while the channel goes on.
+        """
+        shown, steps = [], 0
+        for place in sorted(self._taken.values(), key=_worth):
             if place.done is None:
-                shown.append(ConsumerPlace(place.consumer_id, 0, self._gone.below, self._gone.ranges))
+                shown.append(ConsumerStanding(place.consumer_id, 0, 0))
                 continue
-            for known in self._gone.touching(1, next_seq):
-                place.done.add(*known)
-            self._rank(place, place.done)
-            waiting = next_seq - 1 - place.done.size
-            lease = place.until - clock
-            shown.append(ConsumerPlace(place.consumer_id, lease, place.done.below, place.done.ranges, waiting))
+            lease, steps = place.until - clock, steps + next_seq // BLOCK_SEQS // pieces.ITEMS_PER_STEP + 1
+            waiting = next_seq - place.done.below - self._gone.count(place.done.below, next_seq)
+            seq = place.done.below
+            while place.done is not None and (found := place.done.first_range(seq)) is not None:
+                waiting -= found[1] - found[0] - self._gone.count(*found)
+                seq, steps = found[1], steps + 1
+                if steps % pieces.STEPS_PER_PIECE == 0:
+                    yield
+            shown.append(ConsumerStanding(place.consumer_id, lease, max(0, waiting)))
+            if steps >= pieces.STEPS_PER_PIECE:
+                steps = 0
+                yield
         return shown
 
     def restore(self, places: Iterable[ConsumerPlace], clock: int) -> None:
@@ -260,7 +309,8 @@ def _worth(place: _Place) -> tuple[bool, int]:
     return place.done is not None, place.until
 
 
-def _check(consumer_id: int, seqs: Sequence[int], next_seq: int, lease: int) -> None:
+def check_consumption(consumer_id: int, seqs: Sequence[int], next_seq: int, lease: int) -> None:
+    """Raises InvalidArgument for what makes no sense, whoever has a place; `next_seq`: all below it were given out."""
     if not consumer_id:
         raise InvalidArgument("consumer_id is 0; choose a random number and keep it")
     if not 0 <= lease <= LEASE_NANOS_MAX:

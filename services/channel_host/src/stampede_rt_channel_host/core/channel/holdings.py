@@ -217,6 +217,18 @@ class Holdings:
         self._stored_bytes += payload_bytes + items * ITEM_OVERHEAD_BYTES
         if self.oldest is None or low < self.oldest:
             self.oldest = low
+        if self.items - self._tally.items >= 2 * tally.BLOCK_ITEMS:
+            self._close_block()
+
+    def _close_block(self) -> None:
+        """Very many items came in below the newest one, which no block counts yet."""
+        items = payload_bytes = 0
+        for part in self.slices(self._tally.end):
+            items += part.items
+            payload_bytes += part.payload_bytes
+            if items >= tally.BLOCK_ITEMS:
+                self._tally.close((part.last_time, part.end_seq), items, payload_bytes)
+                return
 
     def _meet(self, time: int, duration: int) -> None:
         """An item has come in."""
@@ -260,6 +272,10 @@ class Holdings:
     def seq_from(self, low: int, high: int, entries_max: int) -> int:
         """The first held seq from `low` on, or how far it is known that none is held (see `ChannelIndex.seq_from`)."""
         return self.index.seq_from(low, high, self.floor, entries_max)
+
+    def held_up_to(self, low: int, high: int, entries_max: int) -> int:
+        """How far held seqs follow each other from `low` on (see `ChannelIndex.held_up_to`)."""
+        return self.index.held_up_to(low, high, self.floor, entries_max)
 
     def next_time(self, time: int) -> int | None:
         """The time of the next later bucket than `time`."""

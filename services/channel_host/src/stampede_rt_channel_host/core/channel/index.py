@@ -234,6 +234,18 @@ class ChannelIndex:
         beyond: Entry | None = next(entries, None)
         return high if beyond is None else beyond.first_seq
 
+    def held_up_to(self, low: int, high: int, floor: Place, entries_max: int) -> int:
+        """How far the seqs of items at or above `floor` follow each other from `low` on, as far as so many entries
+        tell; `low` if it is none of them."""
+        before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
+        entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
+        for entry in islice(entries, entries_max):
+            for part in _clipped_by_seq(entry, low, high, floor):
+                if part.first_seq > low:
+                    return low
+                low = part.end_seq
+        return low
+
     def next_time(self, time: int) -> int | None:
         """The earliest item time after `time`."""
         entry = self._floor(time)

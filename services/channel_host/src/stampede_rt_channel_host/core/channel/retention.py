@@ -16,10 +16,10 @@ from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTI
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
-from stampede_rt_channel_host.core.channel.seq_set import SeqSet
 
 SLICES_USED_UP_MAX = 1024
 """What one call lets go of by consumption: a consumer that makes up for a long delay stalls nobody."""
+ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 1024
 """Of so many slices one call asks whether all consumers have consumed them, where ageing depends on that."""
 
@@ -27,16 +27,19 @@ SLICES_AGED_MAX = 1024
 class Retention:
     """Applies limits to holdings. `consumers` is None where the limits count no consumption: nothing is kept then."""
 
-    __slots__ = ("_has_more_to_age", "_has_more_used_up", "_held", "consumers", "limits")
+    __slots__ = (
+        "_has_more_to_age", "_has_more_used_up", "_held", "_unknown_from", "_unknown_to", "consumers", "limits",
+    )  # fmt: skip
 
     def __init__(self, limits: Limits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._has_more_used_up = False
+        self._unknown_from = self._unknown_to = 1  # consumers do not know which seqs in between are gone
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
     def set_limits(self, limits: Limits) -> None:
-        """Other limits from now on. Walks the index once if they are the first that count consumption."""
+        """Other limits from now on. If they are the first that count consumption, `learn_gone` walks the index once."""
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos
         places = limits.consumer_places
@@ -45,10 +48,28 @@ class Retention:
             self._held.tell(None)
             self._has_more_to_age = self._has_more_used_up = False
         elif self.consumers is None:
-            self.consumers = Consumers(places, _gone(self._held))
+            self.consumers = Consumers(places)
+            self._unknown_from, self._unknown_to = 1, self._held.next_seq
             self._held.tell(self.consumers.let_go)
         else:
             self.consumers.resize(places)
+
+    def learn_gone(self, slices_max: int) -> bool:
+        """Let consumers know what was collected, of about so many slices; True if there is more."""
+        consumers, held = self.consumers, self._held
+        if consumers is None:
+            return False
+        if held.tell_gone(slices_max):
+            return True
+        seq, end = self._unknown_from, self._unknown_to
+        for _ in range(slices_max // 4 if seq < end else 0):
+            first = held.seq_from(seq, end, ENTRIES_PER_LOOK)
+            consumers.let_go(seq, first)
+            seq = held.held_up_to(first, end, ENTRIES_PER_LOOK)
+            if seq >= end:
+                break
+        self._unknown_from = seq
+        return seq < end
 
     @property
     def has_more(self) -> bool:
@@ -256,16 +277,6 @@ class Retention:
             return self._or_lease_end(max(held.bucket_end(held.oldest, following), own) + age)
         end = held.bucket_end(held.oldest, time if following is None else min(time, following))
         return self._or_lease_end(end + (self._age_of_oldest() or age))
-
-
-def _gone(held: Holdings) -> SeqSet:
-    """Every seq that was given out and is not held."""
-    gone, owed_from = SeqSet(), 1
-    for part in held.slices_by_seq(1, held.next_seq):
-        gone.add(owed_from, part.first_seq)
-        owed_from = part.end_seq
-    gone.add(owed_from, held.next_seq)
-    return gone
 
 
 class _AtMost:

@@ -1,4 +1,4 @@
-"""A set of seqs that is nearly always one range: what was consumed, what is gone. Pure."""
+"""Sets of seqs that are nearly always one range: what was consumed, what is gone. Pure."""
 
 from __future__ import annotations
 
@@ -21,35 +21,37 @@ class SeqSet:
         for first, end in ranges:
             self.add(first, end)
 
+    def first_range(self, seq: int) -> tuple[int, int] | None:
+        """The first range above `below` that begins at or above `seq`; None: there is none."""
+        low = next(self._ranges.irange(seq), None)
+        return None if low is None else (low, self._ranges[low])
+
     @property
     def ranges(self) -> list[tuple[int, int]]:
         """What is in above `below`, ascending: first and end, the end excluded."""
         return list(self._ranges.items())
-
-    def copy(self) -> SeqSet:
-        """Another set of the same seqs."""
-        copy = SeqSet(self.below)
-        copy.size, copy._ranges = self.size, SortedDict(self._ranges)
-        return copy
 
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """The ranges that share a seq with those from `first` up to `end`, or adjoin them; the first one may be the one
         below `below`."""
         if first <= self.below and self.below > 1:
             yield 1, self.below
-        at = max(0, self._ranges.bisect_right(first) - 1)
-        for low in self._ranges.islice(at):
-            if low > end:
-                return
-            if self._ranges[low] >= first:
-                yield low, self._ranges[low]
+        low = self._floor(first)
+        if low is not None and self._ranges[low] >= first:
+            yield low, self._ranges[low]
+        for low in self._ranges.irange(first, end, (False, True)):
+            yield low, self._ranges[low]
+
+    def _floor(self, seq: int) -> int | None:
+        """Where the last range begins that begins at or below `seq`. By keys: places would be counted anew."""
+        return next(self._ranges.irange(None, seq, reverse=True), None)
 
     def end_of(self, seq: int) -> int:
         """The first seq at or above `seq` that is not in."""
         if seq < self.below:
             return self.below
-        at = self._ranges.bisect_right(seq) - 1
-        return seq if at < 0 else max(seq, self._ranges.peekitem(at)[1])
+        low = self._floor(seq)
+        return seq if low is None else max(seq, self._ranges[low])
 
     def add(self, first: int, end: int) -> int:
         """Put in the seqs from `first` up to, not including, `end`; how many were not in."""
@@ -69,14 +71,59 @@ class SeqSet:
 
     def _absorb(self, first: int, end: int) -> tuple[int, int]:
         """Take out the ranges that touch first to end; the range that they are all in."""
-        at = self._ranges.bisect_left(first)
-        if at and self._ranges.peekitem(at - 1)[1] >= first:
-            at -= 1
-        while at < len(self._ranges):  # ends with the ranges
-            low, high = self._ranges.peekitem(at)
-            if low > end:
-                break
-            self._ranges.popitem(at)
+        for low, high in [one for one in self.touching(first, end) if one[0] > self.below]:
+            del self._ranges[low]
             self.size -= high - low
             first, end = min(first, low), max(end, high)
         return first, end
+
+
+BLOCK_SEQS = 1024
+
+
+class CountedSeqs(SeqSet):
+    """A set of seqs that knows how many of them lie between two others, however many ranges they make."""
+
+    __slots__ = ("_blocks", "_first_block")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._blocks: dict[int, int] = {}  # of each BLOCK_SEQS seqs, how many are in; not of those below `below`
+        self._first_block = 0
+
+    def add(self, first: int, end: int) -> int:
+        """Put in the seqs from `first` up to, not including, `end`; how many were not in."""
+        at = first = max(first, self.below)
+        for low, high in [one for one in self.touching(first, end) if one[0] >= self.below]:
+            self._count(at, min(low, end))
+            at = max(at, high)
+        self._count(at, end)
+        added = super().add(first, end)
+        for block in range(self._first_block, self.below // BLOCK_SEQS):
+            self._blocks.pop(block, None)
+        self._first_block = max(self._first_block, self.below // BLOCK_SEQS)
+        return added
+
+    def _count(self, first: int, end: int) -> None:
+        while first < end:
+            block = first // BLOCK_SEQS
+            till = min(end, (block + 1) * BLOCK_SEQS)
+            self._blocks[block] = self._blocks.get(block, 0) + till - first
+            first = till
+
+    def count(self, first: int, end: int) -> int:
+        """How many of the seqs from `first` up to, not including, `end` are in. Walks one block, and counts the others
+        in between."""
+        known = max(0, min(end, self.below) - first)
+        first = max(first, self.below)
+        low, high = -(-first // BLOCK_SEQS), end // BLOCK_SEQS
+        if low >= high:
+            return known + self._walk(first, end)
+        known += self._walk(first, low * BLOCK_SEQS) + self._walk(high * BLOCK_SEQS, end)
+        return known + sum(self._blocks.get(block, 0) for block in range(low, high))
+
+    def _walk(self, first: int, end: int) -> int:
+        if first >= end:
+            return 0
+        parts = self.touching(first, end)
+        return sum(max(0, min(high, end) - max(low, first)) for low, high in parts)

@@ -1,0 +1,40 @@
+"""One request to consume items, a part of them at a time: of thousands in no order each has to be entered by itself."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.store import ChannelStore
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, Pieces
+
+SEQS_PER_PIECE = 256
+
+
+def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.ConsumeResponse]:
+    """Use items up for one consumer, and let puts in that waited for room. Nothing is used up of a request that makes
+    no sense.
+
+    Raises StaleBinding, InvalidArgument, ChannelFull, and IncarnationLost if the seqs are those of another incarnation.
+    """
+    hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
+    yield from hosted.channel.catching_up(store.now())
+    hosted.channel.check_consumption(request.consumer_id, seqs, lease_nanos)
+    while len(seqs) > SEQS_PER_PIECE:
+        part, seqs = seqs[:SEQS_PER_PIECE], seqs[SEQS_PER_PIECE:]
+        items += _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS)).items
+        yield
+    last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos)
+    return pb.ConsumeResponse(consumed=items + last.items, lease_nanos=last.lease_nanos)
+
+
+def _find(store: ChannelStore, request: pb.ConsumeRequest) -> HostedChannel:
+    """Between two parts the channel may go."""
+    hosted = store.find(request.channel_id, request.epoch)
+    if request.incarnation not in (0, hosted.record.incarnation):
+        raise refusals.other_incarnation(hosted.record.name, request.incarnation, hosted.record.incarnation)
+    return hosted
+
+
+def _lease_nanos(request: pb.ConsumeRequest) -> int:
+    return request.lease_nanos if request.HasField("lease_nanos") else LEASE_NANOS
