@@ -13,6 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt_channel_host.cluster import lease_thread
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.clock import SystemClock
@@ -109,13 +110,13 @@ async def test_an_event_loop_that_has_stopped_for_good_loses_the_lease_and_gets_
 async def test_what_a_registration_changes_is_done_on_the_serving_loop_before_the_lease_counts() -> None:
     async with served() as (_, one):
         seen: list[tuple[Any, bool]] = []
-        registered = one.host.store.registered
+        registering = one.host.store.registering
 
-        def spy(*args: Any, **kwargs: Any) -> None:
+        def spy(*args: Any, **kwargs: Any) -> Pieces[None]:
             seen.append((asyncio.get_running_loop(), one.host.store.lease_held()))
-            registered(*args, **kwargs)
+            yield from registering(*args, **kwargs)
 
-        one.host.store.registered = spy  # type: ignore[method-assign]
+        one.host.store.registering = spy  # type: ignore[method-assign]
         registration = one.host._lease._registration
         assert registration is not None
         keeping = next(task for task in one.host._tasks if task.get_name() == "lease")

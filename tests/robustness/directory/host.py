@@ -13,7 +13,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
-from stampede_rt_channel_host.core.channel import Pieces
+from stampede_rt_channel_host.core.channel import Pieces, at_once
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
@@ -145,7 +145,7 @@ class SimHost:
         )
         sent = self.clock.boottime_nanos()
         entered = await ask(self.world, "RegisterHost", request, 4.0, caller=self)
-        self.store.registered(entered.channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX)
+        at_once(self.store.registering(entered.channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:

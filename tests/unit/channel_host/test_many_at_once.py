@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from itertools import pairwise
 
 import pytest
 
-from stampede_rt.errors import Unavailable
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels.hosted_channels import LISTENERS_PER_PIECE, HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
+from stampede_rt_channel_host.channels.puts import PUTS_PER_PIECE, IncomingRun
+from stampede_rt_channel_host.channels.store import CHANNELS_PER_PIECE
 from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.core.channel import Pieces
@@ -93,3 +99,84 @@ async def test_a_piece_that_nobody_waits_for_gives_way_to_others() -> None:
     for _ in range(10):
         await asyncio.sleep(0)
     assert done == [0, 1, 2]
+
+
+def a_run(number: int) -> IncomingRun:
+    return IncomingRun(encode_run([b"x"], times=None), producer_id=7, first_number=number, wait_nanos=None)
+
+
+async def full(rig: Rig, waiting: int) -> tuple[HostedChannel, list[IncomingRun]]:
+    """A channel that holds one item and has as many runs in line."""
+    retention = channel_pb2.RetentionPolicy(max_items=1, max_age_nanos=3600 * 10**9)
+    channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK))
+    hosted = rig.host.store.find(channel.channel_id, channel.epoch)
+    runs = [a_run(number) for number in range(1, waiting + 2)]
+    assert [hosted.puts.put(run, rig.now()) is None for run in runs] == [False] + [True] * waiting
+    return hosted, runs[1:]
+
+
+async def test_puts_that_wait_are_refused_in_pieces_and_in_their_order_and_none_slips_in(rig: Rig) -> None:
+    hosted, runs = await full(rig, 4 * PUTS_PER_PIECE)
+    left = []
+    for _ in hosted.ending(Unavailable("gone", reason="NOT_HERE")):
+        left.append(len(hosted.puts))
+        again = hosted.puts.put(a_run(len(runs)), rig.now())  # which is still in line
+        assert again is not None
+        assert again.error.message == "gone"
+        hosted.channel.configure(Policy(max_items=10**6, on_full="block", max_age_nanos=3600 * 10**9), rig.now())
+        hosted.puts.changed(rig.now())  # there is room now, for nobody
+        assert [run.ack is not None for run in runs] == [True] * (len(runs) - left[-1]) + [False] * left[-1]
+    assert left == [PUTS_PER_PIECE * pieces for pieces in (3, 2, 1)]
+    assert {run.ack.error.message for run in runs if run.ack is not None} == {"gone"}
+    assert hosted.channel.counters(rig.now()).held == 1
+    ack = hosted.puts.put(a_run(len(runs)), rig.now())  # when the host has its lease again
+    assert ack is not None
+    assert ack.first_seq == 2
+
+
+async def test_room_that_comes_while_the_lease_is_lost_is_given_to_nobody(rig: Rig) -> None:
+    hosted, (run,) = await full(rig, 1)
+    hosted.puts._may_serve = lambda: False
+    hosted.channel.configure(Policy(max_items=10, on_full="block", max_age_nanos=3600 * 10**9), rig.now())
+    hosted.puts.changed(rig.now())
+    assert run.ack is None
+    hosted.puts._may_serve = lambda: True
+    hosted.puts.changed(rig.now())
+    assert run.ack is not None
+
+
+async def test_subscriptions_are_ended_in_pieces(rig: Rig) -> None:
+    channel = await rig.open()
+    hosted = rig.host.store.find(channel.channel_id, channel.epoch)
+    ended: list[StampedeError] = []
+
+    class Reader:
+        def wake(self) -> None: ...
+
+        def end(self, error: StampedeError) -> None:
+            ended.append(error)
+
+    for _ in range(3 * LISTENERS_PER_PIECE):
+        hosted.listeners[Reader()] = None
+    counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
+    assert counts == [LISTENERS_PER_PIECE * pieces for pieces in (1, 2, 3)]
+
+
+async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece(rig: Rig) -> None:
+    store = rig.host.store
+    records = [
+        channel_pb2.ChannelRecord(
+            channel_id=number.to_bytes(16, "big"), name=f"c/{number}", incarnation=1, epoch=1, host_id=HOST_ID
+        )
+        for number in range(4 * CHANNELS_PER_PIECE)
+    ]
+    for record in records:
+        store._adopt(record)
+    late = channel_pb2.ChannelRecord(channel_id=b"l" * 16, name="late", incarnation=1, epoch=1, host_id=HOST_ID)
+    left = []
+    for at, _ in enumerate(store.registering(records[:10], all_told=True)):
+        left.append(len(store.all()))
+        if at == 0:
+            store._adopt(late)  # which the directory told of since
+    assert max(before - after for before, after in pairwise(left)) <= CHANNELS_PER_PIECE
+    assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}

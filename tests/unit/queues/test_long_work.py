@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.queue import Enqueue, QueueLimits
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue import Batch, Enqueue, Queue, QueueLimits, Taker
 from stampede_rt_channel_host.core.queue.dealing import ITEMS_DEALT_MAX
 from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
-from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE
+from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
+from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
 from tests.unit.queues.cores import Core
 
 
@@ -88,3 +93,62 @@ def test_a_queue_that_goes_lets_go_of_its_items_in_pieces() -> None:
         assert held - EMPTIED_PER_PIECE <= now_held <= held
         held = now_held
     assert core.counted("held", "leased") == (0, 0)
+
+
+def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_in() -> None:
+    core = Core(max_items=1)
+    core.put(1)
+    waiting = [
+        core.put(1, wait_nanos=10**9, producer_id=5, first_number=at + 2) for at in range(3 * ENDED_PER_CALL_MAX)
+    ]
+    refused: list[Enqueue] = []
+    more = True
+    while more:
+        more = core.queue.end_line(Unavailable("gone", reason="NOT_HERE"), core.now)
+        refused += core.queue.take_finished()
+        assert len(refused) % ENDED_PER_CALL_MAX == 0
+        if more:
+            core.queue.configure(QueueLimits(max_items=10_000), core.now)  # there is room now, for nobody
+            again = core.put(1, producer_id=5, first_number=len(waiting) + 1)  # which is still in line
+            assert again.error is not None
+    assert refused == waiting
+    assert all(run.error is not None for run in waiting)
+    assert core.counted("held") == (1,)
+    assert core.put(1, producer_id=5, first_number=2).outcome is not None
+
+
+def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> None:
+    core, serves = Core(max_items=10), True
+    core.queue = Queue(QueueLimits(max_items=1), incarnation=1, may_serve=lambda: serves)
+    core.put(1)
+    waits = core.put(1, wait_nanos=10**9)
+    serves = False
+    core.taker(1, 10)
+    core.queue.configure(QueueLimits(max_items=10), core.now)
+    core.queue.tick(core.now)
+    assert (core.queue.take_dealt(), waits.is_through) == ([], False)
+    serves = True
+    core.queue.pause()
+    core.queue.tick(core.now)
+    assert core.queue.take_dealt() == []
+    core.queue.go_on(core.now)
+    assert core.dealt() == {1: [1, 2]}
+
+
+async def test_the_streams_of_takers_are_ended_in_pieces() -> None:
+    record = queue_pb2.QueueRecord(queue_id=b"q" * 16, name="q", epoch=1, incarnation=1)
+    hosted = HostedQueue(record, MemoryBudget(2**30), lambda: 1000, lambda hosted: None, Deadlines())
+    ended: list[StampedeError] = []
+
+    class Stream:
+        def deliver(self, batch: Batch) -> None: ...
+
+        def ask(self) -> None: ...
+
+        def end(self, error: StampedeError) -> None:
+            ended.append(error)
+
+    for taker_id in range(1, 3 * STREAMS_PER_PIECE + 1):
+        hosted.attach(Taker(taker_id), Stream())
+    counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
+    assert counts == [STREAMS_PER_PIECE * pieces for pieces in (1, 2, 3, 3)]

@@ -170,9 +170,10 @@ class ChannelHost:
             logger.error("a task of the host died", exc_info=failure, extra={"task": task.get_name()})
             self._on_defect(failure)
 
-    def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
-        self.store.registered(response.channels, all_told=len(response.channels) < CHANNELS_TOLD_MAX)
-        self.queues.registered(response.queues, all_told=len(response.queues) < QUEUES_TOLD_MAX)
+    async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
+        channels, queues, turns = response.channels, response.queues, self.store.turns
+        await turns.do(self.store.registering(channels, all_told=len(channels) < CHANNELS_TOLD_MAX))
+        await turns.do(self.queues.registering(queues, all_told=len(queues) < QUEUES_TOLD_MAX))
 
     def _lease_changed(self, held: bool) -> None:
         if not held:

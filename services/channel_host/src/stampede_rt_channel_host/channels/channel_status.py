@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from stampede_rt.values.timeline import clamp
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel

@@ -17,6 +17,7 @@ from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import Channel, Coming, Consumed, Pieces
 
 SUBSCRIPTIONS_MAX = 4096
+LISTENERS_PER_PIECE = 256
 _orders = itertools.count()
 
 
@@ -39,8 +40,12 @@ class HostedChannel:
         memory: MemoryBudget,
         now: Callable[[], int],
         on_touched: Callable[[HostedChannel], None] = lambda hosted: None,
+        may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`on_touched` hears of every change. Raises InvalidArgument if the record's policy cannot hold."""
+        """`on_touched` hears of every change; `may_serve` says whether the host has its lease.
+
+        Raises InvalidArgument if the record's policy cannot hold.
+        """
         self.record = record
         self.epoch: int = record.epoch
         self.channel = Channel(
@@ -51,7 +56,7 @@ class HostedChannel:
             cut=slice_run,
         )
         self.gets = WaitingGets(self.channel, Coming(self.channel), now)
-        self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched)
+        self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
         self.listeners: dict[Listener, None] = {}
         self.followers: dict[Listener, None] = {}  # as listeners, but no subscriptions: groups
         self.group_gets: set[object] = set()  # blocked gets through groups
@@ -95,9 +100,14 @@ class HostedChannel:
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """Whoever waits for the channel or listens to it hears `error`, in pieces."""
-        for listener in [*self.listeners, *self.followers]:  # which only are interrupted, or take note
+        for follower in [*self.followers]:  # which only take note
+            follower.end(error)
+        listeners = [*self.listeners]
+        yield from self.puts.ending(error)  # first, so that none of them is taken any more
+        for at, listener in enumerate(listeners, 1):
             listener.end(error)
-        self.puts.end_all(error)  # at once, before any of them can be sent again
+            if at % LISTENERS_PER_PIECE == 0:
+                yield
         yield from self.gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:

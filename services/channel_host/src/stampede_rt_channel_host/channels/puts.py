@@ -11,11 +11,12 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.memory import MemoryBudget
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, Offer, PutOutcome
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, Offer, Pieces, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Judging
 
 WAITING_PUTS_MAX = 10_000
+PUTS_PER_PIECE = 128
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 
 
@@ -120,12 +121,16 @@ class ChannelPuts:
         now: Callable[[], int],
         on_accepted: Callable[[int], None],
         on_touched: Callable[[], None],
+        may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
+        """`may_serve`: whether what waits may be taken now, which hangs on the host's lease."""
         self._channel = channel
         self._memory = memory
         self._now = now
         self._on_accepted = on_accepted
         self._on_touched = on_touched
+        self._may_serve = may_serve
+        self._ending: StampedeError | None = None  # while those in line hear that they are not taken
         self._retries = RetryWindow()
         self._waiting_bytes = 0
         self._line: deque[IncomingRun] = deque()
@@ -162,6 +167,8 @@ class ChannelPuts:
             self._on_touched()
 
     def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
+        if self._ending is not None:  # it may be one that still stands in line, sent again
+            return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
         if self._recognise(run, now) or (not self._line and self._claim_and_offer(run, now)):
             assert run.ack is not None, "what does not wait is finished"
             return run.ack
@@ -184,9 +191,13 @@ class ChannelPuts:
 
     def changed(self, now: int) -> None:
         """Room may have been made: offer those in line again, the first one first."""
-        while self._line and self._offer_waiting(self._line[0], now):
+        while self._line and self._may_offer and self._offer_waiting(self._line[0], now):
             self._leave_line(self._line[0])
         self._on_touched()
+
+    @property
+    def _may_offer(self) -> bool:
+        return self._ending is None and self._may_serve()
 
     def _leave_line(self, run: IncomingRun) -> None:
         self._line.remove(run)
@@ -212,14 +223,20 @@ class ChannelPuts:
             self._remember(run, now)
             self.changed(now)
 
-    def end_all(self, error: StampedeError) -> None:
-        """The channel is not served any more."""
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """The channel is not served any more: those in line are refused, in pieces, and whatever comes meanwhile."""
         if self._timer is not None:
             self._timer.cancel()
-        line, self._line, self._waiting_bytes = self._line, deque(), 0
-        for run in line:
-            self._fail(run, error, self._now())
-        self._on_touched()
+        self._ending = error
+        while self._line:
+            for _ in range(min(PUTS_PER_PIECE, len(self._line))):
+                run = self._line.popleft()
+                self._waiting_bytes -= run.charged_bytes
+                self._fail(run, error, self._now())
+            self._on_touched()
+            if self._line:
+                yield
+        self._ending = None
 
     def _offer_waiting(self, run: IncomingRun, now: int) -> bool:
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
 from typing import Any
 
@@ -22,7 +22,7 @@ from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.core.channel import Limits, Pieces
+from stampede_rt_channel_host.core.channel import Limits, Pieces, batched
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_runtime.clock import HostClock
 
@@ -124,22 +124,33 @@ class ChannelStore:
             return await self.bind(channel_id, record.epoch, record.spec_version)
         return self._adopt(record)
 
-    def registered(self, records: Iterable[channel_pb2.ChannelRecord], *, all_told: bool) -> None:
-        """The directory's answer to a registration: drop what went elsewhere, take over new epochs.
+    def registering(self, records: Sequence[channel_pb2.ChannelRecord], *, all_told: bool) -> Pieces[None]:
+        """The directory's answer to a registration, in pieces: drop what went elsewhere, take over new epochs. The
+        lease is not held meanwhile.
 
         `all_told` False: the answer was cut; channels that it does not name are let go, and bound again when asked for.
         """
         self._registrations += 1
-        told = {record.channel_id: record for record in records}
-        for channel_id, hosted in list(self._channels.items()):
-            record = told.get(channel_id)
-            if record is not None:
-                self._adopt(record)
-            elif all_told:
-                logger.warning("channel went elsewhere", extra={"channel": hosted.record.name})
-                self._forget(channel_id, refusals.not_here(self._identity.name, channel_id))
-            else:
-                hosted.epoch = 0  # no request can name it: the next bind asks the directory
+        held = [(hosted, hosted.record.epoch) for hosted in self._channels.values()]
+        told: dict[bytes, channel_pb2.ChannelRecord] = {}
+        for part in batched(records, CHANNELS_PER_PIECE):
+            told.update((record.channel_id, record) for record in part)
+            yield
+        for channels in batched(held, CHANNELS_PER_PIECE):
+            for hosted, epoch in channels:
+                if self._channels.get(hosted.record.channel_id) is hosted and hosted.record.epoch == epoch:
+                    self._compare(hosted, told.get(hosted.record.channel_id), all_told=all_told)
+            yield
+
+    def _compare(self, hosted: HostedChannel, record: channel_pb2.ChannelRecord | None, *, all_told: bool) -> None:
+        """Of a channel that has not changed since the registration."""
+        if record is not None:
+            self._adopt(record)
+        elif all_told:
+            logger.warning("channel went elsewhere", extra={"channel": hosted.record.name})
+            self._forget(hosted.record.channel_id, refusals.not_here(self._identity.name, hosted.record.channel_id))
+        else:
+            hosted.epoch = 0  # no request can name it: the next bind asks the directory
 
     def fence(self) -> None:
         """The lease ran out: whoever waits for a channel or listens to it must look for it elsewhere."""
@@ -171,6 +182,9 @@ class ChannelStore:
     def all(self) -> list[HostedChannel]:
         """All channels that were bound here."""
         return list(self._channels.values())
+
+    def _may_serve(self) -> bool:
+        return self._closing is None and self.lease_held()
 
     def _check_lease(self) -> None:
         if self._closing is not None:
@@ -223,7 +237,7 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
-        hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch)
+        hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch, self._may_serve)
         self._channels[record.channel_id] = hosted
         self._names.add((record.name, record.channel_id))
         return hosted

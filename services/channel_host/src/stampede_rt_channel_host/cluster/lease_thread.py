@@ -11,7 +11,6 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Coroutine
-from concurrent.futures import Future
 from typing import Any, NoReturn, TypeVar
 
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
@@ -37,20 +36,9 @@ class ServingLoop:
         """Run `call` there, behind all that was handed over before. Does not wait."""
         self._loop.call_soon_threadsafe(call)
 
-    async def run(self, call: Callable[[], None]) -> None:
-        """Run `call` there, and wait until it has returned. Raises what it raises."""
-        done: Future[None] = Future()
-
-        def run() -> None:
-            try:
-                call()
-            except BaseException as error:  # noqa: BLE001  # it is for the thread that waits
-                done.set_exception(error)
-            else:
-                done.set_result(None)
-
-        self._loop.call_soon_threadsafe(run)
-        await asyncio.wrap_future(done)
+    async def run(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Do `work` there, and wait until it is done. Raises what it raises."""
+        await _on(self._loop, work())
 
     def has_hung(self) -> bool:
         """The loop has not turned for LOOP_SILENCE_SECONDS_MAX. Asks it to turn, if it is not asked yet."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from stampede_rt.errors import Overloaded, StampedeError, error_for
@@ -14,6 +14,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_channel_host.core.channel import Pieces, batched
 from stampede_rt_channel_host.groups.exchange import Exchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
@@ -25,6 +26,7 @@ from stampede_rt_channel_host.groups.table import GroupTable
 logger = logging.getLogger(__name__)
 
 GROUPS_MAX = 10_000
+GROUPS_PER_PIECE = 16
 ROUND_SECONDS = 0.5
 LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this is for what goes missing
 LOOK_UP_SECONDS_IN_TROUBLE = 0.5
@@ -110,9 +112,8 @@ class GroupStore:
         self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:
-        """Whoever waits for a group or listens to it hears `error`."""
-        for group in self._table.groups.values():
-            group.end(error)
+        """Whoever waits for a group or listens to it hears `error`; of many groups, the last ones a moment later."""
+        self.channels.turns.begin(_ending(list(self._table.groups.values()), error))
 
     # What the directory, and other hosts, tell by themselves.
 
@@ -274,6 +275,13 @@ class GroupStore:
         for group in self._table.groups_of(channel_id):
             group.arrangement += 1
             group.changed()
+
+
+def _ending(groups: Sequence[HostedGroup], error: StampedeError) -> Pieces[None]:
+    for part in batched(groups, GROUPS_PER_PIECE):
+        for group in part:
+            group.end(error)
+        yield
 
 
 def _now_s() -> float:

@@ -26,6 +26,7 @@ from stampede_rt_channel_host.queues.refusals import shown
 from stampede_rt_channel_host.queues.specs import limits_of
 
 TAKERS_MAX = 4096
+STREAMS_PER_PIECE = 256
 _orders = itertools.count()
 FIRST_DELIVERY_IDS = range(1, 2**62)  # the last ids, too, fit into the signed integers of other languages
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
@@ -57,8 +58,12 @@ class HostedQueue:
         now: Callable[[], int],
         on_departures: Callable[[HostedQueue], None],
         deadlines: Deadlines[HostedQueue],
+        may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`deadlines` are those of all queues. Raises InvalidArgument if the record's limits cannot hold."""
+        """`deadlines` are those of all queues; `may_serve` says whether the host has its lease.
+
+        Raises InvalidArgument if the record's limits cannot hold.
+        """
         self.record = record
         self.epoch: int = record.epoch
         self.queue = Queue(
@@ -66,6 +71,7 @@ class HostedQueue:
             incarnation=record.incarnation,
             name=shown(record),
             first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
+            may_serve=may_serve,
         )
         self.due: int | None = None
         self.order = next(_orders)
@@ -168,24 +174,33 @@ class HostedQueue:
         self.queue.expire(now)
         self._follow_up()
 
-    def end(self, error: StampedeError) -> None:
-        """The queue is not served any more: takers' streams end with `error`, runs that wait are refused with it."""
-        for stream in list(self._streams.values()):
-            stream.end(error)
-        waiting, self._waiting = self._waiting, {}
-        for run, done in waiting.items():
-            self.queue.fail(run, error, self._now())
-            _finish(done)
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """The queue is not served any more: runs that wait are refused with `error`, takers' streams end with it. In
+        pieces; nothing is taken or dealt meanwhile."""
+        self.queue.pause()
+        streams = list(self._streams.items())
+        while self.queue.end_line(error, self._now()):
+            self._follow_up()
+            yield
         self._follow_up()
+        for at, (taker, stream) in enumerate(streams, 1):
+            if self._streams.get(taker) is stream:
+                stream.end(error)
+            if at % STREAMS_PER_PIECE == 0:
+                yield
+        if not self._is_forgotten:
+            yield  # streams that were interrupted have let go of it
+            self.queue.go_on(self._now())
+            self._follow_up()
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `end`, for good: the queue is not held here any more. Lets go of its items, in pieces."""
+        """As `ending`, for good: the queue is not held here any more. Lets go of its items, in pieces."""
         self._is_forgotten = True
-        self.end(error)
         if self._timer is not None:
             self._timer.cancel()
         self._deadlines.disarm(self)
         self._charge.set(0)
+        yield from self.ending(error)
         yield  # streams that were interrupted have let go of it
         yield from self.queue.emptying()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt.v1 import directory_pb2, queue_pb2
@@ -14,6 +14,7 @@ from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.core.channel import Pieces, batched
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -22,6 +23,7 @@ from stampede_rt_channel_host.queues.refusals import shown
 logger = logging.getLogger(__name__)
 
 QUEUES_MAX = 100_000
+QUEUES_PER_PIECE = 256
 QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
 
 
@@ -81,22 +83,32 @@ class QueueStore:
         held = self._queues.get(queue_id)
         return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
 
-    def registered(self, records: Iterable[queue_pb2.QueueRecord], *, all_told: bool) -> None:
-        """The directory's view of this host's queues at a registration, before anything is served under it.
+    def registering(self, records: Sequence[queue_pb2.QueueRecord], *, all_told: bool) -> Pieces[None]:
+        """The directory's view of this host's queues at a registration, in pieces, before anything is served under it.
 
         Queues that are not in it went elsewhere; if it is not complete, they are in doubt until asked for.
         """
         self._registrations += 1
-        told = {record.queue_id: record for record in records}
-        for queue_id, hosted in list(self._queues.items()):
-            record = told.get(queue_id)
-            if record is not None:
-                self._adopt(record)
-            elif all_told:
-                logger.warning("queue went elsewhere", extra={"queue": shown(hosted.record)})
-                self._forget(queue_id, refusals.not_here(self._identity.name, queue_id))
-            else:
-                hosted.epoch = 0  # no request can name it: the next use asks the directory
+        held = [(hosted, hosted.record.epoch) for hosted in self._queues.values()]
+        told: dict[bytes, queue_pb2.QueueRecord] = {}
+        for part in batched(records, QUEUES_PER_PIECE):
+            told.update((record.queue_id, record) for record in part)
+            yield
+        for queues in batched(held, QUEUES_PER_PIECE):
+            for hosted, epoch in queues:
+                if self._queues.get(hosted.record.queue_id) is hosted and hosted.record.epoch == epoch:
+                    self._compare(hosted, told.get(hosted.record.queue_id), all_told=all_told)
+            yield
+
+    def _compare(self, hosted: HostedQueue, record: queue_pb2.QueueRecord | None, *, all_told: bool) -> None:
+        """Of a queue that has not changed since the registration."""
+        if record is not None:
+            self._adopt(record)
+        elif all_told:
+            logger.warning("queue went elsewhere", extra={"queue": shown(hosted.record)})
+            self._forget(hosted.record.queue_id, refusals.not_here(self._identity.name, hosted.record.queue_id))
+        else:
+            hosted.epoch = 0  # no request can name it: the next use asks the directory
 
     def changed(self, record: queue_pb2.QueueRecord, *, removed: bool) -> None:
         """The directory tells of a change. Of queues that nobody used here nothing is kept."""
@@ -132,9 +144,8 @@ class QueueStore:
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
-        """All takers and waiting producers hear `error`."""
-        for hosted in self.all():
-            hosted.end(error)
+        """All takers and waiting producers hear `error`; of many, the last ones a moment later."""
+        self._turns.begin(_ending(self.all(), error))
 
     def all(self) -> list[HostedQueue]:
         """All queues that were used here."""
@@ -143,6 +154,9 @@ class QueueStore:
     def holds(self, hosted: HostedQueue) -> bool:
         """The queue is this host's, and the host may serve."""
         return self._lease_held() and self._queues.get(hosted.record.queue_id) is hosted
+
+    def _may_serve(self) -> bool:
+        return self._closing is None and self._lease_held()
 
     def _check_lease(self) -> None:
         if self._closing is not None:
@@ -192,10 +206,19 @@ class QueueStore:
             self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, which is the most; use another")
-        self._queues[record.queue_id] = HostedQueue(record, self._memory, self.now, self._on_departures, self.deadlines)
+        self._queues[record.queue_id] = HostedQueue(
+            record, self._memory, self.now, self._on_departures, self.deadlines, self._may_serve
+        )
         self.in_use.set()
 
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:
         hosted = self._queues.pop(queue_id, None)
         if hosted is not None:
             self._turns.begin(hosted.leaving(error))
+
+
+def _ending(queues: Sequence[HostedQueue], error: StampedeError) -> Pieces[None]:
+    for at, hosted in enumerate(queues, 1):
+        yield from hosted.ending(error)
+        if at % QUEUES_PER_PIECE == 0:
+            yield

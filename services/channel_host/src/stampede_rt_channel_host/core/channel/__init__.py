@@ -30,7 +30,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
 )
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import Limits
-from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, at_once, first_of
+from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, at_once, batched, first_of
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
@@ -91,6 +91,7 @@ __all__ = [
     "WakeAt",
     "abandoning",
     "at_once",
+    "batched",
     "drained",
     "emptying",
     "first_of",

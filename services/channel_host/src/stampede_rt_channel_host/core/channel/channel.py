@@ -305,7 +305,7 @@ class Channel:
             self._retention.consumers.restore(places, clock)
             self._settle(clock)
 
-    def collect(self, now: int, entries_max: int = 1024) -> bool:
+    def collect(self, now: int, entries_max: int = 512) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
         knows_less = self._retention.learn_gone(entries_max)

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 
-TOLD_SLICES_MAX = 1024
+TOLD_SLICES_MAX = 256
 """Of so many slices consumers hear at once that they were collected; the next calls go on."""
 
 FREED_ENTRIES_MAX = 2048

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -13,6 +13,7 @@ ITEMS_PER_STEP = 8
 """Where items are looked at one by one, so many count as one step."""
 
 Result = TypeVar("Result")
+Thing = TypeVar("Thing")
 Pieces = Generator[None, None, Result]
 """Work that stops after each piece and goes on when it is asked for the next one; its result comes with the last one.
 
@@ -36,6 +37,11 @@ def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
         return
     finally:
         pieces.close()
+
+
+def batched(things: Sequence[Thing], most: int) -> Iterator[Sequence[Thing]]:
+    """The things in stretches of `most` at the most, for work that looks at each of them."""
+    return (things[at : at + most] for at in range(0, len(things), most))
 
 
 def at_once(pieces: Pieces[Result]) -> Result:

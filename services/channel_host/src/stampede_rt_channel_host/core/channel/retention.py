@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import Limits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
-SLICES_USED_UP_MAX = 1024
+SLICES_USED_UP_MAX = 256
 """What one call lets go of by consumption: a consumer that makes up for a long delay stalls nobody."""
 ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 1024
@@ -62,7 +62,7 @@ class Retention:
         if held.tell_gone(slices_max):
             return True
         seq, end = self._unknown_from, self._unknown_to
-        for _ in range(slices_max // 4 if seq < end else 0):
+        for _ in range(max(1, slices_max // 4) if seq < end else 0):
             first = held.seq_from(seq, end, ENTRIES_PER_LOOK)
             consumers.let_go(seq, first)
             seq = held.held_up_to(first, end, ENTRIES_PER_LOOK)

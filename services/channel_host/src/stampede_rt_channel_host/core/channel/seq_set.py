@@ -71,11 +71,17 @@ class SeqSet:
 
     def _absorb(self, first: int, end: int) -> tuple[int, int]:
         """Take out the ranges that touch first to end; the range that they are all in."""
-        for low, high in [one for one in self.touching(first, end) if one[0] > self.below]:
+        touched = [one for one in self.touching(first, end) if one[0] > self.below]
+        for low, high in touched:
             del self._ranges[low]
             self.size -= high - low
-            first, end = min(first, low), max(end, high)
+            self._meet(max(low, first), min(high, end))
+        if touched:
+            first, end = min(first, touched[0][0]), max(end, touched[-1][1])
         return first, end
+
+    def _meet(self, first: int, end: int) -> None:
+        """Seqs are put in that were in already."""
 
 
 BLOCK_SEQS = 1024
@@ -93,22 +99,22 @@ class CountedSeqs(SeqSet):
 
     def add(self, first: int, end: int) -> int:
         """Put in the seqs from `first` up to, not including, `end`; how many were not in."""
-        at = first = max(first, self.below)
-        for low, high in [one for one in self.touching(first, end) if one[0] >= self.below]:
-            self._count(at, min(low, end))
-            at = max(at, high)
-        self._count(at, end)
+        first = max(first, self.below)
+        self._count(first, end, 1)
         added = super().add(first, end)
         for block in range(self._first_block, self.below // BLOCK_SEQS):
             self._blocks.pop(block, None)
         self._first_block = max(self._first_block, self.below // BLOCK_SEQS)
         return added
 
-    def _count(self, first: int, end: int) -> None:
+    def _meet(self, first: int, end: int) -> None:
+        self._count(first, end, -1)
+
+    def _count(self, first: int, end: int, each: int) -> None:
         while first < end:
             block = first // BLOCK_SEQS
             till = min(end, (block + 1) * BLOCK_SEQS)
-            self._blocks[block] = self._blocks.get(block, 0) + till - first
+            self._blocks[block] = self._blocks.get(block, 0) + each * (till - first)
             first = till
 
     def count(self, first: int, end: int) -> int:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from itertools import islice
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.deadlines import Deadlines
@@ -94,6 +95,7 @@ class Enqueuing:
         self.waiting_bytes = 0
         self.finished: list[Enqueue] = []
         self.has_more = False
+        self._ending: StampedeError | None = None  # while those in line hear that they are not taken
         self._drops_left = 0
 
     def __len__(self) -> int:
@@ -102,6 +104,9 @@ class Enqueuing:
 
     def enqueue(self, run: Enqueue, now: int) -> None:
         """Judge the run; unless it is through then, it stands in line. Raises InvalidArgument, Overloaded."""
+        if self._ending is not None:  # it may be one that still stands in line, sent again
+            run.error = self._ending
+            return
         if self._recognise(run, now):
             return
         if not self._line and self._offer(run, now):
@@ -114,7 +119,7 @@ class Enqueuing:
     def offer_line(self, now: int) -> None:
         """Room may have been made: those in line are judged again, the first one first."""
         self.has_more, offered = False, 0
-        while self._line:
+        while self._line and self._ending is None:
             if offered >= OFFERED_PER_CALL_MAX:
                 self.has_more = True
                 return
@@ -151,6 +156,18 @@ class Enqueuing:
         else:
             self._remember(run, now)
             run.error = error
+
+    def end_line(self, error: StampedeError, now: int, runs_max: int) -> bool:
+        """The first ones in line are not taken, since the queue is not served any more; True if there are more. Until
+        there are none, nothing is taken."""
+        self._ending = error
+        for run in [*islice(self._line, runs_max)]:
+            self._leave_line(run)
+            self.fail(run, error, now)
+            self.finished.append(run)
+        if not self._line:
+            self._ending = None
+        return bool(self._line)
 
     def next_deadline(self) -> int | None:
         """When the next wait is over."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
 
 from stampede_rt.errors import StampedeError
@@ -25,9 +25,11 @@ from stampede_rt_channel_host.core.queue.values import (
     SettlementResult,
 )
 
-CHECKED_PER_CALL_MAX = 1024
+CHECKED_PER_CALL_MAX = 256
 """How many items one call looks at again after other limits were set."""
 EMPTIED_PER_PIECE = 256
+ENDED_PER_CALL_MAX = 128
+"""How many runs that wait one call refuses."""
 DUE_PER_CALL_MAX = 256
 """How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
 
@@ -41,7 +43,17 @@ class Queue:
     before, so that nothing said of their deliveries is taken for one of its own.
     """
 
-    def __init__(self, limits: QueueLimits, *, incarnation: int, name: str = "", first_delivery_id: int = 1) -> None:
+    def __init__(
+        self,
+        limits: QueueLimits,
+        *,
+        incarnation: int,
+        name: str = "",
+        first_delivery_id: int = 1,
+        may_serve: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """While `may_serve` denies it, nobody is dealt anything, and nothing that waits is taken."""
+        self._may_serve = may_serve
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
         self._shelf = Shelf(limits)
@@ -49,6 +61,7 @@ class Queue:
         self._enqueuing = Enqueuing(self._shelf, self._name)
         self._dealing = Dealing(self._shelf, self._leasing)
         self._clock: int | None = None
+        self._is_paused = False
         self._unchecked: deque[int] = deque()  # seqs of items that were touched before the limits changed
 
     def export(self, now: int) -> QueueState:
@@ -81,12 +94,20 @@ class Queue:
         self._enqueuing.withdraw(run, clock)
         self._follow_up(clock)
 
-    def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
-        """A run that waits is not taken, since the queue is not served any more: it is through."""
+    def pause(self) -> None:
+        """The queue is not served at present: nobody is dealt anything until `go_on`."""
+        self._is_paused = self._dealing.is_paused = True
+
+    def end_line(self, error: StampedeError, now: int) -> bool:
+        """Runs that wait are not taken, since the queue is not served any more: some of them are through. True if more
+        are left: call it again; until then, nothing is taken."""
+        return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
+
+    def go_on(self, now: int) -> None:
+        """The queue is served, or could be."""
         clock = self._tick(now)
-        self._enqueuing.withdraw(run, clock)
-        if not run.is_through:
-            self._enqueuing.fail(run, error, clock)
+        self._is_paused = False
+        self._check_again()
         self._follow_up(clock)
 
     def reject_malformed(self) -> None:
@@ -168,7 +189,7 @@ class Queue:
         number in one call, and nothing is dealt before all were."""
         clock = self._tick(now)
         self._shelf.limits = limits
-        self._unchecked = deque(self._shelf.touched)
+        self._unchecked = deque(dict.__iter__(self._shelf.touched))  # in their order, and quicker than by its links
         self._check_again()
         self._follow_up(clock)
 
@@ -293,7 +314,7 @@ class Queue:
             item = self._shelf.touched.get(self._unchecked.popleft())
             if item is not None:
                 self._leasing.check_again(item)
-        self._dealing.is_paused = bool(self._unchecked)
+        self._dealing.is_paused = self._is_paused or bool(self._unchecked) or not self._may_serve()
         return count
 
     def _end_delay(self, clock: int) -> bool:
@@ -306,5 +327,6 @@ class Queue:
 
     def _follow_up(self, clock: int) -> None:
         """Items went or came back: runs in line may have room, and takers in line something to take."""
-        self._enqueuing.offer_line(clock)
+        if self._may_serve():
+            self._enqueuing.offer_line(clock)
         self._dealing.deal(clock)
