@@ -90,3 +90,55 @@ async def test_an_awaited_subscription_does_not_wait_for_ever(cluster: LocalClus
             with pytest.raises(st.IncarnationLost, match="was lost"):
                 await anext(subscription)
         frozen.resume()
+
+
+def fills(frozen: ServiceProcess) -> bytes:
+    """Stop the host. The payload of puts of which eight are all that may be in flight."""
+    frozen.pause()
+    return bytes(2**20)
+
+
+def test_a_producers_put_does_not_wait_for_ever(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = rt.channel("cam/a", max_age="60s")
+        producer = channel.producer()
+        producer.put(b"before")
+        producer.flush()
+        frozen = owner(cluster, channel)
+        payload, handed_over = fills(frozen), 0
+        told = ""
+        while not told:
+            try:
+                producer.put(payload, timeout=0.2)
+                handed_over += 1
+            except st.DeadlineExceeded as error:
+                told = error.message
+        assert "for channel 'cam/a' were not acknowledged in time" in told
+        assert handed_over >= 8
+        frozen.resume()
+        producer.flush(30)
+        assert producer.accepted == 1 + handed_over  # the one that raised was not handed over
+        producer.close()
+
+
+async def test_an_awaited_producers_put_does_not_wait_for_ever(cluster: LocalCluster) -> None:
+    async with aio.connect(cluster.address) as rt:
+        channel = await rt.channel("cam/a", max_age="60s")
+        producer = channel.producer()
+        await producer.put(b"before")
+        await producer.flush()
+        frozen = owner(cluster, channel)
+        payload, handed_over = fills(frozen), 0
+        told = ""
+        while not told:
+            try:
+                await producer.put(payload, timeout=0.2)
+                handed_over += 1
+            except st.DeadlineExceeded as error:
+                told = error.message
+        assert "for channel 'cam/a' were not acknowledged in time" in told
+        assert handed_over >= 8
+        frozen.resume()
+        await producer.flush(30)
+        assert producer.accepted == 1 + handed_over
+        await producer.aclose()

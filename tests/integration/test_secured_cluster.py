@@ -27,8 +27,16 @@ from stampede_rt import aio
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.tls import TlsReader
-from stampede_rt.status import from_rpc_error
-from stampede_rt.v1 import directory_pb2, directory_service_pb2, directory_service_pb2_grpc, raft_service_pb2_grpc
+from stampede_rt.status import from_error_message, from_rpc_error
+from stampede_rt.v1 import (
+    directory_pb2,
+    directory_service_pb2,
+    directory_service_pb2_grpc,
+    item_pb2,
+    raft_service_pb2_grpc,
+)
+from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.v1 import raft_service_pb2 as raft_pb
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
@@ -432,3 +440,31 @@ def test_random_bytes_and_pickles_do_nothing_at_any_port(cluster: LocalCluster, 
         assert channel.newest().payload == b"still here"
     pickle.loads(bombs[0])
     assert place.exists()  # they would have worked
+
+
+@pytest.mark.parametrize(("role", "believed"), [(Role.CLIENT, False), (Role.OPERATOR, False), (Role.HOST, True)])
+async def test_hosts_alone_say_where_a_dead_letter_comes_from(
+    cluster: LocalCluster, role: Role, believed: bool
+) -> None:
+    async with aio.connect(cluster.address, tls=cluster.tls_files("reader")) as rt:
+        queue = await rt.queue(f"work/forged-{role}")
+        resolve = queue_directory_pb.ResolveQueueRequest(name=queue.name)
+        epoch = (await rt._session.supernodes.call("ResolveQueue", resolve, PATIENCE_SECONDS)).queue.epoch
+        run = item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"x")
+        forged = queue_pb.EnqueueRun(first_number=1, run=run, origin=item_pb2.DeadLetterOrigin(queue_name="work/other"))
+        request = queue_pb.EnqueueRequest(queue_id=queue.info.queue_id, epoch=epoch, runs=[forged])
+        files = cluster.tls_files("robot", role)
+        assert files is not None
+        async with dial(cluster.hosts[0].address, secret=None, tls=TlsReader(files)) as channel:
+            enqueue = channel.stream_stream(
+                "/stampede_rt.v1.QueueService/Enqueue",
+                request_serializer=queue_pb.EnqueueRequest.SerializeToString,
+                response_deserializer=queue_pb.EnqueueResponse.FromString,
+            )
+            (ack,) = [ack async for response in enqueue(iter([request])) for ack in response.acks]
+        assert ack.HasField("error") is not believed
+        if not believed:
+            assert from_error_message(ack.error).reason == "PERMISSION_DENIED"
+            assert f"{role} robot may not set the origin of a run" in ack.error.message
+            assert "hosts alone forward dead letters; leave origin out" in ack.error.message
+        assert (await queue.stats()).held == int(believed)

@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 import stampede_rt as st
-from stampede_rt._async.producer import Producer
+from stampede_rt._async.producer import IN_FLIGHT_RUNS_MAX, Producer
 from stampede_rt._async.session import ChannelState, Session
 from stampede_rt.cluster.binding import Binding, BindingCache
 from stampede_rt.status import to_error_message
@@ -113,6 +113,22 @@ async def test_one_message_with_several_refusals_wakes_a_flush_that_waits() -> N
     await place.streams[1].on_response(pb.PutResponse(acks=[accepted(1), accepted(2), accepted(3)]))
     await flush
     assert producer.accepted == 3
+
+
+async def test_a_host_that_takes_and_answers_nothing_ends_a_put_with_its_time() -> None:
+    """Its process lives, so that its connection does: its event loop hangs."""
+    place = Place()
+    producer = await three_in_flight(place)
+    for _ in range(IN_FLIGHT_RUNS_MAX - 3):
+        await producer.put(b"more")
+        await producer._send()
+    while producer._builder.fits(bytes(2**20), None, None, ""):
+        await producer.put(bytes(2**20))
+    handed_over = len(producer._builder)
+    with pytest.raises(st.DeadlineExceeded, match=f"{IN_FLIGHT_RUNS_MAX} runs .* its host may be overloaded"):
+        await producer.put(bytes(2**20), timeout=0.01)
+    assert len(producer._builder) == handed_over
+    assert len(place.streams) == 1
 
 
 async def test_what_was_not_acked_is_sent_again_before_what_came_since() -> None:

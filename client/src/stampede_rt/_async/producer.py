@@ -88,10 +88,13 @@ class Producer(OfOneProcess):
         duration: DurationLike | int | None = None,
         attributes: Mapping[str, str] | None = None,
         content_type: str | None = None,
+        timeout: float | None = CALL_TIMEOUT_S,
     ) -> None:
         """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged, and while a lost stream is replaced.
 
-        One that raises, or is cancelled, has handed nothing over. See `Channel.put` for the arguments.
+        `timeout` in seconds is how long it may block, 10 by default, None: without limit, as for a channel that waits
+        for room (`on_full="block"`). Raises DeadlineExceeded then. A put that raises, or is cancelled, has handed
+        nothing over. See `Channel.put` for the other arguments.
         """
         self._session.check_process()
         if self._finished:
@@ -102,8 +105,9 @@ class Producer(OfOneProcess):
         instant = time if time is None or type(time) is int else parse_instant(time)
         nanos = duration if duration is None else parse_item_duration(duration)
         kind = content_type_of(content_type) or (coding.content_type if coding else "")
+        deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
         while self._is_down() or not self._builder.fits(payload, instant, attributes, kind):
-            await self._send()
+            await self._send(deadline_s)
         with self._mutex:
             self._builder.add(payload, instant, nanos, attributes, kind)
             _in_flight.add(self)
@@ -111,9 +115,10 @@ class Producer(OfOneProcess):
                 self._send_filled()
 
     async def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
-        """Block until everything put is acked, `timeout` seconds at most; then raise the first refusal, if any.
+        """Block until everything put is acked; then raise the first refusal, if any.
 
-        Raises DeadlineExceeded, or Unavailable if the host is lost for good.
+        `timeout` in seconds is how long it may block, 10 by default, None: without limit. Raises DeadlineExceeded then,
+        or Unavailable if the host is lost for good.
         """
         self._session.check_process()
         deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
@@ -141,7 +146,7 @@ class Producer(OfOneProcess):
         """Send the run that is being filled, as soon as there is room."""
         await self._until(self._has_room, deadline_s)
         if self._stream is None:
-            await self._open(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S))
+            await self._open(max(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S), 0.0))
         with self._mutex:
             self._send_filled()
 

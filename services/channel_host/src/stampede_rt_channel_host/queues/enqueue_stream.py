@@ -15,9 +15,10 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.incoming import answer, check_number, enqueue_of
+from stampede_rt_channel_host.queues.incoming import answer, check_forwards, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
+from stampede_rt_runtime.admission import caller_identity
 
 ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
 REQUEST_BYTES_MAX = 4 * 2**20
@@ -100,6 +101,8 @@ class EnqueueStream:
             if failure is not None:
                 raise failure
             hosted = self._store.find(self._queue_id, self._epoch)
+            if message.origin:
+                check_forwards(caller_identity(self._context))
             run = enqueue_of(message, self._producer_id, came_s)
         except StampedeError as error:
             if hosted is not None:

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 
 from google.protobuf.message import DecodeError
 
-from stampede_rt.errors import InvalidArgument, MalformedRun
+from stampede_rt.errors import InvalidArgument, MalformedRun, PermissionDenied
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2, raw_run_pb2
 from stampede_rt.wire.runs import origin_field, parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.read_ahead import left_nanos
 from stampede_rt_channel_host.core.queue import Enqueue
+from stampede_rt_runtime.identity import Identity, Role
 
 MESSAGE_ID_BYTES_MAX = 128
 ORIGIN_BYTES_MAX = 4096
@@ -64,6 +65,15 @@ def _origin_of(message: raw_run_pb2.RawEnqueueRun, items: int) -> bytes:
             f"item, its origin has {ORIGIN_BYTES_MAX} bytes at most"
         )
     return origin_field(message.origin)
+
+
+def check_forwards(caller: Identity | None) -> None:
+    """Raises PermissionDenied for a caller that no dead letters come from. None: there are no certificates to tell."""
+    if caller is not None and caller.role is not Role.HOST:
+        raise PermissionDenied(
+            f"{caller.role} {caller.name} may not set the origin of a run, which says where a dead letter comes from: "
+            "hosts alone forward dead letters; leave origin out"
+        )
 
 
 def check_number(producer_id: int, first_number: int) -> None:
