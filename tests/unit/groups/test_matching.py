@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
+
+import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Channel, Position
 from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import STEPS_MAX
 from stampede_rt_channel_host.core.group.tracks import TRACK_ITEMS_MAX
 from tests.unit.groups.channels import INCARNATION, NOW, channel, put
@@ -32,6 +36,28 @@ def test_each_item_gets_the_nearest_and_the_earlier_wins_a_tie() -> None:
     matcher = everything(left, right, 5)
     assert pairs(matcher, right) == [(10, 8), (20, 23), (30, None)]
     assert matcher.unmatched == 1
+
+
+def test_many_items_are_taken_together_and_settled_once_as_far_as_credit_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, right = channel(*range(10, 110)), channel(*range(10, 120))
+    matcher, far = everything(left, right, 1), FarTrack()
+    far.add((time, time) for time in range(10, 120))
+    matcher.set_tracks({RIGHT: OwnTrack(right), b"far": far})
+    settled: list[int] = []
+    settle = Ledger.settle
+
+    def counting(self: Ledger, *args: Any, **named: Any) -> int:
+        settled.append(1)
+        return settle(self, *args, **named)
+
+    monkeypatch.setattr(Ledger, "settle", counting)
+    taken = matcher.take(lambda channel_id, instant: True, NOW, 64)
+    assert ([one.item.slice.first_time for one in taken], len(settled)) == ([*range(10, 74)], 1)
+    each = taken[0].charge_bytes
+    assert each == 2 * taken[0].item.slice.charge_bytes  # the far one comes from its own host
+    assert len(matcher.take(lambda channel_id, instant: True, NOW, 64, 3 * each - 1)) == 3
+    assert matcher.take(lambda channel_id, instant: True, NOW, 64, 0) == []
+    assert len(matcher.take(lambda channel_id, instant: True, NOW, 64)) == 33
 
 
 def test_an_item_waits_until_every_other_member_has_passed_its_tolerance() -> None:

@@ -135,23 +135,15 @@ class MatchStream:
 
     def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[Matched]:
         """What is settled, as credit allows, about a message of it."""
-        now, left = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
-        found: list[Matched] = []
+        now, credit = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
             asked = request.per_channel_id if channel_id == OWN else channel_id
             return self._has_passed(group, asked, instant, request.lateness_nanos, now)
 
         most = UNIQUE_PER_MESSAGE_MAX if request.unique else MATCHES_PER_MESSAGE_MAX
-        while left > 0 and len(found) < most:
-            one = matcher.take(has_passed, now, 1)
-            if not one:
-                break
-            found += one
-            items = [one[0].item, *(near.item for near in one[0].matched.values() if near.item is not None)]
-            charge = sum(item.slice.charge_bytes for item in items)
-            self._credit.spend(charge)
-            left -= charge
+        found = matcher.take(has_passed, now, most if credit > 0 else 0, credit)
+        self._credit.spend(sum(one.charge_bytes for one in found))
         return found
 
     def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, lateness_nanos: int, now: int) -> bool:

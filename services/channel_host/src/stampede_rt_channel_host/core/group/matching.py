@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Position, Slice
@@ -17,6 +18,7 @@ from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
 from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
+CREDIT_UNLIMITED = 1 << 62
 OWN = b""
 """In place of a member's id: the matched channel itself."""
 
@@ -28,6 +30,12 @@ class Matched:
     item: DeliveredSlice
     matched: Mapping[bytes, Nearest]
     missing: tuple[bytes, ...]
+
+    @property
+    def charge_bytes(self) -> int:
+        """What its items take off a reader's credit, without those of other hosts."""
+        partners = (near.item for near in self.matched.values() if near.item is not None)
+        return self.item.slice.charge_bytes + sum(one.slice.charge_bytes for one in partners)
 
 
 class Matcher:
@@ -85,23 +93,26 @@ class Matcher:
         """Members came, went, or moved to another host."""
         self._tracks = dict(tracks)
 
-    def take(self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int) -> list[Matched]:
-        """What is settled and not taken yet, `items_max` at the most.
+    def take(
+        self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED
+    ) -> list[Matched]:  # fmt: skip
+        """What is settled and not taken yet, `items_max` at the most, and as long as some credit is left before each.
 
         `has_passed(member, instant)`: nothing that is waited for can come up to `instant`; see
         `ChannelTimes.has_passed`. It is asked for OWN, too. A member that is not waited for has passed everything.
         """
         held, _ = self._channel.look(now)
         taken: list[Matched] = []
-        for one in _ones(held.slices(self._place)):
+        for one in [*islice(_ones(held.slices(self._place)), items_max)]:  # first, since each look may free entries
             time = one.first_time
-            if len(taken) >= items_max or not self._is_settled(time, has_passed):
+            if credit_bytes <= 0 or not self._is_settled(time, has_passed):
                 break
             try:
                 found = self._found((time, one.first_seq), has_passed, now)
             except Undecided:
                 break
             taken.append(self._match(DeliveredSlice(one, held.next_time(time)), found))
+            credit_bytes -= taken[-1].charge_bytes
             self._place = time, one.end_seq
         self.dropped += self._ledger.settle(
             held, self._place, self._channel.next_seq, given_above=len(taken), given_below=0
