@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.app import tune_garbage_collection
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
@@ -35,6 +34,7 @@ from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import AsideThread
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Outgoing, Received, StreamOpened
+from stampede_rt_supernode.replication.wire.messages import InstallSnapshot
 
 BATCH = 250
 WRITES_PER_TICK = 16
@@ -151,14 +151,14 @@ class Alone:
 
 
 def _opening(number: int) -> OpenChannel:
-    dice = random.Random(number)
+    rng = random.Random(number)
     return OpenChannel(
         name=f"many/{number}",
         policy=Policy(),
         create=True,
         host_name="",
-        new_channel_id=dice.randbytes(16),
-        new_incarnation=dice.getrandbits(60),
+        new_channel_id=rng.randbytes(16),
+        new_incarnation=rng.getrandbits(60),
     )
 
 
@@ -203,17 +203,14 @@ def _received(folder: Path, leader: Alone) -> Row:
     while not is_last:
         keeper.begin_step()
         while not is_last and (chunk := keeper.next_chunk("b")) is not None:
-            two.replica.deliver(Received("b", _message(chunk, stored.last_log_index)))
-            is_last = chunk.offset_bytes + len(chunk.data) == chunk.total_bytes
+            message = InstallSnapshot(term=1, commit_index=stored.last_log_index, chunk=chunk)
+            two.replica.deliver(Received("b", message))
+            is_last = chunk.is_last
         two.step()
     two.step_until(lambda: two.machine.restored > 0)
     row = f"{_took(began, cpu)}, {two.ticks()}"
     two.close()
     return "a follower receives and opens a snapshot", row
-
-
-def _message(chunk: pb.RaftSnapshotChunk, commit_index: int) -> dict[str, Any]:
-    return {"type": "append_entries", "term": 1, "commit_index": commit_index, "round": 0, "serialized": chunk}
 
 
 def _took(began: float, cpu: float) -> str:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +24,7 @@ import stampede_rt as st
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS
 from tests.benchmarks.bare_server import REQUEST
 from tests.support.cluster import running_cluster
+from tests.support.processes import started
 
 SIZES = (64, 18_000, 300_000)
 INTERVAL_ITEMS = {64: 1000, 18_000: 200, 300_000: 20}
@@ -86,10 +86,9 @@ class BareClient:
 @contextmanager
 def bare_server() -> Iterator[str]:
     command = [sys.executable, "-m", "tests.benchmarks.bare_server"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with started(command) as process:
         assert process.stdout is not None
         yield f"127.0.0.1:{process.stdout.readline().strip()}"
-        process.communicate()
 
 
 def put_one(channel: st.Channel, bare: BareClient, size: int) -> tuple[Callable[[], int], Callable[[], int]]:

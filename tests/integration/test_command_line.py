@@ -15,6 +15,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.processes import started
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
 COMMAND = [sys.executable, "-m", "stampede_rt.cli"]
@@ -320,3 +321,52 @@ def test_help_lists_every_verb(stampede: Run) -> None:
         "doctor",
     ):
         assert f" {verb} " in text
+
+
+# To ask for the next response, gRPC takes the lock of the stream and then that of its connection. Ctrl-C comes when it
+# has the second, and before the `with` that would release it has begun. Meanwhile the thread that sends requests has
+# the first and waits for the second. Here a thread plays its part, so that it is there in time.
+ECHO_INTERRUPTED_WITHIN_A_LOCK = """
+import os, signal, sys, threading
+
+enter, held = threading.Condition.__enter__, threading.Event()
+planted = []
+
+def enter_and_interrupt(condition):
+    caller = sys._getframe(1)
+    if planted and caller.f_code.co_name == "cancel":
+        held.wait()
+    entered = enter(condition)
+    if not planted and caller.f_code.co_name == "_next" and "grpc" in caller.f_code.co_filename:
+        stream = caller.f_locals["self"]._state.condition
+        if condition is not stream:
+            planted.append(True)
+            threading.Thread(target=send, args=(stream, condition), daemon=True).start()
+            os.kill(os.getpid(), signal.SIGINT)
+            for _ in range(1000):  # here the main thread's handler runs, if this is the main thread
+                pass
+    return entered
+
+def send(stream, connection):
+    enter(stream)
+    held.set()
+    enter(connection)
+    connection.release()
+    stream.release()
+
+write = sys.stdout.write
+def write_and_plant(text):
+    threading.Condition.__enter__ = enter_and_interrupt
+    return write(text)
+
+sys.stdout.write = write_and_plant
+from stampede_rt.cli.main import main
+sys.exit(main(["echo", "cli/locked", "--from", "oldest"]))
+"""
+
+
+def test_an_interrupt_within_a_lock_of_grpcs_ends_the_command(stampede: Run, environment: dict[str, str]) -> None:
+    stampede("put", "cli/locked", "an item")
+    with started([sys.executable, "-c", ECHO_INTERRUPTED_WITHIN_A_LOCK], env=environment) as process:
+        out, _ = process.communicate(timeout=20)
+    assert (process.returncode, out.count("an item")) == (130, 1)

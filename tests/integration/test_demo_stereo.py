@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.stereo.conductor import Outcome, conduct
+from stampede_rt_demos.stereo.orchestrator import Outcome, conduct
 from stampede_rt_demos.stereo.picture import draw
 from stampede_rt_demos.stereo.programme import Side
 from stampede_rt_demos.stereo.report import render

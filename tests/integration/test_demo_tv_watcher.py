@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.tv_watcher.conductor import Outcome, conduct
+from stampede_rt_demos.tv_watcher.orchestrator import Outcome, conduct
 from stampede_rt_demos.tv_watcher.report import render
 from stampede_rt_demos.tv_watcher.timeline_picture import draw
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.cli.diagnosis import FRONTEND, HOST, PEER, SUPERNODE, Finding, Holdings, Observation, diagnose
+from stampede_rt.cli.diagnosis import FRONTEND, HOST, PEER, SUPERNODE, CheckResult, Inventory, Observation, diagnose
 
 DAY_S = 86400.0
 MS = 1_000_000
@@ -27,7 +27,7 @@ WELL = [
 ]
 
 
-def found(observations: list[Observation], part: str) -> Finding:
+def found(observations: list[Observation], part: str) -> CheckResult:
     findings = diagnose(observations, own_version="1.0", certificate_s_min=14 * DAY_S)
     [one] = [finding for finding in findings if finding.part == part]
     return one
@@ -53,7 +53,7 @@ def test_who_refuses_the_caller_is_not_taken_for_one_that_is_down() -> None:
 def test_who_was_removed_does_not_count_for_the_majority() -> None:
     gone = seen(SUPERNODE, "s0", failure="nobody is there", is_member=False)
     also_gone = replace(gone, name="s4")
-    assert found([*WELL, gone, also_gone], "quorum") == Finding("quorum", "-", "3 of 3 serve")
+    assert found([*WELL, gone, also_gone], "quorum") == CheckResult("quorum", "-", "3 of 3 serve")
     assert found([*WELL, gone], "supernode s0").state == "no member"
 
 
@@ -82,7 +82,7 @@ def test_a_long_round_trip_leaves_room_for_doubt() -> None:
 
 def test_an_answer_that_took_two_seconds_tells_nothing_of_a_clock() -> None:
     slow = changed("f1", clock_offset_nanos=1000 * MS, round_trip_nanos=2000 * MS)
-    assert found(slow, "clocks") == Finding("clocks", "-", "0 s apart, give or take 1 ms, 50 ms are allowed")
+    assert found(slow, "clocks") == CheckResult("clocks", "-", "0 s apart, give or take 1 ms, 50 ms are allowed")
     alone = [one for one in slow if one.name == "f1"]
     clocks = found(alone, "clocks")
     assert (clocks.state, clocks.advice) == ("unknown: answers took 2 s or longer, which tells too little", "")
@@ -160,10 +160,10 @@ def test_puts_that_a_host_refused_lately_are_told_with_how_full_it_is_and_older_
 
 def test_lost_channels_and_queues_are_told_by_name_and_host() -> None:
     lost = [(f"cam/{number}", "host h7") for number in range(7)]
-    held = [Holdings(kind="channel", count=9, lost=lost), Holdings(kind="queue", count=4)]
+    held = [Inventory(kind="channel", count=9, lost=lost), Inventory(kind="queue", count=4)]
     findings = diagnose(WELL, held, own_version="1.0", certificate_s_min=14 * DAY_S)
     [channels, queues] = [finding for finding in findings if finding.part in ("channels", "queues")]
-    assert (channels.state, queues) == ("7 of 9 lost", Finding("queues", "-", "4, none lost"))
+    assert (channels.state, queues) == ("7 of 9 lost", CheckResult("queues", "-", "4, none lost"))
     assert channels.advice.startswith("cam/0, cam/1, cam/2, cam/3, cam/4 and 2 more belonged to host h7, which is gone")
 
 

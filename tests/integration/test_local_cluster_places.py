@@ -8,7 +8,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.namespaces import Network, unavailable_because
+from stampede_rt_local.namespaces import NamespaceNetwork, unavailable_because
 from tests.support.cluster import running_cluster
 
 WHY_NOT = unavailable_because()
@@ -23,9 +23,9 @@ def read_newest(address: str, name: str) -> bytes | None:
 
 @pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 def test_a_client_in_a_namespace_reads_from_a_host_in_another() -> None:
-    with Network(2) as network:
-        host, consumer = network.places
-        settings = {"listen": f"{network.address}:0", "host_places": [host], "allow_insecure_anywhere": True}
+    with NamespaceNetwork(2) as network:
+        host, consumer = network.namespaces
+        settings = {"listen": f"{network.address}:0", "host_namespaces": [host], "allow_insecure_anywhere": True}
         with running_cluster(hosts=1, supernodes=1, durable=False, **settings) as cluster:
             assert cluster.hosts[0].address.startswith(f"{host.address}:")
             with st.connect(cluster.address) as rt:
@@ -36,4 +36,4 @@ def test_a_client_in_a_namespace_reads_from_a_host_in_another() -> None:
 
 def test_hosts_in_namespaces_cannot_have_certificates_of_one_address() -> None:
     with pytest.raises(ValueError, match="leave out one of the two"):
-        LocalCluster(tls=True, host_places=Network(1).places)
+        LocalCluster(tls=True, host_namespaces=NamespaceNetwork(1).namespaces)

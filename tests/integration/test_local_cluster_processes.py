@@ -7,16 +7,16 @@ import queue
 import select
 import signal
 import socket
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from stampede_rt_local import leash, process
+from stampede_rt_local import parent_watch, process
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
+from tests.support.processes import started
 
 READY_SECONDS = 20
 
@@ -129,15 +129,14 @@ def test_a_service_cannot_be_started_twice(make) -> None:
 
 
 def test_no_service_outlives_a_parent_that_was_killed() -> None:
-    parent = subprocess.Popen([sys.executable, "-m", "tests.support.parent_of_services"], stdout=subprocess.PIPE)
-    assert parent.stdout is not None
-    with parent.stdout as output:
-        handles = [os.pidfd_open(int(pid)) for pid in output.readline().split()]
+    with started([sys.executable, "-m", "tests.support.parent_of_services"]) as parent:
+        assert parent.stdout is not None
+        handles = [os.pidfd_open(int(pid)) for pid in parent.stdout.readline().split()]
         assert len(handles) == 2
         parent.kill()
         parent.wait(READY_SECONDS)
         for handle in handles:  # readable when the process has ended
-            readable, _, _ = select.select([handle], [], [], leash.GRACE_SECONDS + READY_SECONDS)
+            readable, _, _ = select.select([handle], [], [], parent_watch.GRACE_SECONDS + READY_SECONDS)
             os.close(handle)
             assert readable
 

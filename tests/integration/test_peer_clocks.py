@@ -50,7 +50,9 @@ class Robot:
         )
         output: IO[str] | None = self._process.stdout
         assert output is not None
-        assert output.readline() == "in\n"
+        if output.readline() != "in\n":
+            self.kill()
+            raise AssertionError(f"{name} did not come in")
 
     def step(self, off_nanos: int) -> None:
         """From now on its wall clock is off by so much."""

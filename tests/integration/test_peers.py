@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import subprocess
 import sys
 import threading
 from typing import Any
@@ -16,6 +15,7 @@ from stampede_rt import aio
 from stampede_rt.v1 import peer_service_pb2
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.processes import started
 
 cluster = cluster_fixture(hosts=1, supernodes=1)
 
@@ -75,17 +75,10 @@ def test_a_refused_connection_leaves_nothing_running(cluster: LocalCluster) -> N
 
 def test_a_killed_peer_that_proves_to_be_the_same_comes_back_with_its_mailbox(cluster: LocalCluster) -> None:
     with st.connect(cluster.address) as rt:
-        process = subprocess.Popen(
-            [sys.executable, "-c", STAY, cluster.address, "phoenix"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        with process:
+        with started([sys.executable, "-c", STAY, cluster.address, "phoenix"]) as process:
             assert process.stdout is not None
             assert process.stdout.readline() == "in\n"
             rt.send("phoenix", b"while it was alive")
-            process.kill()
         with pytest.raises(st.PeerExists):
             st.connect(cluster.address, name="phoenix")
         with st.connect(cluster.address, name="phoenix", proof="0123456789abcdef") as again:

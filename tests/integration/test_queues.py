@@ -13,6 +13,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.processes import started
 
 Result = TypeVar("Result")
 cluster = cluster_fixture(hosts=1, supernodes=1)
@@ -31,11 +32,9 @@ with st.connect(sys.argv[1]) as rt:
 def killed_taker(address: str, queue: str) -> str:
     """The payload that a process took before it was killed without a word."""
     command = [sys.executable, "-c", TAKE_AND_HOLD, address, queue]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with started(command) as process:
         assert process.stdout is not None
-        taken = process.stdout.readline().strip()
-        process.kill()
-    return taken
+        return process.stdout.readline().strip()
 
 
 def taken(queue: st.Queue, count: int) -> list[tuple[bytes, int]]:

@@ -16,6 +16,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.processes import started
 
 cluster = cluster_fixture(hosts=1, supernodes=1, scope="module")
 ROOT = Path(__file__).resolve().parents[2]
@@ -87,7 +88,7 @@ def test_every_command_works(cluster: LocalCluster, command: str) -> None:
 def test_every_endless_command_prints_until_interrupted(cluster: LocalCluster, command: str) -> None:
     prepare(cluster)
     arguments = [sys.executable, "-m", "stampede_rt.cli", *shlex.split(command)[1:]]
-    with subprocess.Popen(arguments, env=environment(cluster), stdout=subprocess.PIPE, text=True) as process:
+    with started(arguments, env=environment(cluster)) as process:
         assert process.stdout is not None
         while process.poll() is None and command.split()[1] == "echo" and not ready(process):
             prepare(cluster)

@@ -199,7 +199,7 @@ async def knock(channel: grpc.aio.Channel) -> None:
 
 
 def greeting(member: str, to: str) -> Callable[[grpc.aio.Channel], Any]:
-    hello = raft_pb.RaftHello(protocol_version=1, member_id=member, peer_member_id=to)
+    hello = raft_pb.RaftHello(protocol_version=2, member_id=member, peer_member_id=to, highest_feature_level=1)
 
     async def greet(channel: grpc.aio.Channel) -> None:
         call: Any = raft_service_pb2_grpc.RaftServiceStub(channel).Exchange(timeout=5)

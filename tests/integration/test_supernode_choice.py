@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from stampede_rt._async import ports as async_ports
-from stampede_rt._async import supernodes as async_supernodes
-from stampede_rt._sync import ports as sync_ports
-from stampede_rt._sync import supernodes as sync_supernodes
+from stampede_rt._async import directory_client as async_directory
+from stampede_rt._async import endpoints as async_endpoints
+from stampede_rt._sync import directory_client as sync_directory
+from stampede_rt._sync import endpoints as sync_endpoints
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc, frontend_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
@@ -86,9 +86,9 @@ async def places(**later_seconds: float) -> AsyncIterator[tuple[str, dict[str, P
 
 
 async def ask_awaited(frontend: str, zone: str) -> None:
-    ports = async_ports.Ports(Credentials())
+    ports = async_endpoints.EndpointPool(Credentials())
     try:
-        supernodes = async_supernodes.Supernodes((frontend,), ports, peer_name="", zone=zone)
+        supernodes = async_directory.DirectoryClient((frontend,), ports, peer_name="", zone=zone)
         await supernodes.bind(20.0)
         await supernodes.call("ListHosts", directory_pb.ListHostsRequest(), 20.0)
     finally:
@@ -96,9 +96,9 @@ async def ask_awaited(frontend: str, zone: str) -> None:
 
 
 def ask_blocking(frontend: str, zone: str) -> None:
-    ports = sync_ports.Ports(Credentials())
+    ports = sync_endpoints.EndpointPool(Credentials())
     try:
-        supernodes = sync_supernodes.Supernodes((frontend,), ports, peer_name="", zone=zone)
+        supernodes = sync_directory.DirectoryClient((frontend,), ports, peer_name="", zone=zone)
         supernodes.bind(20.0)
         supernodes.call("ListHosts", directory_pb.ListHostsRequest(), 20.0)
     finally:
@@ -115,7 +115,7 @@ Ask = Callable[[str, str], Awaitable[None]]
 @pytest.fixture(params=[ask_awaited, ask_in_thread], ids=["async", "sync"])
 def ask(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ask:
     """Binds, and asks for the hosts. A ping may take long here: on a busy machine, too, the order counts."""
-    for module in (async_supernodes, sync_supernodes):
+    for module in (async_directory, sync_directory):
         monkeypatch.setattr(module, "PING_TIMEOUT_S", 10.0)
     chosen: Ask = request.param
     return chosen
@@ -140,7 +140,7 @@ async def test_one_of_the_same_zone_is_taken_before_a_nearer_one(ask: Ask) -> No
 async def test_one_that_does_not_answer_in_time_is_passed_over_even_in_the_same_zone(
     ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (async_supernodes, sync_supernodes):
+    for module in (async_directory, sync_directory):
         monkeypatch.setattr(module, "PING_TIMEOUT_S", 2.0)
     async with places(a1=60.0, b1=0.0) as (frontend, made):
         await ask(frontend, "a")
@@ -159,10 +159,10 @@ async def delays_of_one_that_finds_nobody(patch: pytest.MonkeyPatch) -> list[flo
         if len(delays) == 4:
             raise EnoughError
 
-    patch.setattr(async_supernodes, "sleep", note)
-    ports = async_ports.Ports(Credentials())
+    patch.setattr(async_directory, "sleep", note)
+    ports = async_endpoints.EndpointPool(Credentials())
     try:
-        supernodes = async_supernodes.Supernodes(("localhost:1",), ports, peer_name="", zone="")
+        supernodes = async_directory.DirectoryClient(("localhost:1",), ports, peer_name="", zone="")
         with pytest.raises(EnoughError):
             await supernodes.call("ListHosts", directory_pb.ListHostsRequest(), 60.0)
     finally:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
-from stampede_rt._sync.ports import Ports
+from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.security.credentials import Credentials, read_secret
 from stampede_rt.v1.frontend_service_pb2 import BindRequest, BindResponse
 from stampede_rt_local.cluster import LocalCluster
@@ -26,7 +26,7 @@ def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
 
 
 def bound(cluster: LocalCluster, address: str) -> BindResponse:
-    ports = Ports(Credentials(secret=read_secret(cluster.secret_file)))
+    ports = EndpointPool(Credentials(secret=read_secret(cluster.secret_file)))
     try:
         port = ports.to(address)
         response: BindResponse = port.call(port.frontend.Bind, BindRequest(protocol_version=1), 20.0)

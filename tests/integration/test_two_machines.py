@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_local.namespaces import Network, Place, unavailable_because
+from stampede_rt_local.namespaces import NamespaceNetwork, NetworkNamespace, unavailable_because
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 
 WHY_NOT = unavailable_because()
@@ -30,44 +30,48 @@ pytestmark = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 class Machine:
     """A namespace with a home folder of its own."""
 
-    def __init__(self, place: Place, home: Path) -> None:
-        self.place = place
+    def __init__(self, namespace: NetworkNamespace, home: Path) -> None:
+        self.namespace = namespace
         self.environment = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
         self.environment |= {"HOME": str(home), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
         self.environment.pop("XDG_CONFIG_HOME", None)
 
     def run(self, block: str) -> str:
         done = subprocess.run(
-            self.place.command("bash", "-euc", block), env=self.environment, capture_output=True, text=True, timeout=40
+            self.namespace.command("bash", "-euc", block),
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=40,
         )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
 
 @pytest.fixture
-def network() -> Iterator[Network]:
-    with Network(2) as made:
+def network() -> Iterator[NamespaceNetwork]:
+    with NamespaceNetwork(2) as made:
         yield made
 
 
-def blocks_of(network: Network, homes: list[Path]) -> Iterator[tuple[str, int, str]]:
+def blocks_of(network: NamespaceNetwork, homes: list[Path]) -> Iterator[tuple[str, int, str]]:
     """Every block of the page up to the end of the story: its chapter, its machine, its text."""
     chapters = re.split(r"^## (.*)\n", PAGE.read_text(), flags=re.MULTILINE)
     for title, text in zip(chapters[1::2], chapters[2::2], strict=True):
         if title in MACHINES:
             for block in re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
                 told = block.replace("scp -p 10.0.0.11:", f"cp -p {homes[0]}/")
-                told = told.replace("10.0.0.11", network.places[0].address)
+                told = told.replace("10.0.0.11", network.namespaces[0].address)
                 yield title, MACHINES[title], told
 
 
 def test_the_recipe_for_two_machines_works_as_it_stands(
-    network: Network, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    network: NamespaceNetwork, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     homes = [tmp_path / "first", tmp_path / "second"]
     for home in homes:
         home.mkdir()
-    machines = [Machine(place, home) for place, home in zip(network.places, homes, strict=True)]
+    machines = [Machine(namespace, home) for namespace, home in zip(network.namespaces, homes, strict=True)]
     services: list[ServiceProcess] = []
     printed = ""
     try:
@@ -77,8 +81,10 @@ def test_the_recipe_for_two_machines_works_as_it_stands(
                 for name, value in machines[number].environment.items():
                     monkeypatch.setenv(name, value)
                 monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
-                place = network.places[number]
-                services.append(ServiceProcess(f"{words[1]} {number}", MODULES[words[1]], words[2:], place=place))
+                namespace = network.namespaces[number]
+                services.append(
+                    ServiceProcess(f"{words[1]} {number}", MODULES[words[1]], words[2:], namespace=namespace)
+                )
                 services[-1].start()
                 services[-1].wait_ready(READY_SECONDS)
             else:
@@ -87,7 +93,7 @@ def test_the_recipe_for_two_machines_works_as_it_stands(
         for service in reversed(services):
             service.stop()
     assert [service.address.rpartition(":")[0] for service in services if "host" in service.name] == [
-        place.address for place in network.places
+        namespace.address for namespace in network.namespaces
     ]
     assert "Everything is well." in printed
     assert "hello from the second machine" in printed
@@ -102,10 +108,10 @@ def test_the_recipe_for_two_machines_works_as_it_stands(
     ],
 )
 def test_a_host_that_others_could_not_call_does_not_register(
-    network: Network, words: tuple[str, ...], told: str
+    network: NamespaceNetwork, words: tuple[str, ...], told: str
 ) -> None:
-    front, own = network.places
-    host = ServiceProcess("h", MODULES["host"], ["--frontend", f"{front.address}:7580", *words], place=own)
+    front, own = network.namespaces
+    host = ServiceProcess("h", MODULES["host"], ["--frontend", f"{front.address}:7580", *words], namespace=own)
     host.start()
     with pytest.raises(ServiceFailed):
         host.wait_ready(READY_SECONDS)
@@ -114,14 +120,14 @@ def test_a_host_that_others_could_not_call_does_not_register(
     assert told.format(own=own.address) in host.last_lines[-1]
 
 
-def test_a_front_end_tells_callers_elsewhere_that_the_supernodes_cannot_be_called(network: Network) -> None:
-    here, elsewhere = network.places
-    supernode = ServiceProcess("s", MODULES["supernode"], ["--listen", "localhost:0"], place=here)
+def test_a_front_end_tells_callers_elsewhere_that_the_supernodes_cannot_be_called(network: NamespaceNetwork) -> None:
+    here, elsewhere = network.namespaces
+    supernode = ServiceProcess("s", MODULES["supernode"], ["--listen", "localhost:0"], namespace=here)
     try:
         supernode.start()
         supernode.wait_ready(READY_SECONDS)
         words = ["--listen", f"{here.address}:0", "--supernodes", supernode.address, "--allow-insecure-anywhere"]
-        frontend = ServiceProcess("f", MODULES["frontend"], words, place=here)
+        frontend = ServiceProcess("f", MODULES["frontend"], words, namespace=here)
         frontend.start()
         frontend.wait_ready(READY_SECONDS)
         command = [sys.executable, "-m", "stampede_rt.cli", "ls", "--url", frontend.address]

@@ -36,8 +36,8 @@ def path_called(name: str) -> Iterator[tuple[Surface, SteeredHost]]:
 
 def numbers_of(seed: int) -> list[int]:
     """What the story of that seed draws from."""
-    dice = random.Random(seed)
-    return [dice.getrandbits(96) for _ in range(dice.randint(20, 40))]
+    rng = random.Random(seed)
+    return [rng.getrandbits(96) for _ in range(rng.randint(20, 40))]
 
 
 def main(name: str, first: int, count: int) -> None:

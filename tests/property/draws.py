@@ -8,7 +8,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match, MetaTime
 from stampede_rt_channel_host.core.channel import Offer, Position, Query
 from tests.oracle import OracleChannel
-from tests.property.dice import Dice
+from tests.property.random_source import RandomSource
 
 POLICIES = (
     Policy(max_age_nanos=20, max_future_nanos=8),
@@ -50,67 +50,67 @@ class Told(Protocol):
     oracle: OracleChannel
 
 
-def a_time(dice: Dice, story: Told) -> int:
+def a_time(rng: RandomSource, story: Told) -> int:
     """Near the newest item, near the clock on either side, near the edge of what is kept, or far off."""
     newest, oldest = story.oracle.newest or story.clock, story.oracle.oldest or story.clock
     cutoff = story.clock - min(story.oracle.max_age or 0, LOOKED_BACK_MAX)
-    around = dice.pick((story.clock, newest, oldest, cutoff, story.clock))
-    distant = dice.pick((10**6, -(10**6), 10**6, -(10**10), 10**10))
-    return around + dice.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21, distant))
+    around = rng.pick((story.clock, newest, oldest, cutoff, story.clock))
+    distant = rng.pick((10**6, -(10**6), 10**6, -(10**10), 10**10))
+    return around + rng.pick((0, 1, -1, 2, 3, -3, 5, -6, 8, 9, -12, -21, distant))
 
 
-def an_offer(dice: Dice, story: Told) -> Offer:
+def an_offer(rng: RandomSource, story: Told) -> Offer:
     """A run in any order, most of them small; its items stamped by the host, or each with a time of its own."""
-    items = dice.pick((40, 17)) if dice.one_in(30) else dice.pick(RUN_LENGTHS)
-    times = None if dice.one_in(6) else [a_time(dice, story) for _ in range(items)]
-    if times is not None and dice.below(2):
+    items = rng.pick((40, 17)) if rng.one_in(30) else rng.pick(RUN_LENGTHS)
+    times = None if rng.one_in(6) else [a_time(rng, story) for _ in range(items)]
+    if times is not None and rng.below(2):
         times.sort()
-    durations = [dice.pick(DURATIONS) for _ in range(items)] if dice.below(2) else None
+    durations = [rng.pick(DURATIONS) for _ in range(items)] if rng.below(2) else None
     column = None if durations is None else [-1 if one is None else one for one in durations]
-    return Offer(times=times, durations=column, lengths=[dice.pick(LENGTHS) for _ in range(items)])
+    return Offer(times=times, durations=column, lengths=[rng.pick(LENGTHS) for _ in range(items)])
 
 
-def a_bound(dice: Dice, story: Told) -> Bound:
+def a_bound(rng: RandomSource, story: Told) -> Bound:
     """Any instant, or any meta-time and what is near it."""
-    meta = dice.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
+    meta = rng.pick((None, MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST, None))
     if meta is None:
-        return Bound(None, dice.pick((MIN_INSTANT, MAX_INSTANT)) if dice.one_in(6) else a_time(dice, story))
-    return Bound(meta, dice.pick((0, -1, 1, -4, 4, -15, 15)))
+        return Bound(None, rng.pick((MIN_INSTANT, MAX_INSTANT)) if rng.one_in(6) else a_time(rng, story))
+    return Bound(meta, rng.pick((0, -1, 1, -4, 4, -15, 15)))
 
 
-def a_position(dice: Dice, story: Told) -> Position | None:
+def a_position(rng: RandomSource, story: Told) -> Position | None:
     """Mostly none, or an instant, or an item that is held or ever was."""
-    kind = dice.below(6)
+    kind = rng.below(6)
     if kind == 1:
-        return Position(a_time(dice, story))
-    return an_item_position(dice, story) if kind == 2 else None
+        return Position(a_time(rng, story))
+    return an_item_position(rng, story) if kind == 2 else None
 
 
-def an_item_position(dice: Dice, story: Told) -> Position | None:
+def an_item_position(rng: RandomSource, story: Told) -> Position | None:
     """Of any item that ever was."""
     if not story.oracle.log:
         return None
-    item = story.oracle.log[1 + dice.below(len(story.oracle.log))]
+    item = story.oracle.log[1 + rng.below(len(story.oracle.log))]
     return Position(item.time, item.seq)
 
 
-def a_query(dice: Dice, story: Told) -> Query:
+def a_query(rng: RandomSource, story: Told) -> Query:
     """Any read that asks for items between two bounds."""
-    start, end = a_bound(dice, story), a_bound(dice, story)
+    start, end = a_bound(rng, story), a_bound(rng, story)
     if start.meta is None and end.meta is None and start.offset > end.offset:
         start, end = end, start
     return Query(
-        interval=Interval(start, end, bool(dice.below(2)), bool(dice.below(2))),
-        match=dice.pick(tuple(Match)),
-        limit=dice.pick((None, 1, 2, 3)),
-        newest_first=bool(dice.below(2)),
-        complete=bool(dice.below(2)),
-        after=a_position(dice, story),
+        interval=Interval(start, end, bool(rng.below(2)), bool(rng.below(2))),
+        match=rng.pick(tuple(Match)),
+        limit=rng.pick((None, 1, 2, 3)),
+        newest_first=bool(rng.below(2)),
+        complete=bool(rng.below(2)),
+        after=a_position(rng, story),
     )
 
 
-def some_seqs(dice: Dice, story: Told) -> list[int]:
+def some_seqs(rng: RandomSource, story: Told) -> list[int]:
     """Of all that is held, its oldest items, its newest, or any that ever were; some twice, or none."""
-    held, kind = [item.seq for item in story.oracle.held], dice.below(4)
+    held, kind = [item.seq for item in story.oracle.held], rng.below(4)
     ever = len(story.oracle.log)
-    return (held, held[:2], held[-1:], [1 + dice.below(ever) for _ in range(2) if ever])[kind]
+    return (held, held[:2], held[-1:], [1 + rng.below(ever) for _ in range(2) if ever])[kind]

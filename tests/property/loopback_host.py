@@ -20,6 +20,7 @@ from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.dial import dial, dial_apart
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.clock import ManualClock
+from tests.support.processes import started
 from tests.unit.channel_host.fake_directory import FakeDirectory
 
 HOST_ID = b"the-loopback-hst"
@@ -60,9 +61,7 @@ def loopback_host() -> Iterator[LoopbackHost]:
     """A host that serves for as long as the block lasts."""
     arguments = [sys.executable, "-m", __name__]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    with subprocess.Popen(
-        arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
-    ) as process:
+    with started(arguments, env=environment) as process:
         try:
             yield LoopbackHost(process)
         finally:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, Interval, MetaTime
 from tests.oracle.runs import KEPT_NANOS
-from tests.property.dice import Dice
 from tests.property.draws import (
     CONSUMERS,
     DURATIONS,
@@ -29,6 +28,7 @@ from tests.property.draws import (
 )
 from tests.property.path_book import SteeredHost
 from tests.property.path_pair import PathPair
+from tests.property.random_source import RandomSource
 from tests.property.surfaces import Surface
 
 CHANGES = (
@@ -56,25 +56,25 @@ def may_wait(pair: PathPair) -> bool:
     return not waits_for_time and len(pair.line) < PUTS_MAX
 
 
-def put(dice: Dice, pair: PathPair) -> None:
-    time = None if dice.one_in(5) else a_time(dice, pair)
-    timeout = dice.pick((None, 0.0, None, MOMENT_S))
+def put(rng: RandomSource, pair: PathPair) -> None:
+    time = None if rng.one_in(5) else a_time(rng, pair)
+    timeout = rng.pick((None, 0.0, None, MOMENT_S))
     if not may_wait(pair):
         timeout = 0.0
-    pair.put_one(dice.below(2), time, dice.pick(DURATIONS), dice.pick(LENGTHS), timeout)
+    pair.put_one(rng.below(2), time, rng.pick(DURATIONS), rng.pick(LENGTHS), timeout)
 
 
-def put_run(dice: Dice, pair: PathPair) -> None:
-    producer_id, waits = dice.pick((1, 0, 2)), dice.below(3) > 0
-    pair.put_run(an_offer(dice, pair), producer_id, waits=waits and may_wait(pair))
+def put_run(rng: RandomSource, pair: PathPair) -> None:
+    producer_id, waits = rng.pick((1, 0, 2)), rng.below(3) > 0
+    pair.put_run(an_offer(rng, pair), producer_id, waits=waits and may_wait(pair))
 
 
-def put_again(dice: Dice, pair: PathPair) -> None:
+def put_again(rng: RandomSource, pair: PathPair) -> None:
     """One of the last runs, or any, comes a second time; or its producer has lost count."""
     if not pair.sent:
         return
-    former = pair.sent[dice.pick((-1, dice.below(len(pair.sent))))]
-    loses_count, numbers = dice.one_in(5), former.numbers
+    former = pair.sent[rng.pick((-1, rng.below(len(pair.sent))))]
+    loses_count, numbers = rng.one_in(5), former.numbers
     if loses_count:
         numbers = range(numbers.start, numbers.stop + 1)
     if pair.contends(former.producer_id, numbers):
@@ -85,32 +85,32 @@ def put_again(dice: Dice, pair: PathPair) -> None:
         pair.put_again(former)
 
 
-def hang_up(dice: Dice, pair: PathPair) -> None:
+def hang_up(rng: RandomSource, pair: PathPair) -> None:
     """A producer loses its stream while its run waits, and mostly comes again."""
     entries = [entry for entry in pair.line if entry.run.first_number]
     if not entries:
         return
-    entry = dice.pick(entries)
+    entry = rng.pick(entries)
     if sum(one.run is entry.run for one in pair.line) == 1:
         pair.hang_up(entry)
         run = entry.run
-        if dice.below(3) and may_wait(pair) and not pair.contends(run.producer_id, run.numbers):
+        if rng.below(3) and may_wait(pair) and not pair.contends(run.producer_id, run.numbers):
             pair.put_again(run)
 
 
-def get(dice: Dice, pair: PathPair) -> None:
-    pair.get(a_query(dice, pair), payloads=bool(dice.below(3)), waits_s=MOMENT_S if dice.one_in(6) else 0)
+def get(rng: RandomSource, pair: PathPair) -> None:
+    pair.get(a_query(rng, pair), payloads=bool(rng.below(3)), waits_s=MOMENT_S if rng.one_in(6) else 0)
 
 
-def pages(dice: Dice, pair: PathPair) -> None:
-    pair.pages(replace(a_query(dice, pair), limit=dice.pick((2, 1, 3))))
+def pages(rng: RandomSource, pair: PathPair) -> None:
+    pair.pages(replace(a_query(rng, pair), limit=rng.pick((2, 1, 3))))
 
 
-def around_now(dice: Dice, pair: PathPair) -> None:
+def around_now(rng: RandomSource, pair: PathPair) -> None:
     """Exactly at now, just before it and just after: by its name and by the clock, closed and open."""
-    start, end = ((MetaTime.NOW, pair.reader().channel.now(pair.clock))[dice.below(2)] for _ in range(2))
-    offsets = dice.pick((0, -1, 1)), dice.pick((0, 1, -1))
-    query = a_query(dice, pair)
+    start, end = ((MetaTime.NOW, pair.reader().channel.now(pair.clock))[rng.below(2)] for _ in range(2))
+    offsets = rng.pick((0, -1, 1)), rng.pick((0, 1, -1))
+    query = a_query(rng, pair)
     bounds = [
         Bound(anchor, by) if isinstance(anchor, MetaTime) else Bound(None, anchor + by)
         for anchor, by in zip((start, end), offsets, strict=True)
@@ -121,66 +121,66 @@ def around_now(dice: Dice, pair: PathPair) -> None:
     pair.get(replace(query, interval=interval, after=None))
 
 
-def begin(dice: Dice, pair: PathPair) -> None:
-    query = a_query(dice, pair)
+def begin(rng: RandomSource, pair: PathPair) -> None:
+    query = a_query(rng, pair)
     if len(pair.gets) < GETS_MAX and not (pair.line and pair.may_block_on_time(query)):
-        pair.begin(query, payloads=bool(dice.below(3)))
+        pair.begin(query, payloads=bool(rng.below(3)))
 
 
-def named_reads(dice: Dice, pair: PathPair) -> None:
-    pair.named_reads(a_bound(dice, pair), a_position(dice, pair))
+def named_reads(rng: RandomSource, pair: PathPair) -> None:
+    pair.named_reads(a_bound(rng, pair), a_position(rng, pair))
 
 
-def refused_interval(dice: Dice, pair: PathPair) -> None:
-    pair.refused_interval(a_time(dice, pair), a_time(dice, pair))
+def refused_interval(rng: RandomSource, pair: PathPair) -> None:
+    pair.refused_interval(a_time(rng, pair), a_time(rng, pair))
 
 
-def tick(dice: Dice, pair: PathPair) -> None:
-    pair.tick(dice.pick((*TICKS, 2 * 10**6)))
+def tick(rng: RandomSource, pair: PathPair) -> None:
+    pair.tick(rng.pick((*TICKS, 2 * 10**6)))
 
 
-def forget(dice: Dice, pair: PathPair) -> None:
+def forget(rng: RandomSource, pair: PathPair) -> None:
     """So long that runs are forgotten. Nobody waits meanwhile: timers are those of real time."""
-    if dice.below(2) and not (pair.line or pair.gets or pair.keeps_a_place):
-        pair.tick(KEPT_NANOS + dice.pick((0, -1, 1)))
+    if rng.below(2) and not (pair.line or pair.gets or pair.keeps_a_place):
+        pair.tick(KEPT_NANOS + rng.pick((0, -1, 1)))
 
 
-def step_clock(dice: Dice, pair: PathPair) -> None:
+def step_clock(rng: RandomSource, pair: PathPair) -> None:
     """Somebody sets the machine's clock; the next ticks bend towards it."""
-    pair.tick(dice.pick((4, 10)), wall_step=dice.pick((3600, -3600)) * 10**9)
+    pair.tick(rng.pick((4, 10)), wall_step=rng.pick((3600, -3600)) * 10**9)
 
 
-def advance(dice: Dice, pair: PathPair) -> None:
-    instant = a_time(dice, pair)
-    pair.advance(instant if dice.one_in(4) else min(instant, pair.clock))
+def advance(rng: RandomSource, pair: PathPair) -> None:
+    instant = a_time(rng, pair)
+    pair.advance(instant if rng.one_in(4) else min(instant, pair.clock))
 
 
-def configure(dice: Dice, pair: PathPair) -> None:
-    pair.configure(dice.pick(CHANGES))
+def configure(rng: RandomSource, pair: PathPair) -> None:
+    pair.configure(rng.pick(CHANGES))
 
 
-def consume(dice: Dice, pair: PathPair) -> None:
+def consume(rng: RandomSource, pair: PathPair) -> None:
     """By one of four consumers with leases of any length, or by a participant, whose lease the library keeps."""
-    seqs = some_seqs(dice, pair)
-    if dice.one_in(6):
+    seqs = some_seqs(rng, pair)
+    if rng.one_in(6):
         pair.consume_as_participant(seqs)
     else:
-        pair.consume(dice.pick(CONSUMERS), seqs, dice.pick(LEASES))
+        pair.consume(rng.pick(CONSUMERS), seqs, rng.pick(LEASES))
 
 
-def subscribe(dice: Dice, pair: PathPair) -> None:
-    kind = dice.below(3)
-    after = an_item_position(dice, pair) if kind == 2 else None
-    start = a_bound(dice, pair) if kind == 1 else None
+def subscribe(rng: RandomSource, pair: PathPair) -> None:
+    kind = rng.below(3)
+    after = an_item_position(rng, pair) if kind == 2 else None
+    start = a_bound(rng, pair) if kind == 1 else None
     if len(pair.followers) < SUBSCRIPTIONS_MAX:
-        pair.subscribe(start, after, newest=bool(dice.below(2)))
+        pair.subscribe(start, after, newest=bool(rng.below(2)))
 
 
-def rest(dice: Dice, pair: PathPair) -> None:
+def rest(rng: RandomSource, pair: PathPair) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
-Step = Callable[[Dice, PathPair], None]
+Step = Callable[[RandomSource, PathPair], None]
 STEPS: tuple[Step, ...] = (
     rest, put, get, put_run, tick, get, begin, put, subscribe, put, advance, configure, pages, named_reads, put_run,
     begin, put, tick, step_clock, refused_interval, put_again, consume, around_now, put_run, forget,
@@ -190,13 +190,13 @@ STEPS: tuple[Step, ...] = (
 
 def play(surface: Surface, host: SteeredHost, numbers: Sequence[int], tell: Callable[[str], None]) -> None:
     """One story; `tell` hears the names of its steps."""
-    pair = PathPair(surface, host, Dice(numbers[0]).pick(POLICIES))
+    pair = PathPair(surface, host, RandomSource(numbers[0]).pick(POLICIES))
     try:
         for number in numbers[1:]:
-            dice = Dice(number)
+            rng = RandomSource(number)
             counts = pair.oracle.consumers is not None
-            step = consume if counts and dice.one_in(4) else dice.pick(STEPS)
+            step = consume if counts and rng.one_in(4) else rng.pick(STEPS)
             tell(step.__name__)
-            step(dice, pair)
+            step(rng, pair)
     finally:
         pair.end()

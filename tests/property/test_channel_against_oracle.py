@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import Offer, Position, Query, pieces, tally
 from tests.property.channel_pair import INCARNATION, ChannelPair
-from tests.property.dice import Dice
 from tests.property.draws import (
     CONSUMERS,
     LEASES,
@@ -30,6 +29,7 @@ from tests.property.draws import (
     some_seqs,
 )
 from tests.property.draws import a_query as a_client_query
+from tests.property.random_source import RandomSource
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
 FIRST_CLOCK = 100
@@ -38,86 +38,86 @@ HUGE = 2**62
 SET_UPS = (*POLICIES, Policy(max_items=2, max_bytes=10_000, max_item_bytes=30, max_future_nanos=8))
 
 
-def put(dice: Dice, pair: ChannelPair) -> None:
-    pair.put(an_offer(dice, pair))
+def put(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.put(an_offer(rng, pair))
 
 
-def of_incarnation(dice: Dice, position: Position | None) -> Position | None:
+def of_incarnation(rng: RandomSource, position: Position | None) -> Position | None:
     """The same, of this channel's incarnation by name, or of whichever it is."""
     if position is None or position.seq is None:
         return position
-    return position._replace(incarnation=dice.pick((0, INCARNATION)))
+    return position._replace(incarnation=rng.pick((0, INCARNATION)))
 
 
-def a_query(dice: Dice, pair: ChannelPair) -> Query:
+def a_query(rng: RandomSource, pair: ChannelPair) -> Query:
     """As clients ask, and as their named reads do."""
-    query = a_client_query(dice, pair)
-    after, newer_than = (of_incarnation(dice, one) for one in (query.after, a_position(dice, pair)))
+    query = a_client_query(rng, pair)
+    after, newer_than = (of_incarnation(rng, one) for one in (query.after, a_position(rng, pair)))
     return replace(query, after=after, newer_than=newer_than)
 
 
-def read(dice: Dice, pair: ChannelPair) -> None:
-    pair.read(a_query(dice, pair))
+def read(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.read(a_query(rng, pair))
 
 
-def begin(dice: Dice, pair: ChannelPair) -> None:
-    pair.begin(a_query(dice, pair))
+def begin(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.begin(a_query(rng, pair))
 
 
-def tick(dice: Dice, pair: ChannelPair) -> None:
-    pair.tick(dice.pick(TICKS))
+def tick(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.tick(rng.pick(TICKS))
 
 
-def advance(dice: Dice, pair: ChannelPair) -> None:
-    instant = a_time(dice, pair)
-    pair.advance(instant if dice.one_in(4) else min(instant, pair.clock))
+def advance(rng: RandomSource, pair: ChannelPair) -> None:
+    instant = a_time(rng, pair)
+    pair.advance(instant if rng.one_in(4) else min(instant, pair.clock))
 
 
-def configure(dice: Dice, pair: ChannelPair) -> None:
-    pair.configure(dice.pick(SET_UPS))
+def configure(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.configure(rng.pick(SET_UPS))
 
 
-def consume(dice: Dice, pair: ChannelPair) -> None:
-    seqs = some_seqs(dice, pair)
-    pair.consume(dice.pick(CONSUMERS), seqs, dice.pick(LEASES))
+def consume(rng: RandomSource, pair: ChannelPair) -> None:
+    seqs = some_seqs(rng, pair)
+    pair.consume(rng.pick(CONSUMERS), seqs, rng.pick(LEASES))
 
 
-def carry(dice: Dice, pair: ChannelPair) -> None:
+def carry(rng: RandomSource, pair: ChannelPair) -> None:
     pair.carry_consumers()
 
 
-def subscribe(dice: Dice, pair: ChannelPair) -> None:
-    kind = dice.below(3)
-    after = of_incarnation(dice, an_item_position(dice, pair)) if kind == 2 else None
-    start = a_bound(dice, pair) if kind == 1 else None
+def subscribe(rng: RandomSource, pair: ChannelPair) -> None:
+    kind = rng.below(3)
+    after = of_incarnation(rng, an_item_position(rng, pair)) if kind == 2 else None
+    start = a_bound(rng, pair) if kind == 1 else None
     if len(pair.all_subscriptions) < 3:
-        pair.subscribe(start, bool(dice.below(2)), after)
+        pair.subscribe(start, bool(rng.below(2)), after)
 
 
-def resume(dice: Dice, pair: ChannelPair) -> None:
-    pair.resume(dice.below(3))
+def resume(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.resume(rng.below(3))
 
 
-def deliver(dice: Dice, pair: ChannelPair) -> None:
-    pair.deliver(dice.pick((1, 150, 10**6)))
+def deliver(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.deliver(rng.pick((1, 150, 10**6)))
 
 
-def retry_put(dice: Dice, pair: ChannelPair) -> None:
-    pair.retry_put(dice.below(4))
+def retry_put(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.retry_put(rng.below(4))
 
 
-def give_up(dice: Dice, pair: ChannelPair) -> None:
-    if dice.below(2):
-        pair.give_up_put(dice.below(4))
+def give_up(rng: RandomSource, pair: ChannelPair) -> None:
+    if rng.below(2):
+        pair.give_up_put(rng.below(4))
     else:
-        pair.give_up_get(dice.below(4))
+        pair.give_up_get(rng.below(4))
 
 
-def collect(dice: Dice, pair: ChannelPair) -> None:
-    pair.collect(1 + dice.below(3))
+def collect(rng: RandomSource, pair: ChannelPair) -> None:
+    pair.collect(1 + rng.below(3))
 
 
-def rest(dice: Dice, pair: ChannelPair) -> None:
+def rest(rng: RandomSource, pair: ChannelPair) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
@@ -132,7 +132,7 @@ def play(numbers: list[int]) -> None:
 
     What is held is counted in blocks, and long work done in pieces, as small as the few items of a story.
     """
-    first = Dice(numbers[0])
+    first = RandomSource(numbers[0])
     policy, lost_before = first.pick(SET_UPS), FIRST_CLOCK if first.one_in(5) else None
     pair = ChannelPair(policy, FIRST_CLOCK, lost_before)
     hasty, counts = bool(first.below(2)), pair.oracle.consumers is not None
@@ -145,10 +145,10 @@ def play(numbers: list[int]) -> None:
 
 def _play_steps(pair: ChannelPair, numbers: list[int], *, hasty: bool, counts: bool) -> None:
     for number in numbers:
-        dice = Dice(number)
-        step = consume if counts and dice.one_in(3) else dice.pick(STEPS)
+        rng = RandomSource(number)
+        step = consume if counts and rng.one_in(3) else rng.pick(STEPS)
         note(step.__name__)
-        step(dice, pair)
+        step(rng, pair)
         if not hasty:
             pair.poll_all()
             pair.check()

@@ -22,10 +22,10 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, tally
 from stampede_rt_channel_host.core.group import GroupDefinition
 from tests.property.channel_pair import INCARNATION
-from tests.property.dice import Dice
 from tests.property.group_listeners import Listeners
 from tests.property.group_readers import Readers
 from tests.property.group_world import CHANNELS, World
+from tests.property.random_source import RandomSource
 from tests.property.test_channel_against_oracle import (
     FIRST_CLOCK,
     a_bound,
@@ -58,159 +58,159 @@ class Story:
     listeners: Listeners
     told: list[str] = field(default_factory=list)
 
-    def a_group(self, dice: Dice) -> int:
-        return dice.below(len(self.world.definitions))
+    def a_group(self, rng: RandomSource) -> int:
+        return rng.below(len(self.world.definitions))
 
-    def a_member(self, dice: Dice) -> tuple[int, bytes]:
+    def a_member(self, rng: RandomSource) -> tuple[int, bytes]:
         """A group, and one of its channels."""
-        group = self.a_group(dice)
-        return group, dice.pick(sorted(self.world.definitions[group].members))
+        group = self.a_group(rng)
+        return group, rng.pick(sorted(self.world.definitions[group].members))
 
 
-def a_definition(dice: Dice) -> GroupDefinition:
-    members = dice.pick((CHANNELS, CHANNELS, CHANNELS[:2], CHANNELS[:1], CHANNELS[1:]))
+def a_definition(rng: RandomSource) -> GroupDefinition:
+    members = rng.pick((CHANNELS, CHANNELS, CHANNELS[:2], CHANNELS[:1], CHANNELS[1:]))
     return GroupDefinition(
         members=frozenset(members),
-        reference=dice.pick((None, None, members[0])),
-        by_end=dice.one_in(3),
-        max_lead_nanos=dice.pick((5, 0, 50)),
-        idle_after_nanos=dice.pick((None, None, 7)),
+        reference=rng.pick((None, None, members[0])),
+        by_end=rng.one_in(3),
+        max_lead_nanos=rng.pick((5, 0, 50)),
+        idle_after_nanos=rng.pick((None, None, 7)),
     )
 
 
-def put(dice: Dice, story: Story) -> None:
-    put_into(dice, story, dice.pick(CHANNELS))
+def put(rng: RandomSource, story: Story) -> None:
+    put_into(rng, story, rng.pick(CHANNELS))
 
 
-def put_into(dice: Dice, story: Story, channel_id: bytes) -> None:
+def put_into(rng: RandomSource, story: Story, channel_id: bytes) -> None:
     pair = story.world.pair(channel_id)
-    pair.put(an_offer(dice, pair))
+    pair.put(an_offer(rng, pair))
     story.world.spoken(channel_id)
 
 
-def advance(dice: Dice, story: Story) -> None:
-    channel_id = dice.pick(CHANNELS)
+def advance(rng: RandomSource, story: Story) -> None:
+    channel_id = rng.pick(CHANNELS)
     pair = story.world.pair(channel_id)
-    pair.advance(min(a_time(dice, pair), pair.clock))
+    pair.advance(min(a_time(rng, pair), pair.clock))
     story.world.spoken(channel_id)
 
 
-def tick(dice: Dice, story: Story) -> None:
-    nanos = dice.pick((1, 2, 0, 5, 9, 30))
+def tick(rng: RandomSource, story: Story) -> None:
+    nanos = rng.pick((1, 2, 0, 5, 9, 30))
     story.world.clock += nanos
     for channel_id in CHANNELS:
         story.world.pair(channel_id).tick(nanos)
 
 
-def use_up(dice: Dice, story: Story) -> None:
+def use_up(rng: RandomSource, story: Story) -> None:
     """Consume on a channel that counts it; on others they do as they do without groups."""
-    consume(dice, story.world.pair(dice.pick(CHANNELS)))
+    consume(rng, story.world.pair(rng.pick(CHANNELS)))
 
 
-def original(dice: Dice, story: Story) -> None:
+def original(rng: RandomSource, story: Story) -> None:
     """Somebody reads the channel itself."""
-    pair = story.world.pair(dice.pick(CHANNELS))
+    pair = story.world.pair(rng.pick(CHANNELS))
     if len(pair.all_subscriptions) < 2:
         pair.subscribe(None, False, None)
-    pair.deliver(dice.pick((10**6, 1)))
+    pair.deliver(rng.pick((10**6, 1)))
     if pair.incarnation == INCARNATION:
-        pair.read(a_query(dice, pair))
+        pair.read(a_query(rng, pair))
 
 
-def read(dice: Dice, story: Story) -> None:
-    group, channel_id = story.a_member(dice)
-    earlier = dice.pick((None, None, FIRST_CLOCK))
-    story.readers.read(group, channel_id, a_query(dice, story.world.pair(channel_id)), earlier)
+def read(rng: RandomSource, story: Story) -> None:
+    group, channel_id = story.a_member(rng)
+    earlier = rng.pick((None, None, FIRST_CLOCK))
+    story.readers.read(group, channel_id, a_query(rng, story.world.pair(channel_id)), earlier)
 
 
-def begin(dice: Dice, story: Story) -> None:
-    group, channel_id = story.a_member(dice)
+def begin(rng: RandomSource, story: Story) -> None:
+    group, channel_id = story.a_member(rng)
     if len(story.readers.gets) < 4:
-        story.readers.begin(group, channel_id, a_query(dice, story.world.pair(channel_id)))
+        story.readers.begin(group, channel_id, a_query(rng, story.world.pair(channel_id)))
 
 
-def give_up(dice: Dice, story: Story) -> None:
+def give_up(rng: RandomSource, story: Story) -> None:
     story.readers.give_up()
 
 
-def subscribe(dice: Dice, story: Story) -> None:
-    group, channel_id = story.a_member(dice)
-    pair, kind = story.world.pair(channel_id), dice.below(4)
-    start = a_bound(dice, pair) if kind == 1 else None
-    after = an_item_position(dice, pair) if kind == 2 and pair.oracle.log else None
+def subscribe(rng: RandomSource, story: Story) -> None:
+    group, channel_id = story.a_member(rng)
+    pair, kind = story.world.pair(channel_id), rng.below(4)
+    start = a_bound(rng, pair) if kind == 1 else None
+    after = an_item_position(rng, pair) if kind == 2 and pair.oracle.log else None
     if len(story.readers.subscribers) < 4:
-        story.readers.subscribe(group, channel_id, start, bool(dice.below(2)), after)
+        story.readers.subscribe(group, channel_id, start, bool(rng.below(2)), after)
 
 
-def resume(dice: Dice, story: Story) -> None:
-    story.readers.resume(dice.below(12))
+def resume(rng: RandomSource, story: Story) -> None:
+    story.readers.resume(rng.below(12))
 
 
-def go_on(dice: Dice, story: Story) -> None:
-    story.readers.go_on(dice.below(4))
+def go_on(rng: RandomSource, story: Story) -> None:
+    story.readers.go_on(rng.below(4))
 
 
-def deliver(dice: Dice, story: Story) -> None:
-    story.readers.deliver(dice.pick((10**6, 1, 150)))
+def deliver(rng: RandomSource, story: Story) -> None:
+    story.readers.deliver(rng.pick((10**6, 1, 150)))
 
 
-def subscribe_cuts(dice: Dice, story: Story) -> None:
+def subscribe_cuts(rng: RandomSource, story: Story) -> None:
     if len(story.listeners.events) < 2:
         story.listeners.subscribe_cuts(
-            story.a_group(dice), dice.pick(story.world.up), dice.pick((6, 0, 15)), dice.pick((0, 0, 4))
+            story.a_group(rng), rng.pick(story.world.up), rng.pick((6, 0, 15)), rng.pick((0, 0, 4))
         )
 
 
-def take_events(dice: Dice, story: Story) -> None:
-    limit_bytes, meddles = dice.pick((10**6, 1, 150)), bool(dice.below(2))
+def take_events(rng: RandomSource, story: Story) -> None:
+    limit_bytes, meddles = rng.pick((10**6, 1, 150)), bool(rng.below(2))
 
     def meddle(channel_id: bytes) -> None:
         if meddles:
-            put_into(dice, story, channel_id)
+            put_into(rng, story, channel_id)
 
     story.listeners.take_events(limit_bytes, meddle)
 
 
-def match(dice: Dice, story: Story) -> None:
+def match(rng: RandomSource, story: Story) -> None:
     if len(story.listeners.matches) < 2:
-        story.listeners.match(dice.pick((2, 0, 5)), dice.pick((0, 0, 3)), unique=bool(dice.below(2)))
+        story.listeners.match(rng.pick((2, 0, 5)), rng.pick((0, 0, 3)), unique=bool(rng.below(2)))
 
 
-def take_matches(dice: Dice, story: Story) -> None:
+def take_matches(rng: RandomSource, story: Story) -> None:
     story.listeners.take_matches()
 
 
-def exchange(dice: Dice, story: Story) -> None:
+def exchange(rng: RandomSource, story: Story) -> None:
     """All hosts tell all others, or one tells one."""
-    teller, hearer = dice.pick(story.world.up), dice.pick(story.world.up)
-    if dice.below(2) and teller != hearer:
+    teller, hearer = rng.pick(story.world.up), rng.pick(story.world.up)
+    if rng.below(2) and teller != hearer:
         story.world.tell(teller, hearer)
     else:
         story.world.exchange()
 
 
-def change_member(dice: Dice, story: Story) -> None:
-    group, channel_id, joins = story.a_group(dice), dice.pick(CHANNELS), bool(dice.below(2))
+def change_member(rng: RandomSource, story: Story) -> None:
+    group, channel_id, joins = story.a_group(rng), rng.pick(CHANNELS), bool(rng.below(2))
     if story.world.change_member(group, channel_id, joins=joins):
         story.listeners.member_changed(group, channel_id, joins=joins)
         if not joins:
             story.readers.member_left(group, channel_id)
 
 
-def migrate(dice: Dice, story: Story) -> None:
-    channel_id = dice.pick(CHANNELS)
-    if story.world.migrate(channel_id, dice.below(len(story.world.hosts)), heard=bool(dice.below(2))):
+def migrate(rng: RandomSource, story: Story) -> None:
+    channel_id = rng.pick(CHANNELS)
+    if story.world.migrate(channel_id, rng.below(len(story.world.hosts)), heard=bool(rng.below(2))):
         story.listeners.channel_moved(channel_id)
         story.readers.channels_gone([channel_id])
 
 
-def lose(dice: Dice, story: Story) -> None:
+def lose(rng: RandomSource, story: Story) -> None:
     """A host, which another one of those that are left inherits."""
-    if not dice.one_in(3):
+    if not rng.one_in(3):
         return
     world = story.world
-    host = dice.pick(world.up)
-    heir = dice.pick([one for one in world.up if one != host] or [host])
+    host = rng.pick(world.up)
+    heir = rng.pick([one for one in world.up if one != host] or [host])
     incarnations = [one.incarnation for one in world.definitions]
     lost = world.lose(host, heir)
     anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
@@ -220,19 +220,19 @@ def lose(dice: Dice, story: Story) -> None:
         one.groups_began_anew(anew)
 
 
-def bring_back(dice: Dice, story: Story) -> None:
-    story.world.bring_back(dice.below(len(story.world.hosts)))
+def bring_back(rng: RandomSource, story: Story) -> None:
+    story.world.bring_back(rng.below(len(story.world.hosts)))
 
 
-def stale_words(dice: Dice, story: Story) -> None:
-    story.world.stale_words(dice.pick(CHANNELS))
+def stale_words(rng: RandomSource, story: Story) -> None:
+    story.world.stale_words(rng.pick(CHANNELS))
 
 
-def rest(dice: Dice, story: Story) -> None:
+def rest(rng: RandomSource, story: Story) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
-Happening = Callable[[Dice, Story], None]
+Happening = Callable[[RandomSource, Story], None]
 
 STEPS: tuple[Happening, ...] = (
     rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
@@ -243,7 +243,7 @@ STEPS: tuple[Happening, ...] = (
 
 def play(numbers: list[int]) -> None:
     """One story: hosts, channels and groups, then a step for each number."""
-    first = Dice(numbers[0])
+    first = RandomSource(numbers[0])
     definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
     policies = [first.pick(POLICIES) for _ in CHANNELS]
     with (
@@ -262,10 +262,10 @@ def play(numbers: list[int]) -> None:
 def _play_steps(story: Story, numbers: list[int]) -> None:
     world, readers, listeners = story.world, story.readers, story.listeners
     for number in numbers:
-        dice = Dice(number)
-        step = dice.pick(STEPS)
+        rng = RandomSource(number)
+        step = rng.pick(STEPS)
         story.told.append(step.__name__)
-        step(dice, story)
+        step(rng, story)
         world.look()
         listeners.note()
         readers.poll_all()

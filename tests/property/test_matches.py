@@ -80,8 +80,8 @@ def test_what_comes_out_of_order_by_no_more_than_the_lateness_is_matched_as_if_a
     unique: bool,
     own: Sequence[tuple[int, int]], other: Sequence[tuple[int, int]], tolerance: int, lateness: int, seed: int,
 ) -> None:  # fmt: skip
-    dice = random.Random(seed)
-    replay = Replay(tolerance, lateness, unique=unique, is_far=bool(dice.randrange(2)))
+    rng = random.Random(seed)
+    replay = Replay(tolerance, lateness, unique=unique, is_far=bool(rng.randrange(2)))
     coming = {
         name: [time for time, _ in sorted(items, key=lambda one: one[0] + min(one[1], lateness))]
         for name, items in ((OWN, own), (OTHER, other))
@@ -89,11 +89,11 @@ def test_what_comes_out_of_order_by_no_more_than_the_lateness_is_matched_as_if_a
     if not lateness:  # else another one at the very time of the newest would be late
         coming = {name: [*dict.fromkeys(times)] for name, times in coming.items()}
     while any(coming.values()):
-        name = dice.choice([one for one, left in coming.items() if left])
+        name = rng.choice([one for one, left in coming.items() if left])
         replay.put(name, coming[name].pop(0))
-        if dice.randrange(2):
+        if rng.randrange(2):
             replay.take()
-        if not dice.randrange(4):
+        if not rng.randrange(4):
             replay.resume()
     replay.end()
     owns, others = sorted(replay.placed[OWN]), sorted(replay.placed[OTHER])

@@ -42,7 +42,7 @@ class Busy:
     """A channel to which random things happen."""
 
     def __init__(self, policy: Policy, seed: int) -> None:
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self.channel = Channel(policy, incarnation=1)
         self.now = NOW
         self.consumes = policy.consumers is not None
@@ -51,28 +51,28 @@ class Busy:
 
     def happen(self) -> None:
         """A put, in order or late, and what goes with it."""
-        dice = self.dice
-        self.now += dice.randrange(12)
-        times = [self.now - (0 if dice.random() < 0.6 else dice.randrange(200)) for _ in range(dice.randrange(1, 5))]
-        durations = [dice.randrange(-1, 30) for _ in times] if dice.random() < 0.3 else None
+        rng = self.rng
+        self.now += rng.randrange(12)
+        times = [self.now - (0 if rng.random() < 0.6 else rng.randrange(200)) for _ in range(rng.randrange(1, 5))]
+        durations = [rng.randrange(-1, 30) for _ in times] if rng.random() < 0.3 else None
         self.channel.put(Offer(times=times, durations=durations, lengths=[1] * len(times)), self.now, _seal)
-        if self.consumes and dice.random() < 0.7:
+        if self.consumes and rng.random() < 0.7:
             end = max(1, self.channel.next_seq - 25)
             self.channel.consume(1, range(max(1, end - 20), end), self.now)
-        if dice.random() < 0.5:
+        if rng.random() < 0.5:
             self.channel.collect(self.now)
 
     def query(self) -> Query:
         """Any read."""
-        dice = self.dice
-        low = self.now - dice.randrange(500)
-        after = Position(self.now - dice.randrange(300), dice.randrange(1, self.channel.next_seq))
+        rng = self.rng
+        low = self.now - rng.randrange(500)
+        after = Position(self.now - rng.randrange(300), rng.randrange(1, self.channel.next_seq))
         return Query(
-            interval=parse_interval(low, low + dice.randrange(600)),
-            match=dice.choice(list(Match)),
-            limit=dice.choice((None, None, 1, 7, 50)),
-            newest_first=dice.random() < 0.5,
-            after=after if dice.random() < 0.3 else None,
+            interval=parse_interval(low, low + rng.randrange(600)),
+            match=rng.choice(list(Match)),
+            limit=rng.choice((None, None, 1, 7, 50)),
+            newest_first=rng.random() < 0.5,
+            after=after if rng.random() < 0.3 else None,
         )
 
     def finish(self, rest: Pieces[Any]) -> Any:
@@ -125,7 +125,7 @@ def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_b
         for seed in range(300):
             busy = Busy(POLICIES["age"], seed)
             query, view = busy.query(), GroupView(busy.channel)
-            horizon = Horizon(busy.now - busy.dice.randrange(100), lambda: "held back")
+            horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
             expected = view.read(query, horizon, busy.now)
             found = first_of(view.reading(query, horizon, busy.now))
             if isinstance(found, Unfinished):
@@ -140,7 +140,7 @@ def test_a_subscription_that_begins_in_pieces_owes_what_was_held_when_it_was_beg
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(100):
             busy = Busy(POLICIES[name], seed)
-            time = busy.now - busy.dice.randrange(500)
+            time = busy.now - busy.rng.randrange(500)
             start = parse_interval(time, busy.now).start
             held, _ = busy.channel.look(busy.now)
             meant = {seq for place_time, seq in places([*held.slices()]) if place_time >= time}

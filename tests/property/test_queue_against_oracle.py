@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, note, settings
 from hypothesis import strategies as st
 
 from tests.oracle.queue import Setup
-from tests.property.dice import Dice
 from tests.property.queue_pair import QueuePair, Verdict
+from tests.property.random_source import RandomSource
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "2000"))
 FIRST_CLOCK = 100
@@ -34,77 +34,77 @@ SETUPS = (
 )
 
 
-def enqueue(dice: Dice, pair: QueuePair) -> None:
-    lengths = [dice.pick((8, 0, 40, 100, 400)) for _ in range(dice.pick((1, 2, 1, 3, 6)))]
-    wait = dice.pick((None, 0, 5, 20, None))
-    if dice.one_in(3) and pair.runs:  # a retry, or nearly one
-        before = dice.pick(pair.runs)
-        number = before.first_number + dice.pick((0, 0, 0, 1))
+def enqueue(rng: RandomSource, pair: QueuePair) -> None:
+    lengths = [rng.pick((8, 0, 40, 100, 400)) for _ in range(rng.pick((1, 2, 1, 3, 6)))]
+    wait = rng.pick((None, 0, 5, 20, None))
+    if rng.one_in(3) and pair.runs:  # a retry, or nearly one
+        before = rng.pick(pair.runs)
+        number = before.first_number + rng.pick((0, 0, 0, 1))
         pair.enqueue(list(before.lengths), before.producer_id, number, wait, before.message_id)
     else:
-        message_id = dice.pick(("", "one", "", "two")) if len(lengths) == 1 else ""
-        pair.enqueue(lengths, dice.pick((0, 5, 6)), 1 + 10 * len(pair.runs), wait, message_id)
+        message_id = rng.pick(("", "one", "", "two")) if len(lengths) == 1 else ""
+        pair.enqueue(lengths, rng.pick((0, 5, 6)), 1 + 10 * len(pair.runs), wait, message_id)
 
 
-def attach(dice: Dice, pair: QueuePair) -> None:
+def attach(rng: RandomSource, pair: QueuePair) -> None:
     if len(pair.takers) < 4:
-        pair.attach(1 + dice.below(3), dice.pick((None, 5, 50)))
-        pair.grant(len(pair.takers) - 1, dice.pick((1, 2, 10)))
+        pair.attach(1 + rng.below(3), rng.pick((None, 5, 50)))
+        pair.grant(len(pair.takers) - 1, rng.pick((1, 2, 10)))
 
 
-def grant(dice: Dice, pair: QueuePair) -> None:
-    pair.grant(dice.below(4), dice.pick((1, 3, 10, 0)))
+def grant(rng: RandomSource, pair: QueuePair) -> None:
+    pair.grant(rng.below(4), rng.pick((1, 3, 10, 0)))
 
 
-def sent(dice: Dice, pair: QueuePair) -> None:
-    pair.sent(dice.below(4), begun=dice.one_in(4))
+def sent(rng: RandomSource, pair: QueuePair) -> None:
+    pair.sent(rng.below(4), begun=rng.one_in(4))
 
 
-def leave(dice: Dice, pair: QueuePair) -> None:
-    pair.leave(dice.below(4), drain=dice.one_in(3))
+def leave(rng: RandomSource, pair: QueuePair) -> None:
+    pair.leave(rng.below(4), drain=rng.one_in(3))
 
 
-def settle(dice: Dice, pair: QueuePair) -> None:
+def settle(rng: RandomSource, pair: QueuePair) -> None:
     if pair.deliveries:
-        taker_id, _ = latest(dice, pair)
+        taker_id, _ = latest(rng, pair)
         pair.settle(
-            4 if dice.one_in(12) else taker_id, [a_verdict(dice, pair, taker_id) for _ in range(dice.pick((1, 2, 4)))]
+            4 if rng.one_in(12) else taker_id, [a_verdict(rng, pair, taker_id) for _ in range(rng.pick((1, 2, 4)))]
         )
 
 
-def latest(dice: Dice, pair: QueuePair) -> tuple[int, int]:
+def latest(rng: RandomSource, pair: QueuePair) -> tuple[int, int]:
     """A delivery, the newest ones rather than older ones."""
-    return pair.deliveries[-1 - dice.below(min(len(pair.deliveries), dice.pick((2, 5, 50))))]
+    return pair.deliveries[-1 - rng.below(min(len(pair.deliveries), rng.pick((2, 5, 50))))]
 
 
-def a_verdict(dice: Dice, pair: QueuePair, taker_id: int) -> Verdict:
+def a_verdict(rng: RandomSource, pair: QueuePair, taker_id: int) -> Verdict:
     own = [delivery_id for owner, delivery_id in pair.deliveries if owner == taker_id]
-    delivery_id = own[-1 - dice.below(min(len(own), 4))] if not dice.one_in(8) else latest(dice, pair)[1]
-    kind = dice.pick(("ack", "nack", "ack", "extend", "uncounted", "term"))
-    return kind, delivery_id, dice.pick((0, 3, 20)) if kind in ("nack", "uncounted") else dice.pick((10, 1, 100))
+    delivery_id = own[-1 - rng.below(min(len(own), 4))] if not rng.one_in(8) else latest(rng, pair)[1]
+    kind = rng.pick(("ack", "nack", "ack", "extend", "uncounted", "term"))
+    return kind, delivery_id, rng.pick((0, 3, 20)) if kind in ("nack", "uncounted") else rng.pick((10, 1, 100))
 
 
-def tick(dice: Dice, pair: QueuePair) -> None:
-    pair.tick(dice.pick((1, 3, 0, 8, 30, 1000, TEN_MINUTES)))
+def tick(rng: RandomSource, pair: QueuePair) -> None:
+    pair.tick(rng.pick((1, 3, 0, 8, 30, 1000, TEN_MINUTES)))
 
 
-def withdraw(dice: Dice, pair: QueuePair) -> None:
-    pair.withdraw(dice.below(3))
+def withdraw(rng: RandomSource, pair: QueuePair) -> None:
+    pair.withdraw(rng.below(3))
 
 
-def departed(dice: Dice, pair: QueuePair) -> None:
-    pair.departed(dice.below(2), failed=dice.one_in(3))
+def departed(rng: RandomSource, pair: QueuePair) -> None:
+    pair.departed(rng.below(2), failed=rng.one_in(3))
 
 
-def configure(dice: Dice, pair: QueuePair) -> None:
-    pair.configure(dice.pick(SETUPS))
+def configure(rng: RandomSource, pair: QueuePair) -> None:
+    pair.configure(rng.pick(SETUPS))
 
 
-def hand_over(dice: Dice, pair: QueuePair) -> None:
+def hand_over(rng: RandomSource, pair: QueuePair) -> None:
     pair.hand_over()
 
 
-def rest(dice: Dice, pair: QueuePair) -> None:
+def rest(rng: RandomSource, pair: QueuePair) -> None:
     """Nothing happens: what a step shrinks to."""
 
 
@@ -116,12 +116,12 @@ STEPS = (
 
 def play(numbers: list[int]) -> None:
     """One story: a set-up, then a step for each number."""
-    pair = QueuePair(Dice(numbers[0]).pick(SETUPS), FIRST_CLOCK)
+    pair = QueuePair(RandomSource(numbers[0]).pick(SETUPS), FIRST_CLOCK)
     for number in numbers[1:]:
-        dice = Dice(number)
-        step = dice.pick(STEPS)
+        rng = RandomSource(number)
+        step = rng.pick(STEPS)
         note(step.__name__)
-        step(dice, pair)
+        step(rng, pair)
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)

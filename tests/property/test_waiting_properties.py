@@ -44,7 +44,7 @@ class Story:
     """One channel, and gets that are blocked on it, whole or before a cut that only grows."""
 
     def __init__(self, seed: int, policy: Policy, *, grouped: bool) -> None:
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self.now = 1000
         self.channel = Channel(policy, incarnation=1)
         self.grouped = grouped
@@ -71,26 +71,26 @@ class Story:
 
     def bound(self) -> Bound:
         around = self.channel.newest or self.now
-        kind = self.dice.randrange(6)
+        kind = self.rng.randrange(6)
         if kind < 4:
-            return Bound(None, self.dice.choice((around, self.now)) + self.dice.randint(-8, 9))
-        meta = self.dice.choice((MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST))
-        return Bound(meta, self.dice.randint(-3, 3))
+            return Bound(None, self.rng.choice((around, self.now)) + self.rng.randint(-8, 9))
+        meta = self.rng.choice((MetaTime.NOW, MetaTime.NEWEST, MetaTime.OLDEST))
+        return Bound(meta, self.rng.randint(-3, 3))
 
     def block(self) -> None:
         begin, poll = self.view()
         around = self.channel.newest or self.now
-        position = Position(around + self.dice.randint(-2, 1), self.dice.choice((None, self.channel.next_seq - 1)))
+        position = Position(around + self.rng.randint(-2, 1), self.rng.choice((None, self.channel.next_seq - 1)))
         start, end = self.bound(), self.bound()
         if start.meta is None and end.meta is None and start.offset > end.offset:
             start, end = end, start
-        exclusive = self.dice.random() < 0.3, self.dice.random() < 0.5
+        exclusive = self.rng.random() < 0.3, self.rng.random() < 0.5
         query = Query(
             interval=Interval(start, end, *exclusive),
-            match=self.dice.choice(list(Match)),
-            complete=self.dice.random() < 0.3,
-            newer_than=position if self.dice.random() < 0.3 else None,
-            newest_first=self.dice.random() < 0.3,
+            match=self.rng.choice(list(Match)),
+            complete=self.rng.random() < 0.3,
+            newer_than=position if self.rng.random() < 0.3 else None,
+            newest_first=self.rng.random() < 0.3,
         )
         pending = begin(query)
         found = poll(pending)
@@ -99,25 +99,25 @@ class Story:
 
     def step(self) -> None:
         """Something happens, and whoever it may release is looked at."""
-        kind = self.dice.randrange(8)
-        around = self.dice.choice((self.channel.newest or self.now, self.now))
+        kind = self.rng.randrange(8)
+        around = self.rng.choice((self.channel.newest or self.now, self.now))
         if kind < 4:
-            items = self.dice.choice((1, 1, 2, 4))
-            times = [around + self.dice.randint(-7, 6) for _ in range(items)]
-            durations = [self.dice.choice((-1, 0, 1, 4, 9)) for _ in range(items)]
-            stamped = self.dice.random() < 0.2
+            items = self.rng.choice((1, 1, 2, 4))
+            times = [around + self.rng.randint(-7, 6) for _ in range(items)]
+            durations = [self.rng.choice((-1, 0, 1, 4, 9)) for _ in range(items)]
+            stamped = self.rng.random() < 0.2
             offer = Offer(times=None if stamped else times, durations=durations, lengths=[8] * items)
             self.channel.put(offer, self.now, lambda *_: b"")
         elif kind == 4:
-            self._refused(lambda: self.channel.advance(around + self.dice.randint(-3, 5), self.now))
+            self._refused(lambda: self.channel.advance(around + self.rng.randint(-3, 5), self.now))
         elif kind == 5 and self.policy.consumers:
             seqs = range(max(1, self.channel.next_seq - 6), self.channel.next_seq)
             self._refused(lambda: self.channel.consume(7, [*seqs], self.now))
         elif kind == 6:
-            self.channel.configure(self.dice.choice(POLICIES), self.now)
+            self.channel.configure(self.rng.choice(POLICIES), self.now)
             self.channel.configure(self.policy, self.now)
-        if self.grouped and self.dice.random() < 0.4:
-            self.cut = max(self.cut or 0, around + self.dice.randint(-6, 6))
+        if self.grouped and self.rng.random() < 0.4:
+            self.cut = max(self.cut or 0, around + self.rng.randint(-6, 6))
         self.look()
 
     def _refused(self, step: Callable[[], object]) -> None:
@@ -139,7 +139,7 @@ class Story:
 
     def pass_time(self) -> None:
         """Those are looked at whose instant has come."""
-        self.now += self.dice.choice((0, 1, 2, 5))
+        self.now += self.rng.choice((0, 1, 2, 5))
         _, poll = self.view()
         waiting, self.waiting = self.waiting, []
         for pending, wake in waiting:

@@ -40,7 +40,7 @@ async def persist(
     cluster: Cluster,
     method: str,
     request: Any,
-    dice: random.Random,
+    rng: random.Random,
     *,
     seconds: float = CALL_SECONDS,
     who: tuple[Role, str] = (Role.CLIENT, "caller"),
@@ -48,7 +48,7 @@ async def persist(
     """One call, at one supernode after the other with the same request id. Raises StampedeError for what the directory
     itself refuses, NotDone or Unknown."""
     deadline, unknown = time.monotonic() + seconds, False
-    nodes = dice.sample(cluster.supernodes, len(cluster.supernodes))
+    nodes = rng.sample(cluster.supernodes, len(cluster.supernodes))
     turn = 0
     while (left := deadline - time.monotonic()) > 0:
         node, turn = nodes[turn % len(nodes)], turn + 1
@@ -60,7 +60,7 @@ async def persist(
             if answered and refusal.reason in FINAL_REASONS:
                 raise refusal from error
             unknown |= not answered or refusal.reason not in ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
-        await asyncio.sleep(dice.uniform(0.02, 0.3))
+        await asyncio.sleep(rng.uniform(0.02, 0.3))
     raise Unknown if unknown else NotDone
 
 

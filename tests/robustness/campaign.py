@@ -79,9 +79,9 @@ def in_rounds(names: Iterable[str], seed: int, seconds: float) -> Iterator[str]:
 
     The first round may take twice as long: on a slow machine it is cut then, so that a run has an end.
     """
-    dice, known, began = random.Random(seed), sorted(names), time.monotonic()
+    rng, known, began = random.Random(seed), sorted(names), time.monotonic()
     for turn in itertools.count():
-        for name in dice.sample(known, len(known)):
+        for name in rng.sample(known, len(known)):
             if time.monotonic() - began > (seconds if turn else 2 * seconds):
                 return
             yield name

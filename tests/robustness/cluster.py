@@ -15,7 +15,7 @@ import grpc
 
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_local.namespaces import Place
+from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_runtime.identity import Role
 from tests.robustness.certificates import Certificates
 from tests.robustness.network import Network
@@ -23,7 +23,7 @@ from tests.robustness.placed_process import READY_SECONDS, PlacedProcess
 from tests.robustness.supernode import PORT, Supernode
 from tests.unit.supernode.processes import clean_environment
 
-SUPERNODES, SPARE_PLACES = 3, 1
+SUPERNODES, SPARE_NAMESPACES = 3, 1
 FRONTEND_PORT, HOST_PORT = 7580, 7570
 OPERATOR = "operator"
 COMMAND_SECONDS = 40.0
@@ -34,8 +34,10 @@ class Frontend(PlacedProcess):
 
     package = "stampede_rt_frontend"
 
-    def __init__(self, place: Place, folder: Path, tls: TlsFiles | None, supernodes: Sequence[Supernode]) -> None:
-        super().__init__("frontend", place, folder, FRONTEND_PORT, tls)
+    def __init__(
+        self, namespace: NetworkNamespace, folder: Path, tls: TlsFiles | None, supernodes: Sequence[Supernode]
+    ) -> None:
+        super().__init__("frontend", namespace, folder, FRONTEND_PORT, tls)
         self._seeds = ",".join(one.address for one in supernodes)
 
     def flags(self) -> Sequence[str]:
@@ -48,8 +50,10 @@ class Host(PlacedProcess):
 
     package = "stampede_rt_channel_host"
 
-    def __init__(self, name: str, place: Place, folder: Path, tls: TlsFiles | None, frontend: Frontend) -> None:
-        super().__init__(name, place, folder, HOST_PORT, tls)
+    def __init__(
+        self, name: str, namespace: NetworkNamespace, folder: Path, tls: TlsFiles | None, frontend: Frontend
+    ) -> None:
+        super().__init__(name, namespace, folder, HOST_PORT, tls)
         self._frontend = frontend
 
     def flags(self) -> Sequence[str]:
@@ -67,11 +71,11 @@ class Cluster:
         self.network, self.folder, self._compacts_early = network, folder, compacts_early
         folder.mkdir(parents=True, exist_ok=True)
         self.certificates = Certificates(folder / "certificates") if secured else None
-        self._spare = network.places[SUPERNODES : SUPERNODES + SPARE_PLACES]
-        places = network.places[:SUPERNODES]
-        members = ",".join(f"s{number}={place.address}:{PORT}" for number, place in enumerate(places, 1))
+        self._spare = network.namespaces[SUPERNODES : SUPERNODES + SPARE_NAMESPACES]
+        namespaces = network.namespaces[:SUPERNODES]
+        members = ",".join(f"s{number}={namespace.address}:{PORT}" for number, namespace in enumerate(namespaces, 1))
         self.supernodes = [
-            self._supernode(f"s{number}", place, members, relayed) for number, place in enumerate(places, 1)
+            self._supernode(f"s{number}", namespace, members, relayed) for number, namespace in enumerate(namespaces, 1)
         ]
         self.supernodes[-1].mount_small_disk()
         self._made = SUPERNODES
@@ -79,26 +83,26 @@ class Cluster:
         self.frontend: Frontend | None = None
         self.hosts: list[Host] = []
         if hosts:
-            front, *others = network.places[SUPERNODES + SPARE_PLACES :]
+            front, *others = network.namespaces[SUPERNODES + SPARE_NAMESPACES :]
             self.frontend = Frontend(front, folder, self._files(Role.FRONTEND, "frontend", front), self.supernodes)
-            self.hosts = [self._host(f"h{number}", place) for number, place in enumerate(others, 1)]
+            self.hosts = [self._host(f"h{number}", namespace) for number, namespace in enumerate(others, 1)]
 
-    def _files(self, role: Role, name: str, place: Place | None = None) -> TlsFiles | None:
+    def _files(self, role: Role, name: str, namespace: NetworkNamespace | None = None) -> TlsFiles | None:
         if self.certificates is None:
             return None
-        return self.certificates.files(role, name, *([place.address] if place is not None else []))
+        return self.certificates.files(role, name, *([namespace.address] if namespace is not None else []))
 
     def caller_files(self, role: Role, name: str) -> TlsFiles | None:
         """The certificate of a caller; None in a cluster without certificates."""
         return self._files(role, name)
 
-    def _supernode(self, name: str, place: Place, members: str, relayed: bool = False) -> Supernode:
-        tls = self._files(Role.SUPERNODE, name, place)
+    def _supernode(self, name: str, namespace: NetworkNamespace, members: str, relayed: bool = False) -> Supernode:
+        tls = self._files(Role.SUPERNODE, name, namespace)
         callers = self.caller_files
         early = self._compacts_early
         return Supernode(
             name,
-            place,
+            namespace,
             self.folder,
             members=members,
             tls=tls,
@@ -107,9 +111,9 @@ class Cluster:
             compacts_early=early,
         )
 
-    def _host(self, name: str, place: Place) -> Host:
+    def _host(self, name: str, namespace: NetworkNamespace) -> Host:
         assert self.frontend is not None
-        return Host(name, place, self.folder, self._files(Role.HOST, name, place), self.frontend)
+        return Host(name, namespace, self.folder, self._files(Role.HOST, name, namespace), self.frontend)
 
     def newcomer(self) -> Supernode:
         """A supernode that has yet to join, under an id that was never used, in the place that is free."""
@@ -123,7 +127,7 @@ class Cluster:
         self.supernodes = [other for other in self.supernodes if other is not one]
         self._former.append(one)  # there are callers that have not heard of it yet
         await one.close()
-        self._spare.append(one.place)
+        self._spare.append(one.namespace)
 
     async def command(self, *words: str, seconds: float = COMMAND_SECONDS) -> tuple[int, str]:
         """`stampede supernode WORDS` as the operator; its exit code and what it printed. Raises TimeoutError."""
@@ -225,7 +229,7 @@ async def running_cluster(
     folder: Path, *, relayed: bool = False, secured: bool = False, hosts: int = 0, compacts_early: bool = True
 ) -> AsyncIterator[Cluster]:
     """A cluster that serves, gone without a trace afterwards; its folder stays."""
-    with Network(SUPERNODES + SPARE_PLACES + (hosts + 1 if hosts else 0)) as network:
+    with Network(SUPERNODES + SPARE_NAMESPACES + (hosts + 1 if hosts else 0)) as network:
         cluster = Cluster(network, folder, relayed=relayed, secured=secured, hosts=hosts, compacts_early=compacts_early)
         try:
             await cluster.start()

@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 
 import grpc
 
-from stampede_rt_local.namespaces import Place
+from stampede_rt_local.namespaces import NetworkNamespace
 from tests.robustness.placed_process import DidNotBite, PlacedProcess
 from tests.robustness.scene import (
     FROZEN_LEADER_SECONDS_MAX,
@@ -78,7 +78,7 @@ async def freeze_leader(scene: Scene) -> None:
     await leader.freeze()
     try:
         recovery = await scene.recovery(began)
-        await asyncio.sleep(scene.dice.uniform(0.0, 3.0))
+        await asyncio.sleep(scene.rng.uniform(0.0, 3.0))
         _check_stopped(leader)
     finally:
         leader.thaw()
@@ -91,7 +91,7 @@ async def freeze_follower(scene: Scene) -> None:
     await follower.freeze()
     try:
         recovery = await scene.recovery(began)
-        await asyncio.sleep(scene.dice.uniform(2.0, 6.0))
+        await asyncio.sleep(scene.rng.uniform(2.0, 6.0))
         _check_stopped(follower)
     finally:
         follower.thaw()
@@ -103,7 +103,7 @@ def _check_stopped(one: PlacedProcess) -> None:
         raise DidNotBite(f"{one.name} went on by itself: it is in kernel state {one.kernel_state()}")
 
 
-Pairs = Sequence[tuple[Place, Place]]
+Pairs = Sequence[tuple[NetworkNamespace, NetworkNamespace]]
 
 
 @asynccontextmanager
@@ -120,9 +120,11 @@ async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
 
 def _check_ways(scene: Scene, pairs: Pairs) -> str:
     """Sends a datagram each way between all supernodes and what else is cut: it arrives where it should, alone."""
-    places = {place for pair in pairs for place in pair} | {one.place for one in scene.cluster.supernodes}
-    arrived = scene.cluster.network.ways(places)
-    every = set(itertools.permutations(places, 2))
+    namespaces = {namespace for pair in pairs for namespace in pair} | {
+        one.namespace for one in scene.cluster.supernodes
+    }
+    arrived = scene.cluster.network.ways(namespaces)
+    every = set(itertools.permutations(namespaces, 2))
     if arrived != every - set(pairs):
         wrong = [f"{sender.address} to {receiver.address}" for sender, receiver in arrived ^ (every - set(pairs))]
         raise DidNotBite(f"not as it should be on the way from {', from '.join(wrong)}")
@@ -132,9 +134,9 @@ def _check_ways(scene: Scene, pairs: Pairs) -> str:
 async def _partition(scene: Scene, kind: str, pairs: Sequence[tuple[Supernode, Supernode]]) -> None:
     """Callers reach everybody all the while."""
     began = time.monotonic()
-    async with cut(scene, [(sender.place, receiver.place) for sender, receiver in pairs]) as bite:
+    async with cut(scene, [(sender.namespace, receiver.namespace) for sender, receiver in pairs]) as bite:
         recovery = await scene.recovery(began)
-        await asyncio.sleep(scene.dice.uniform(3.0, 6.0))
+        await asyncio.sleep(scene.rng.uniform(3.0, 6.0))
     scene.ended(kind, began, recovery, bite=bite)
 
 
@@ -169,14 +171,14 @@ async def unplug_leader(scene: Scene) -> None:
     leader, other, _ = await scene.leader_and_other()
     network = scene.cluster.network
     began = time.monotonic()
-    network.plug(leader.place, in_=False)
+    network.plug(leader.namespace, in_=False)
     try:
-        if await asyncio.to_thread(network.ways, (other.place, leader.place)):
+        if await asyncio.to_thread(network.ways, (other.namespace, leader.namespace)):
             raise DidNotBite(f"{leader.name} is reached although its link is down")
         recovery = await scene.recovery(began)
-        await asyncio.sleep(scene.dice.uniform(1.0, 3.0))
+        await asyncio.sleep(scene.rng.uniform(1.0, 3.0))
     finally:
-        network.plug(leader.place, in_=True)
+        network.plug(leader.namespace, in_=True)
     scene.ended("the leader's link down", began, recovery, bite="datagrams to it vanish")
 
 
@@ -185,7 +187,7 @@ async def past_compaction(scene: Scene) -> None:
     leader, away, other = await scene.leader_and_other()
     began = time.monotonic()
     pairs = [(leader, away), (away, leader), (other, away), (away, other)]
-    async with cut(scene, [(sender.place, receiver.place) for sender, receiver in pairs]):
+    async with cut(scene, [(sender.namespace, receiver.namespace) for sender, receiver in pairs]):
         _, left_at = await away.members_seen()
         _, index = await leader.members_seen()
         await _grow(scene, leader, index + 1000)

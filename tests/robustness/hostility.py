@@ -59,8 +59,8 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     _, victim, _ = await scene.leader_and_other()
     began = time.monotonic()
     await victim.kill()
-    with tempfile.TemporaryDirectory(dir=scene.folder) as place:
-        spare = Path(shutil.copytree(victim.data_dir, Path(place, "spare")))
+    with tempfile.TemporaryDirectory(dir=scene.folder) as folder:
+        spare = Path(shutil.copytree(victim.data_dir, Path(folder, "spare")))
         note = await _damaged(scene, victim, spare, harm)
     scene.ended(kind, began, await scene.recovery(began), bite="the file differs from its copy", note=note)
 
@@ -69,7 +69,7 @@ async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[
     """Damage a file and start on it; afterwards the store is as in `spare` if it was refused. Gives what came of it."""
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
     # Half of the time the largest, which holds the log; else any, the small ones being the strange ones.
-    chosen = scene.dice.choice([max(files, key=lambda file: file.stat().st_size), scene.dice.choice(files)])
+    chosen = scene.rng.choice([max(files, key=lambda file: file.stat().st_size), scene.rng.choice(files)])
     what = harm(chosen)
     if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():
         raise DidNotBite(f"{chosen.name} is as it was")
@@ -88,8 +88,8 @@ async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[
 async def flip_bit(scene: Scene) -> None:
     def harm(file: Path) -> str:
         data = bytearray(file.read_bytes())
-        position = scene.dice.randrange(len(data))
-        data[position] ^= 1 << scene.dice.randrange(8)
+        position = scene.rng.randrange(len(data))
+        data[position] ^= 1 << scene.rng.randrange(8)
         file.write_bytes(data)
         return f"{file.name}, byte {position} of {len(data)}"
 
@@ -99,7 +99,7 @@ async def flip_bit(scene: Scene) -> None:
 async def truncate(scene: Scene) -> None:
     def harm(file: Path) -> str:
         size = file.stat().st_size
-        left = scene.dice.randrange(size)
+        left = scene.rng.randrange(size)
         os.truncate(file, left)
         return f"{file.name}, {left} of {size} bytes left"
 
@@ -109,9 +109,9 @@ async def truncate(scene: Scene) -> None:
 async def step_clock(scene: Scene) -> None:
     """Of the leader, or of all services, and by so much that certificates, where there are any, stay valid."""
     secured = scene.cluster.certificates is not None
-    seconds = scene.dice.choice([-120.0, HOUR, 30 * DAY] if secured else [-HOUR, HOUR, -3650 * DAY, 3650 * DAY])
+    seconds = scene.rng.choice([-120.0, HOUR, 30 * DAY] if secured else [-HOUR, HOUR, -3650 * DAY, 3650 * DAY])
     leader = await scene.cluster.leader()
-    victims: Sequence[PlacedProcess] = scene.dice.choice([scene.cluster.processes(), [leader]])
+    victims: Sequence[PlacedProcess] = scene.rng.choice([scene.cluster.processes(), [leader]])
     began = time.monotonic()
     for one in victims:
         one.step_wall_clock(seconds)
@@ -132,7 +132,7 @@ async def step_clock(scene: Scene) -> None:
 
 async def exhaust_descriptors(scene: Scene) -> None:
     """A service may open three files more, and many callers connect to it."""
-    victim = scene.dice.choice(scene.cluster.processes())
+    victim = scene.rng.choice(scene.cluster.processes())
     began = time.monotonic()
     limit = victim.limit_descriptors(3)
     connections = [_connect(victim) for _ in range(40)]
@@ -159,13 +159,13 @@ async def exhaust_descriptors(scene: Scene) -> None:
 def _connect(one: PlacedProcess) -> socket.socket:
     connection = socket.socket()
     connection.setblocking(False)
-    connection.connect_ex((one.place.address, one.port))
+    connection.connect_ex((one.namespace.address, one.port))
     return connection
 
 
 def _answers(one: PlacedProcess) -> str:
     """Whether a new connection is accepted and kept; the listener must have survived."""
-    with socket.create_connection((one.place.address, one.port), timeout=10) as connection:
+    with socket.create_connection((one.namespace.address, one.port), timeout=10) as connection:
         connection.settimeout(1.0)
         if one.tls is None:
             connection.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0)))

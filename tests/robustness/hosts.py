@@ -121,12 +121,12 @@ async def freeze_host(scene: Scene) -> None:
         began = time.monotonic()
         await pinned.host.freeze()
         try:
-            await asyncio.sleep(scene.dice.uniform(0.0, 1.0))
+            await asyncio.sleep(scene.rng.uniform(0.0, 1.0))
             waiting = [asyncio.create_task(_accepted(connection, pinned)) for _ in range(STALE_PUTS)]
             recovery = await _put_again(scene, pinned, began)
             given_away = time.monotonic()
             late = [asyncio.create_task(_accepted(connection, pinned)) for _ in range(STALE_PUTS)]
-            await asyncio.sleep(scene.dice.uniform(0.1, 2.0))
+            await asyncio.sleep(scene.rng.uniform(0.1, 2.0))
         finally:
             pinned.host.thaw()
         _check_refused(pinned, await asyncio.gather(*waiting, *late, _accepted(connection, pinned)))
@@ -138,8 +138,10 @@ async def freeze_host(scene: Scene) -> None:
 async def cut_off_host(scene: Scene) -> None:
     """It reaches no supernode, and its callers reach it: it must fence itself before its channels go elsewhere."""
     pinned = await _pin(scene)
-    places = [one.place for one in scene.cluster.supernodes]
-    pairs = [(pinned.host.place, place) for place in places] + [(place, pinned.host.place) for place in places]
+    namespaces = [one.namespace for one in scene.cluster.supernodes]
+    pairs = [(pinned.host.namespace, namespace) for namespace in namespaces] + [
+        (namespace, pinned.host.namespace) for namespace in namespaces
+    ]
     async with _direct(scene, pinned.host) as connection:
         began = time.monotonic()
         trying = asyncio.create_task(_last_accepted(connection, pinned))
@@ -163,7 +165,7 @@ def _traffic(scene: Scene) -> Traffic:
 async def _pin(scene: Scene) -> Pinned:
     """Raises StampedeError if the cluster has no such host."""
     traffic = _traffic(scene)
-    host = scene.dice.choice(scene.cluster.hosts)
+    host = scene.rng.choice(scene.cluster.hosts)
     channel = await traffic.open(f"robust-pinned/{time.monotonic_ns()}", host=host.name)
     item = await traffic.put(channel)
     if channel.host != host.name:

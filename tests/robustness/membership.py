@@ -24,7 +24,7 @@ PAUSE_SECONDS = 0.5
 async def grow_and_shrink(scene: Scene) -> None:
     """A fourth joins and a follower is removed, while something goes wrong with another."""
     began = time.monotonic()
-    troubled = scene.dice.choice(scene.cluster.supernodes)
+    troubled = scene.rng.choice(scene.cluster.supernodes)
     async with _trouble(scene, troubled) as trouble:
         newcomer = await _join(scene)
         leader = await scene.cluster.leader()
@@ -56,7 +56,7 @@ async def replace_dead(scene: Scene) -> None:
     recovery = await scene.recovery(began)
     await _command(scene, "remove", dead.name)
     await scene.cluster.forget(dead)
-    async with _trouble(scene, scene.dice.choice(scene.cluster.supernodes)) as trouble:
+    async with _trouble(scene, scene.rng.choice(scene.cluster.supernodes)) as trouble:
         newcomer = await _join(scene)
     bite = await _listed(scene, newcomer, dead)
     kind = "membership: a dead one is replaced by one that joins"
@@ -143,10 +143,10 @@ async def _trouble(scene: Scene, victim: Supernode) -> AsyncIterator[str]:
         "SIGSTOP": _freeze_for_a_moment,
         "a partition": _cut_off_for_a_moment,
     }
-    kind = scene.dice.choice(sorted(kinds))
+    kind = scene.rng.choice(sorted(kinds))
 
     async def later() -> None:
-        await asyncio.sleep(scene.dice.uniform(0.0, 2.0))
+        await asyncio.sleep(scene.rng.uniform(0.0, 2.0))
         await kinds[kind](scene, victim)
 
     task = asyncio.create_task(later())
@@ -163,15 +163,15 @@ async def _kill_for_a_moment(_scene: Scene, victim: Supernode) -> None:
 
 async def _freeze_for_a_moment(scene: Scene, victim: Supernode) -> None:
     await victim.freeze()
-    await asyncio.sleep(scene.dice.uniform(1.0, 3.0))
+    await asyncio.sleep(scene.rng.uniform(1.0, 3.0))
     victim.thaw()
 
 
 async def _cut_off_for_a_moment(scene: Scene, victim: Supernode) -> None:
-    others = [one.place for one in scene.cluster.others(victim)]
-    pairs = [(victim.place, other) for other in others] + [(other, victim.place) for other in others]
+    others = [one.namespace for one in scene.cluster.others(victim)]
+    pairs = [(victim.namespace, other) for other in others] + [(other, victim.namespace) for other in others]
     async with cut(scene, pairs):
-        await asyncio.sleep(scene.dice.uniform(1.0, 3.0))
+        await asyncio.sleep(scene.rng.uniform(1.0, 3.0))
 
 
 FAULTS: dict[str, Fault] = {

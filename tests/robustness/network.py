@@ -13,13 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
 from stampede_rt_local import namespaces
-from stampede_rt_local.namespaces import Place, ip, run
+from stampede_rt_local.namespaces import NetworkNamespace, ip, run
 
 WITNESS_PORT = 7598
 WITNESS_SECONDS = 0.3
 
 
-class Network(namespaces.Network):
+class Network(namespaces.NamespaceNetwork):
     """Places that reach each other as long as nothing is blocked or unplugged, with a witness in each."""
 
     def __init__(self, size: int) -> None:
@@ -30,8 +30,8 @@ class Network(namespaces.Network):
     def __enter__(self) -> Self:
         super().__enter__()
         try:
-            for place in self.places:
-                self._witnesses[place.namespace] = _socket_inside(place)
+            for namespace in self.namespaces:
+                self._witnesses[namespace.name] = _socket_inside(namespace)
         except BaseException:
             self.close()
             raise
@@ -43,7 +43,7 @@ class Network(namespaces.Network):
             witness.close()
         super().close()
 
-    def block(self, sender: Place, receiver: Place) -> None:
+    def block(self, sender: NetworkNamespace, receiver: NetworkNamespace) -> None:
         """From now on nothing that `sender` sends reaches `receiver`; the other direction stays as it is."""
         if self._drops_silently:
             rule = ("INPUT", "-s", sender.address, "-j", "DROP")
@@ -55,32 +55,32 @@ class Network(namespaces.Network):
 
     def unblock_all(self) -> None:
         """Everything passes again."""
-        for place in self.places:
+        for namespace in self.namespaces:
             if self._drops_silently:
-                run(place.command("iptables", "-F", "INPUT"))
+                run(namespace.command("iptables", "-F", "INPUT"))
             else:
-                run(place.command("ip", "route", "flush", "type", "blackhole"), check=False)
+                run(namespace.command("ip", "route", "flush", "type", "blackhole"), check=False)
 
-    def plug(self, place: Place, *, in_: bool) -> None:
+    def plug(self, namespace: NetworkNamespace, *, in_: bool) -> None:
         """Pull the place's cable, or put it back in."""
-        ip("link", "set", place.outer_link, "up" if in_ else "down")
+        ip("link", "set", namespace.outer_link, "up" if in_ else "down")
 
-    def ways(self, places: Iterable[Place]) -> set[tuple[Place, Place]]:
+    def ways(self, namespaces: Iterable[NetworkNamespace]) -> set[tuple[NetworkNamespace, NetworkNamespace]]:
         """From whom to whom a datagram arrives at this moment, of all pairs. Blocks for WITNESS_SECONDS at most."""
-        tokens: dict[bytes, tuple[Place, Place]] = {}
-        for sender, receiver in itertools.permutations(places, 2):
+        tokens: dict[bytes, tuple[NetworkNamespace, NetworkNamespace]] = {}
+        for sender, receiver in itertools.permutations(namespaces, 2):
             tokens[token := secrets.token_bytes(8)] = (sender, receiver)
             with contextlib.suppress(OSError):  # the sender was told that there is no way
-                self._witnesses[sender.namespace].sendto(token, (receiver.address, WITNESS_PORT))
+                self._witnesses[sender.name].sendto(token, (receiver.address, WITNESS_PORT))
         deadline = time.monotonic() + WITNESS_SECONDS
         arrived = set()
         for receiver in {receiver for _, receiver in tokens.values()}:
             arrived |= {tokens[token] for token in self._inbox(receiver, deadline) if token in tokens}
         return arrived
 
-    def _inbox(self, place: Place, deadline: float) -> Iterator[bytes]:
+    def _inbox(self, namespace: NetworkNamespace, deadline: float) -> Iterator[bytes]:
         """What has arrived there, and what does until `deadline`."""
-        inbox = self._witnesses[place.namespace]
+        inbox = self._witnesses[namespace.name]
         while True:
             inbox.settimeout(max(0.001, deadline - time.monotonic()))
             try:
@@ -89,13 +89,13 @@ class Network(namespaces.Network):
                 return
 
 
-def _socket_inside(place: Place) -> socket.socket:
-    """A socket of this process in the namespace of `place`. Only the thread that makes it goes there."""
+def _socket_inside(namespace: NetworkNamespace) -> socket.socket:
+    """A socket of this process in the namespace of `namespace`. Only the thread that makes it goes there."""
 
     def make() -> socket.socket:
-        place.enter()
+        namespace.enter()
         witness = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        witness.bind((place.address, WITNESS_PORT))
+        witness.bind((namespace.address, WITNESS_PORT))
         return witness
 
     with ThreadPoolExecutor(1) as thread:

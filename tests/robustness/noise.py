@@ -62,7 +62,7 @@ async def noise(scene: Scene) -> None:
     canary = scene.folder / "canary"
     trap = pickle.dumps(_Trap(canary))
     insider = scene.cluster.caller_files(Role.SUPERNODE, scene.cluster.supernodes[0].name)
-    payloads = [trap, HTTP1, *(scene.dice.randbytes(RANDOM_BYTES) for _ in range(RANDOM_PAYLOADS))]
+    payloads = [trap, HTTP1, *(scene.rng.randbytes(RANDOM_BYTES) for _ in range(RANDOM_PAYLOADS))]
     payloads += [PREFACE + payload for payload in payloads] + [giant_frame(), giant_message()]
     victims = scene.cluster.processes()
     before = {one.name: _memory_from_now(one) for one in victims}
@@ -70,7 +70,7 @@ async def noise(scene: Scene) -> None:
     for one in victims:
         with half_hellos(one):
             refused += await asyncio.to_thread(_send_all, one, payloads, insider)
-            for payload in (trap, scene.dice.randbytes(2000), b"\0" * GIANT_MESSAGE_BYTES):
+            for payload in (trap, scene.rng.randbytes(2000), b"\0" * GIANT_MESSAGE_BYTES):
                 refused += await _send_as_messages(one, payload, insider)
     recovery = await scene.recovery(began)
     _check_unharmed(victims, canary)
@@ -123,7 +123,7 @@ def half_hellos(one: PlacedProcess) -> Iterator[None]:
     half = outgoing.read()[:100]
     with contextlib.ExitStack() as stack:
         for _ in range(HALF_HELLOS):
-            address = (one.place.address, one.port)
+            address = (one.namespace.address, one.port)
             connection = stack.enter_context(socket.create_connection(address, timeout=5))
             connection.sendall(half)
         yield
@@ -149,7 +149,7 @@ def tls_context(files: TlsFiles) -> ssl.SSLContext:
 
 def _send(one: PlacedProcess, payload: bytes, context: ssl.SSLContext | None) -> bool:
     """Whether the service hung up within a moment."""
-    plain = socket.create_connection((one.place.address, one.port), timeout=5)
+    plain = socket.create_connection((one.namespace.address, one.port), timeout=5)
     try:
         with plain, _wrapped(plain, one, context) as connection:
             connection.settimeout(0.2)
@@ -164,7 +164,7 @@ def _send(one: PlacedProcess, payload: bytes, context: ssl.SSLContext | None) ->
 
 
 def _wrapped(plain: socket.socket, one: PlacedProcess, context: ssl.SSLContext | None) -> socket.socket:
-    return plain if context is None else context.wrap_socket(plain, server_hostname=one.place.address)
+    return plain if context is None else context.wrap_socket(plain, server_hostname=one.namespace.address)
 
 
 async def _send_as_messages(one: PlacedProcess, payload: bytes, insider: TlsFiles | None) -> int:

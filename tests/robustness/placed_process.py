@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
-from stampede_rt_local.namespaces import Place
+from stampede_rt_local.namespaces import NetworkNamespace
 from tests.robustness.service_process import CLOCK_FILE
 from tests.unit.supernode.processes import clean_environment
 
@@ -31,9 +31,9 @@ class PlacedProcess:
 
     package = ""
 
-    def __init__(self, name: str, place: Place, folder: Path, port: int, tls: TlsFiles | None) -> None:
-        self.name, self.place, self.folder, self.port, self.tls = name, place, folder, port, tls
-        self.address = f"{place.address}:{port}"
+    def __init__(self, name: str, namespace: NetworkNamespace, folder: Path, port: int, tls: TlsFiles | None) -> None:
+        self.name, self.namespace, self.folder, self.port, self.tls = name, namespace, folder, port, tls
+        self.address = f"{namespace.address}:{port}"
         self.data_dir = folder / name
         self.log_file = folder / f"{name}.log"
         self.clock_file = folder / f"{name}.clock"
@@ -70,7 +70,7 @@ class PlacedProcess:
         self._launched = time.monotonic()
         with self.log_file.open("ab") as log:
             self._process = await asyncio.create_subprocess_exec(
-                *self.place.command(*words), stdout=subprocess.PIPE, stderr=log, env=self.environment()
+                *self.namespace.command(*words), stdout=subprocess.PIPE, stderr=log, env=self.environment()
             )
 
     async def start(self) -> bool:

@@ -1,16 +1,17 @@
 """A TCP relay that makes a network bad: `python -m tests.robustness.relay LISTEN_HOST:PORT TO_HOST:PORT`.
 
-Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share`, each answered with a line that counts what
-the weather before it did: chunks, of those stalled, milliseconds waited in all, connections cut. Every chunk waits
-delay plus up to jitter; a `stall_share` of them waits 0.2 to 0.6 s more, which is what a lost segment costs a TCP
-reader (RFC 6298); at a `cut_share` of them the connection is reset. Bytes of one connection stay in order, as TCP has
-it; those of different connections overtake each other.
+Weather comes as lines on stdin, `delay_s jitter_s stall_share cut_share [bytes_per_s]`, each answered with a line that
+counts what the weather before it did: chunks, of those stalled, milliseconds waited in all, connections cut. Every
+chunk waits delay plus up to jitter; a `stall_share` of them waits 0.2 to 0.6 s more, which is what a lost segment costs
+a TCP reader (RFC 6298); at a `cut_share` of them the connection is reset. All connections share `bytes_per_s` each way.
+Bytes of one connection stay in order, as TCP has it; those of different connections overtake each other.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import random
 import sys
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ class Weather:
     jitter_s: float = 0.0
     stall_share: float = 0.0
     cut_share: float = 0.0
+    bytes_per_s: float = math.inf
     chunks: int = 0
     stalled: int = 0
     waited_s: float = 0.0
@@ -50,12 +52,25 @@ class Weather:
         return f"{self.chunks} {self.stalled} {round(1000 * self.waited_s)} {self.cuts}"
 
 
+class _Way:
+    """One direction, which carries so many bytes a second; whoever sends more waits."""
+
+    def __init__(self) -> None:
+        self._free_at = 0.0
+
+    async def carry(self, size_bytes: int, bytes_per_s: float) -> None:
+        now = asyncio.get_running_loop().time()
+        self._free_at = max(now, self._free_at) + size_bytes / bytes_per_s
+        await asyncio.sleep(self._free_at - now)
+
+
 class Relay:
     """Every connection is passed on to `target`, under the weather of the moment."""
 
     def __init__(self, target: tuple[str, int]) -> None:
         self.weather = Weather()
         self._target = target
+        self._inward, self._outward = _Way(), _Way()
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One connection, until either end closes or the weather cuts it."""
@@ -65,8 +80,8 @@ class Relay:
             writer.transport.abort()
             return
         ways = [
-            asyncio.create_task(self._pass(reader, far_writer)),
-            asyncio.create_task(self._pass(far_reader, writer)),
+            asyncio.create_task(self._pass(reader, far_writer, self._inward)),
+            asyncio.create_task(self._pass(far_reader, writer, self._outward)),
         ]
         try:
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
@@ -77,7 +92,7 @@ class Relay:
             for end in (writer, far_writer):
                 end.transport.abort()
 
-    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, way: _Way) -> None:
         waiting: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(CHUNKS_WAITING_MAX)
         sending = asyncio.create_task(_send(waiting, writer))
         now = asyncio.get_running_loop().time
@@ -86,6 +101,7 @@ class Relay:
                 while chunk := await reader.read(CHUNK_BYTES):
                     if self.weather.cuts_now() or sending.done():
                         return
+                    await way.carry(len(chunk), self.weather.bytes_per_s)
                     await waiting.put((now() + self.weather.wait_s(), chunk))
         finally:
             sending.cancel()
@@ -109,8 +125,7 @@ async def main(listen: str, to: str) -> None:
     async with await asyncio.start_server(relay.serve, host, int(port)):
         print("ready", flush=True)
         while line := await asyncio.to_thread(sys.stdin.readline):
-            delay_s, jitter_s, stall_share, cut_share = map(float, line.split())
-            former, relay.weather = relay.weather, Weather(delay_s, jitter_s, stall_share, cut_share)
+            former, relay.weather = relay.weather, Weather(*map(float, line.split()))
             print(former.counts(), flush=True)
 
 

@@ -62,7 +62,7 @@ class Scene:
 
     cluster: Cluster
     probe: Probe
-    dice: random.Random
+    rng: random.Random
     folder: Path
     traffic: Traffic | None = None
     outcomes: list[Outcome] = field(default_factory=list)
@@ -74,7 +74,7 @@ class Scene:
     async def leader_and_other(self) -> tuple[Supernode, Supernode, Supernode]:
         """The leader, and two others in any order."""
         leader = await self.cluster.leader()
-        first, second = self.dice.sample(self.cluster.others(leader), 2)
+        first, second = self.rng.sample(self.cluster.others(leader), 2)
         return leader, first, second
 
     def ended(self, kind: str, began: float, recovery_s: float | None = None, **facts: Any) -> None:

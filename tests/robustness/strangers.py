@@ -27,8 +27,8 @@ async def rotate(scene: Scene) -> None:
     certificates = _certificates(scene)
     victims = scene.cluster.processes()
     began = time.monotonic()
-    with tempfile.TemporaryDirectory(dir=scene.folder) as place:
-        former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(place))
+    with tempfile.TemporaryDirectory(dir=scene.folder) as namespace:
+        former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(namespace))
         await _rotated(certificates, victims, former)
     recovery = await scene.recovery(time.monotonic())
     bite = f"all {len(victims)} services show new certificates and refuse the former"
@@ -54,9 +54,9 @@ async def strangers(scene: Scene) -> None:
     began = time.monotonic()
     right = certificates.files(Role.CLIENT, "stranger")
     refused = 0
-    with tempfile.TemporaryDirectory(dir=scene.folder) as place:
+    with tempfile.TemporaryDirectory(dir=scene.folder) as namespace:
         wrong = {
-            "foreign": certificates.foreign(Role.CLIENT, "stranger", Path(place, "foreign")),
+            "foreign": certificates.foreign(Role.CLIENT, "stranger", Path(namespace, "foreign")),
             "expired": certificates.expired(Role.CLIENT, "stranger"),
             "no": None,
         }
@@ -116,9 +116,9 @@ def _shows_own(one: PlacedProcess, caller: TlsFiles) -> bool:
 
 
 def _connected(one: PlacedProcess, context: ssl.SSLContext) -> ssl.SSLSocket:
-    plain = socket.create_connection((one.place.address, one.port), timeout=5)
+    plain = socket.create_connection((one.namespace.address, one.port), timeout=5)
     try:
-        return context.wrap_socket(plain, server_hostname=one.place.address)
+        return context.wrap_socket(plain, server_hostname=one.namespace.address)
     except BaseException:
         plain.close()
         raise

@@ -18,7 +18,7 @@ import grpc
 from stampede_rt.security.tls import TlsFiles, TlsReader
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_local.namespaces import Place
+from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
@@ -42,7 +42,7 @@ class Supernode(PlacedProcess):
     def __init__(
         self,
         name: str,
-        place: Place,
+        namespace: NetworkNamespace,
         folder: Path,
         *,
         members: str,
@@ -51,7 +51,7 @@ class Supernode(PlacedProcess):
         relayed: bool = False,
         compacts_early: bool = True,
     ) -> None:
-        super().__init__(name, place, folder, PORT, tls)
+        super().__init__(name, namespace, folder, PORT, tls)
         self._members, self._callers, self._relayed = members, callers, relayed
         self._compacts_early = compacts_early
         self._relay: asyncio.subprocess.Process | None = None
@@ -125,7 +125,7 @@ class Supernode(PlacedProcess):
     async def _start_relay(self) -> None:
         command = [sys.executable, "-m", "tests.robustness.relay", self.address, f"localhost:{INNER_PORT}"]
         self._relay = await asyncio.create_subprocess_exec(
-            *self.place.command(*command), stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            *self.namespace.command(*command), stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
         assert self._relay.stdout is not None
         await self._relay.stdout.readline()

@@ -23,15 +23,15 @@ WHY_NOT = unavailable_because()
 @pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 def test_a_way_that_is_cut_is_seen_to_be_cut_in_that_direction_alone() -> None:
     with Network(2) as network:
-        first, second = network.places
+        first, second = network.namespaces
         both = {(first, second), (second, first)}
-        assert network.ways(network.places) == both
+        assert network.ways(network.namespaces) == both
         network.block(first, second)
-        assert network.ways(network.places) == {(second, first)}
+        assert network.ways(network.namespaces) == {(second, first)}
         network.unblock_all()
-        assert network.ways(network.places) == both
+        assert network.ways(network.namespaces) == both
         network.plug(first, in_=False)
-        assert network.ways(network.places) == set()
+        assert network.ways(network.namespaces) == set()
 
 
 def test_the_wall_clock_of_a_process_follows_its_file_and_no_other_clock_does(

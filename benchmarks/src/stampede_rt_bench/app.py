@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from stampede_rt.cli.interrupts import unwinding
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost, skew, visibility
@@ -36,7 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     run: Callable[[argparse.Namespace], int] = arguments.run
     try:
-        return run(arguments)
+        with unwinding(signal.SIGINT, signal.SIGTERM):
+            return run(arguments)
     except KeyboardInterrupt:
         print("\nstampede bench: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

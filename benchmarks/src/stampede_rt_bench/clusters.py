@@ -8,13 +8,13 @@ from contextlib import contextmanager
 
 import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.namespaces import Network
+from stampede_rt_local.namespaces import NamespaceNetwork
 
 SECRET_VARIABLE = "STAMPEDE_SECRET_FILE"
 
 
 @contextmanager
-def running(*, hosts: int = 1, network: Network | None = None) -> Iterator[str]:
+def running(*, hosts: int = 1, network: NamespaceNetwork | None = None) -> Iterator[str]:
     """The address of a fresh cluster of one supernode and `hosts` hosts, gone afterwards.
 
     It is on this machine's loopback, or with a `network` on that: hosts in its first places, the rest beside this
@@ -32,7 +32,7 @@ def running(*, hosts: int = 1, network: Network | None = None) -> Iterator[str]:
                 os.environ[SECRET_VARIABLE] = before
 
 
-def _cluster(hosts: int, network: Network | None) -> LocalCluster:
+def _cluster(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:
     if network is None:
         return LocalCluster(hosts=hosts, supernodes=1, durable=False)
     return LocalCluster(
@@ -40,7 +40,7 @@ def _cluster(hosts: int, network: Network | None) -> LocalCluster:
         supernodes=1,
         durable=False,
         listen=f"{network.address}:0",
-        host_places=network.places[:hosts],
+        host_namespaces=network.namespaces[:hosts],
         allow_insecure_anywhere=True,  # the network ends at this machine
     )
 

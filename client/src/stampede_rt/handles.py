@@ -7,7 +7,7 @@ from typing import NoReturn, Self
 ID_DIGITS_SHOWN = 8
 
 
-def shown(kind: str, name: str, id_: bytes, host: str, state: str) -> str:
+def handle_repr(kind: str, name: str, id_: bytes, host: str, state: str) -> str:
     """`<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`, and behind it what keeps it from being used, if anything does."""
     identity = f" {id_.hex()[:ID_DIGITS_SHOWN]}" if id_ else ""
     place = f" at host {host!r}" if host else ""
@@ -24,7 +24,7 @@ class Reference:
         return self
 
 
-class OfOneProcess:
+class BoundToProcess:
     """What is at work: it cannot be copied, nor passed to another process."""
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:

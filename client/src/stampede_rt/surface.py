@@ -52,7 +52,7 @@ from stampede_rt.errors import (
     VersionMismatch,
     WatchRestart,
 )
-from stampede_rt.passing import Address
+from stampede_rt.pickling import ClusterReference
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt.values.codecs import Codec, CodecLike
 from stampede_rt.values.grouping import (
@@ -209,7 +209,7 @@ def connect(
     Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
     """
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
-    address = Address.of(target, secret)
+    address = ClusterReference.of(target, secret)
     session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone, reopening=address)
     try:
         return Connection(session, target.name, proof)._open()

@@ -7,8 +7,8 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 
+from stampede_rt.cli.interrupts import unwinding
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.film import require_libraries
 
@@ -28,18 +28,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.demo is None:
         print(_listing())
         return 0
-    on_terminate = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        run: Callable[[argparse.Namespace], int] = arguments.run
-        return run(arguments)
+        with unwinding(signal.SIGINT, signal.SIGTERM):
+            run: Callable[[argparse.Namespace], int] = arguments.run
+            return run(arguments)
     except DemoFailed as failure:
         print(f"stampede demo {arguments.demo}: {failure}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         print(f"\nstampede demo {arguments.demo}: interrupted; nothing is left running", file=sys.stderr)
         return EXIT_INTERRUPTED
-    finally:
-        signal.signal(signal.SIGTERM, on_terminate)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -78,11 +76,6 @@ def _seconds(text: str) -> int:
 def _listing() -> str:
     lines = [f"  {name:<12}{what}" for name, what in DEMOS.items()]
     return "\n".join(["Demonstrations on real media, through a real cluster on this machine:", "", *lines])
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """SIGTERM ends a demo as Ctrl-C does: in order, with nothing left running."""
-    raise KeyboardInterrupt
 
 
 class _Formatter(argparse.RawDescriptionHelpFormatter):

@@ -64,6 +64,7 @@ class SimHost:
         self.clock = Clock(world)
         self.frozen_until = 0.0
         ownership.hosts.append(self)
+        world.counts_on_lease[self._host_id] = lambda: self.store.lease_held()
         self.restart()
 
     def restart(self) -> None:

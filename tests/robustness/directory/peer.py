@@ -55,6 +55,7 @@ class SimPeer:
         self.clock = Clock(world)
         self.frozen_until = 0.0
         ownership.peers.append(self)
+        world.counts_on_lease[self._peer_id] = self.believes
         self.restart()
 
     def restart(self) -> None:

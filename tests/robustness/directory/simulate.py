@@ -37,7 +37,7 @@ from tests.robustness.histories.channel_model import (
 from tests.robustness.histories.operations import Recorder
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.simulate import weather_of
-from tests.robustness.replication.world import Weather
+from tests.robustness.replication.weather import Weather
 from tests.robustness.report import Simulated
 
 STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
@@ -137,6 +137,7 @@ class DirectoryStorm:
             (weather.freezes, self._freeze),
             (weather.link_breaks, lambda: world.break_wire(world.dice.choice(list(world.wires)))),
             (0.15, self._cut_leader_off),
+            (0.15, self._hang_leader),
             (0.3, self._set_wall_clock),
             (0.15, lambda: world.dice.choice(self._hosts).restart()),
             (0.3, self._freeze_host),
@@ -181,7 +182,7 @@ class DirectoryStorm:
         In the second case it may stand still, too, and go on as if no time had passed.
         """
         dice, world = self.world.dice, self.world
-        leaders = {name for name, one in world.members.items() if one.replica and one.replica.status().is_leader}
+        leaders = self._leaders()
         pairs = [ends for ends in world.wires if set(ends) & leaders]
         callers: list[Any] = [*self._hosts, *self._peers]
         with_it = set() if dice.random() < 0.5 else set(dice.sample(callers, 2))
@@ -198,6 +199,23 @@ class DirectoryStorm:
             world.unreachable -= ways
 
         world.after(seconds, heal)
+
+    def _hang_leader(self) -> None:
+        """The disk of whoever leads hangs. It goes on to talk to callers, and takes itself for the leader for a while.
+
+        Two hosts or peers reach nobody else meanwhile, so that its successor takes them for lost.
+        """
+        dice, world = self.world.dice, self.world
+        leaders, apart = self._leaders(), dice.sample([*self._hosts, *self._peers], 2)
+        ways: set[tuple[object, str]] = {(one, name) for one in apart for name in world.members if name not in leaders}
+        seconds = dice.uniform(2.0, 6.0)
+        for name in leaders:
+            world.members[name].hang(seconds)
+        world.unreachable |= ways
+        world.after(seconds, lambda: world.unreachable.difference_update(ways))
+
+    def _leaders(self) -> set[str]:
+        return {name for name, one in self.world.members.items() if one.replica and one.replica.status().is_leader}
 
     def _set_wall_clock(self) -> None:
         machine: Any = self.world.dice.choice([*self.world.members.values(), *self._hosts, *self._peers])

@@ -34,7 +34,7 @@ def test_histories_are_linearizable_and_nothing_has_two_owners_in_bad_weather(bl
         puts += storm.ownership.puts
         grants += storm.name_ownership.grants
     assert writes > 20, "the weather was so bad that nothing was tested"
-    assert puts > 20, "the weather was so bad that no host served"
+    assert puts > 10, "the weather was so bad that no host served"
     assert grants > 20, "the weather was so bad that no peer was in"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from stampede_rt import errors
@@ -12,13 +13,16 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.threads.tick_thread import STUCK_SECONDS
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
 from stampede_rt_supernode.servicers.lease_keeper import TICK_SECONDS, LeaseKeeper
 from stampede_rt_supernode.servicers.peer_servicer import PeerServicer
 from stampede_rt_supernode.servicers.queue_servicer import QueueDirectoryServicer
 from tests.robustness.directory.tasks import Resume, drive, wait
-from tests.robustness.replication.world import SimMember, Weather, World
+from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.world import SimMember, World
 
 LEASE_TTL_NANOS = 2 * 10**9
 CLOCK_DRIFT_MAX = 0.02  # of each machine's clock against true time; ten times what NTP calls a broken clock
@@ -114,7 +118,10 @@ class _Log:
 
     def status(self) -> ReplicationStatus:
         assert self._member.replica is not None
-        return self._member.replica.status()
+        status = self._member.replica.status()
+        if self._member.stuck_seconds > STUCK_SECONDS:  # as PySyncObjLog says it
+            return replace(status, leader_id=None, is_leader=False, tenure=0)
+        return status
 
 
 class _Leases(LeaseKeeper):
@@ -125,6 +132,25 @@ class _Leases(LeaseKeeper):
         self._hosts.follow(self._replica.read(lambda directory: list(directory.tables.live_hosts())), now)
         for lease in self._hosts.due(now):
             await self._end(*lease)
+
+
+class WatchedDirectory(DirectoryReplica):
+    """The production one; says whose lease a command has ended."""
+
+    def __init__(self, ended: Callable[[int, set[bytes]], None]) -> None:
+        super().__init__()
+        self._ended = ended
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """As in production."""
+        before = self._alive()
+        encoded = super().apply(index, command)
+        self._ended(index, before - self._alive())
+        return encoded
+
+    def _alive(self) -> set[bytes]:
+        tables = self._directory.tables
+        return {one.holder_id for one in (*tables.live_hosts(), *tables.peers.live())}
 
 
 class DirectoryMember(SimMember):
@@ -144,7 +170,7 @@ class DirectoryMember(SimMember):
 
     @machine.setter
     def machine(self, _: object) -> None:
-        self._directory = DirectoryReplica()
+        self._directory = WatchedDirectory(self.world.leases_ended)
 
     def start(self) -> None:
         super().start()
@@ -186,10 +212,20 @@ class DirectoryWorld(World):
 
     members: dict[str, DirectoryMember]  # type: ignore[assignment]
 
-    def __init__(self, seed: int, *, size: int, weather: Weather, leases: type[LeaseKeeper] = _Leases) -> None:
+    def __init__(
+        self,
+        seed: int,
+        *,
+        size: int,
+        weather: Weather,
+        leases: type[LeaseKeeper] = _Leases,
+    ) -> None:
         self.leases = leases
         # Who cannot reach which supernode at present.
         self.unreachable: set[tuple[object, str]] = set()
+        # Hosts and peers by id: whether they count on their lease at this moment.
+        self.counts_on_lease: dict[bytes, Callable[[], bool]] = {}
+        self._applied_first = 0
         super().__init__(seed, size=size, weather=weather)
         self.members = {
             name: DirectoryMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
@@ -202,6 +238,18 @@ class DirectoryWorld(World):
     def later(self, resume: Resume) -> Resume:
         """`resume`, but through the event loop of the process, a moment later."""
         return lambda value: self.after(self.dice.random() * 0.002, lambda: resume(value))
+
+    def leases_ended(self, index: int, holders: set[bytes]) -> None:
+        """The command at this position has taken these out of the directory. Raises PromiseBroken.
+
+        Only the first member to apply it shows when it was committed.
+        """
+        if index <= self._applied_first:
+            return
+        self._applied_first = index
+        for one in holders:
+            if self.counts_on_lease[one]():
+                raise PromiseBroken(f"command {index} ends the lease of {one.hex()}, which counts on it at this moment")
 
     # -- calls -------------------------------------------------------------------------------------------------
 

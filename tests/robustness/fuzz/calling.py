@@ -25,7 +25,7 @@ class Calling:
     """Makes calls of one client: of the aio one as they are, of the blocking one in threads."""
 
     def __init__(self, seed: str, pool: ThreadPoolExecutor | None) -> None:
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self._pool = pool
         self.calls = self.interrupted = self.failed = 0
 
@@ -55,17 +55,17 @@ class Calling:
         """
         self.calls += 1
         task = asyncio.ensure_future(call)
-        if self.is_async and (endless or self.dice.random() < 0.4):
+        if self.is_async and (endless or self.rng.random() < 0.4):
             await self.interrupt(task)
         return await self.ended(what, task, own_s)
 
     async def interrupt(self, task: asyncio.Future[Any]) -> None:
         """Cancel at one of the first steps, or some time later."""
-        if self.dice.random() < 0.5:
-            for _ in range(self.dice.randrange(40)):
+        if self.rng.random() < 0.5:
+            for _ in range(self.rng.randrange(40)):
                 await asyncio.sleep(0)
         else:
-            await asyncio.wait([task], timeout=self.dice.random() ** 3)
+            await asyncio.wait([task], timeout=self.rng.random() ** 3)
         task.cancel()
 
     async def ended(self, what: str, task: asyncio.Future[Any], own_s: float) -> Any:

@@ -16,7 +16,7 @@ LAST = b"the last"
 
 def payload_of(calling: Calling, who: str, number: int) -> bytes:
     """One that no other put has."""
-    return f"{who} {number} ".encode() + bytes(calling.dice.choice(SIZES))
+    return f"{who} {number} ".encode() + bytes(calling.rng.choice(SIZES))
 
 
 async def puts(calling: Calling, channel: Any, ledger: Ledger, who: str, over: asyncio.Event) -> None:
@@ -38,7 +38,7 @@ async def produces(calling: Calling, channel: Any, ledger: Ledger, who: str, ove
         payload = payload_of(calling, who, number := number + 1)
         outcome = await calling.any_way("put of a producer", calling.plain(producer.put, payload))
         (ledger.refused if outcome in (INTERRUPTED, FAILED) else handed).add(payload)
-        if calling.dice.random() < 0.1:
+        if calling.rng.random() < 0.1:
             await calling.any_way("flush", calling.plain(producer.flush, 2), 2)
         await asyncio.sleep(0)
     await calling.plain(producer.flush, 60)
@@ -50,7 +50,7 @@ async def produces(calling: Calling, channel: Any, ledger: Ledger, who: str, ove
 async def reads(calling: Calling, channel: Any, over: asyncio.Event) -> None:
     """Reads of all kinds."""
     while not over.is_set():
-        kind = calling.dice.randrange(4)
+        kind = calling.rng.randrange(4)
         if kind == 0:
             call = calling.plain(channel.newest, timeout=0.05)
         elif kind == 1:
@@ -68,7 +68,7 @@ async def subscribes(calling: Calling, channel: Any) -> list[st.Item]:
     items: list[st.Item] = []
     while not items or items[-1].payload != LAST:
         step = asyncio.ensure_future(calling.step(subscription))
-        if calling.is_async and calling.dice.random() < 0.2:
+        if calling.is_async and calling.rng.random() < 0.2:
             await calling.interrupt(step)
         item = await calling.ended("step of a subscription", step, STORY_S_MAX)
         assert item not in (FAILED, ENDED)

@@ -34,7 +34,7 @@ class Takers:
     async def take(self, calling: Calling, queue: Any, over: asyncio.Event) -> None:
         """Get, and acknowledge, give back or leave."""
         while not over.is_set():
-            timeout = calling.dice.choice([0, 0.05, 1, None if calling.is_async else 1])
+            timeout = calling.rng.choice([0, 0.05, 1, None if calling.is_async else 1])
             call = calling.plain(queue.get, timeout)
             message = await calling.any_way("get from a queue", call, timeout or 0, endless=timeout is None)
             if message not in NOBODY:
@@ -50,7 +50,7 @@ class Takers:
                     self.acknowledged[message.payload] += 1
 
     async def _settle(self, calling: Calling, message: Any) -> None:
-        kind = calling.dice.random()
+        kind = calling.rng.random()
         if kind < 0.1:
             return
         if kind < 0.2:
@@ -75,7 +75,7 @@ async def settled(calling: Calling, settle: Any) -> bool:
 async def reads_groups(calling: Calling, group: Any, over: asyncio.Event) -> None:
     """Reads at one cut."""
     while not over.is_set():
-        call = group.newest if calling.dice.random() < 0.5 else group.get
+        call = group.newest if calling.rng.random() < 0.5 else group.get
         arguments = () if call == group.newest else (st.OLDEST, st.NEWEST)
         await calling.any_way("read of a group", calling.plain(call, *arguments, payloads=False), 1)
 

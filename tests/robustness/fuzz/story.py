@@ -153,7 +153,7 @@ class Story:
             partial(channel.get, st.now(), st.now() + 10**12, timeout=60, complete=True), partial(queue.put, b"x"),
         ]  # fmt: skip
         calls = [asyncio.ensure_future(calling.plain(make)) for make in makes]
-        for _ in range(calling.dice.randrange(200)):
+        for _ in range(calling.rng.randrange(200)):
             await asyncio.sleep(0)
         await calling.any_way("close", calling.plain(rt.aclose if calling.is_async else rt.close), 5)
         await calling.plain(rt.aclose if calling.is_async else rt.close)

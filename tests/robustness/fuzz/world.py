@@ -33,13 +33,13 @@ class World:
         """What clients are given."""
         return self.cluster.address
 
-    async def cut(self, dice: random.Random) -> None:
+    async def cut(self, rng: random.Random) -> None:
         """Cut connections again and again, until this is cancelled. What comes then gets through again."""
         try:
             while True:
-                await asyncio.sleep(dice.random() * PAUSE_S_MAX)
-                self.relay.refuses = dice.random() < REFUSES_SHARE
-                self.relay.cut(dice.choice(CUTS))
+                await asyncio.sleep(rng.random() * PAUSE_S_MAX)
+                self.relay.refuses = rng.random() < REFUSES_SHARE
+                self.relay.cut(rng.choice(CUTS))
         finally:
             self.relay.refuses = False
 

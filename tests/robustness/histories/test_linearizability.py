@@ -99,14 +99,14 @@ def test_a_planted_violation_is_found(history: list[Operation]) -> None:
         check_channel_histories(history)
 
 
-def run_of_one_object(dice: random.Random, *, callers: int = 5, length: int = 60) -> list[Operation]:
+def run_of_one_object(rng: random.Random, *, callers: int = 5, length: int = 60) -> list[Operation]:
     """A true history: every call takes effect at one moment between its times; some answers are not heard."""
     model: list[tuple[float, float, float, object]] = []
     for caller in range(callers):
-        now = dice.random()
+        now = rng.random()
         for number in range(length // callers):
-            invoked, moment, returned = now, now + dice.random(), now + 2 * dice.random() + 1
-            kind = dice.random()
+            invoked, moment, returned = now, now + rng.random(), now + 2 * rng.random() + 1
+            kind = rng.random()
             value = 1000 * caller + number + 10
             model.append((moment, invoked, returned, Resolve() if kind < 0.4 else Open(1) if kind < 0.5 else value))
             now = returned
@@ -125,7 +125,7 @@ def run_of_one_object(dice: random.Random, *, callers: int = 5, length: int = 60
             state = Present(state.channel_id, 1, what, state.version + 1)
         if answer is None:
             answer = Seen(state.channel_id or b"", 1, state.value, state.version) if state else NOT_FOUND
-        if dice.random() < 0.15:
+        if rng.random() < 0.15:
             history.append(Operation("cam", call, invoked))
         else:
             history.append(Operation("cam", call, invoked, max(returned, moment), answer))
@@ -134,15 +134,15 @@ def run_of_one_object(dice: random.Random, *, callers: int = 5, length: int = 60
 
 @pytest.mark.parametrize("seed", range(30))
 def test_true_histories_are_accepted_and_spoilt_ones_are_not(seed: int) -> None:
-    dice = random.Random(seed)
-    history = run_of_one_object(dice)
+    rng = random.Random(seed)
+    history = run_of_one_object(rng)
     check_channel_histories(history)
     reads = [
         number for number, one in enumerate(history) if isinstance(one.call, Resolve) and isinstance(one.answer, Seen)
     ]
     if not reads:
         return
-    spoilt = dice.choice(reads)
+    spoilt = rng.choice(reads)
     one = history[spoilt]
     assert isinstance(one.answer, Seen)
     wrong = Seen(one.answer.channel_id, 1, one.answer.value, one.answer.version + 1)

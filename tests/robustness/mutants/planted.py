@@ -92,19 +92,19 @@ MUTANTS = (
         file=f"{REPLICATION}/rules/leading.py",
         edits=(
             (
-                'if message["term"] != self.term or not self.is_leader:',
+                "if message.term != self.term or not self.is_leader:",
                 "if not self.is_leader:",
             ),
         ),
-        noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
+        noticed_by="log",
     ),
     Mutant(
         name="commit_past_match",
         file=f"{REPLICATION}/rules/following.py",
         edits=(
             (
-                'self.raise_commit_index(min(message["commit_index"], matched))',
-                'self.raise_commit_index(min(message["commit_index"], self.log.last_index))',
+                "self.raise_commit_index(min(message.commit_index, matched))",
+                "self.raise_commit_index(min(message.commit_index, self.log.last_index))",
             ),
         ),
         noticed_by="log",
@@ -169,7 +169,7 @@ MUTANTS = (
         name="renew_unconfirmed",
         file=f"{SUPERNODE}/servicers/lease_keeper.py",
         edits=(("        await self._submission.confirm(seconds=seconds)\n        self.check_leads(tenure)\n", ""),),
-        noticed_by="tests/unit/supernode/test_lease_keeping.py",
+        noticed_by="directory",
     ),
     Mutant(
         name="expire_any_tenure",

@@ -67,10 +67,16 @@ class History:
 class ListMachine:
     """A state machine that remembers every command, and reports to a history."""
 
+    highest_level = feature_level = 1
+
     def __init__(self, history: History | None = None) -> None:
         self.entries: list[tuple[int, bytes]] = []
         self._history = history or History()
         self._digest = b""
+
+    def takes(self, command: bytes) -> bool:
+        """All are known to all."""
+        return True
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Append, and answer with the position."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.store import StoredState
+from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, VoteReply, VoteRequest
 from tests.robustness.replication.machine import PromiseBroken
 
 
@@ -27,15 +27,15 @@ class Said:
     # The newest term in which it acknowledged entries, and up to where.
     held: tuple[int, int] = (0, 0)
 
-    def note(self, to: str, message: pb.RaftMessage) -> None:
+    def note(self, to: str, message: Message) -> None:
         """A message leaves it."""
-        reply, request, vote = message.append_reply, message.vote_request, message.vote_reply
-        if message.HasField("append_reply") and reply.success:
-            self.held = max(self.held, (reply.term, reply.next_index - 1))
-        elif message.HasField("vote_reply") and not vote.trial:
-            self._votes(vote.term, to)
-        elif message.HasField("vote_request") and not request.trial:
-            self._votes(request.term, self.member_id)
+        match message:
+            case AppendReply(success=True):
+                self.held = max(self.held, (message.term, message.next_index - 1))
+            case VoteReply(trial=False):
+                self._votes(message.term, to)
+            case VoteRequest(trial=False):
+                self._votes(message.term, self.member_id)
 
     def _votes(self, term: int, candidate: str) -> None:
         if term == self.vote[0] and candidate != self.vote[1]:

@@ -10,19 +10,23 @@ import random
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import fields, replace
 
 from stampede_rt_supernode.replication.rules.elections import TrialElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
-from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.machine import PromiseBroken
-from tests.robustness.replication.world import SimMember, Weather, World
+from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.world import SimMember, World
 
 STORM_SECONDS = 12.0
 [PRODUCTION] = (one.default for one in fields(ReplicationSettings) if one.name == "snapshot_every_entries")
 OFTEN = 15  # entries between two snapshots, so that most seeds have many
 PROCESSES_MAX = 12
+# A link that stalls for longer is ended, and what is on it is lost.
+SILENCE_SECONDS = RaftTiming().link_silence_seconds
 # After everything is healed every member must serve, and then hold everything, within this time. Twice the worst
 # of 120 seeds; the promise for the first of it, an election included, is 5 s.
 HEAL_SECONDS = 8.0
@@ -53,13 +57,14 @@ class Storm:
     def __init__(self, world: World) -> None:
         self._world = world
         self._commands = 0
-        self.over = False
+        self.over = self._outvoted = False
         weather = world.weather
         for rate, happen in (
             (weather.crashes, self._crash),
             (weather.partitions, self._partition),
             (weather.isolations, self._isolate),
             (weather.freezes, self._freeze),
+            (weather.outvotes, self._outvote),
             (weather.link_breaks, self._break_wire),
             (weather.changes, self._change),
             (weather.snapshots, self._snapshot),
@@ -123,6 +128,60 @@ class Storm:
         world.block(pairs)
         world.after(world.dice.uniform(1.0, 4.0), lambda: world.unblock(pairs))
 
+    def _outvote(self) -> None:
+        """Whoever leads is left with one follower, whose last answers are late. The others elect another leader, after
+        whom the first one leads again, unless somebody else does; and only then those answers come.
+        """
+        dice, world = self._world.dice, self._world
+        leaders = self._leaders()
+        if not leaders or self._outvoted:
+            return
+        [leader, follower] = pair = [leaders[0], dice.choice([name for name in world.members if name != leaders[0]])]
+        of_leader, of_follower = (
+            [ends for ends in world.wires if name in ends and set(ends) != set(pair)] for name in pair
+        )
+        silent_at = world.now + dice.uniform(0.5, 1.8)
+        late_until = silent_at + dice.uniform(0.7, 1.0) * SILENCE_SECONDS
+
+        def fall_silent() -> None:
+            world.wires[follower, leader].stalled_until = late_until
+
+        def come_back() -> None:
+            world.unblock(of_leader)
+            world.wires[leader, follower].stalled_until = late_until + dice.uniform(0.0, 0.5)
+            self._let_lead(leader, until=late_until)
+
+        def end() -> None:
+            world.unblock([*of_leader, *of_follower])
+            self._outvoted = False
+
+        self._outvoted = True
+        world.block([*of_leader, *of_follower])
+        world.at(silent_at, fall_silent)
+        self._when(lambda: self._leaders() not in ([], [leader]), come_back, until=late_until)
+        world.at(late_until + 1.0, end)
+
+    def _leaders(self) -> list[str]:
+        return [name for name, one in self._world.members.items() if one.replica and one.replica.status().is_leader]
+
+    def _when(self, holds: Callable[[], bool], then: Callable[[], None], *, until: float) -> None:
+        """Call `then` once `holds`, if that is before `until`."""
+        if holds():
+            then()
+        elif self._world.now < until:
+            self._world.after(0.05, lambda: self._when(holds, then, until=until))
+
+    def _let_lead(self, wanted: str, *, until: float) -> None:
+        """Others hand over until this one leads, or it is too late for that."""
+        if self._world.now < until and self._leaders() != [wanted]:
+            self._hand_over()
+            self._world.after(0.2, lambda: self._let_lead(wanted, until=until))
+
+    def _hand_over(self) -> None:
+        for member in self._world.alive():
+            if member.replica is not None and member.replica.status().is_leader:
+                member.replica.change_members(HandOver(lambda left: None))
+
     def _change(self) -> None:
         """Somebody asks whoever seems to lead to let a member come or go, or to hand over."""
         dice, world = self._world.dice, self._world
@@ -134,7 +193,7 @@ class Storm:
         members = leader.replica.status().members
         kind = dice.choice(["add", "add", "remove", "hand over"])
         if kind == "hand over":
-            leader.replica.change_members(HandOver(lambda left: None))
+            self._hand_over()
         elif kind == "remove":
             world.change(leader, dice.choice(members), is_removal=True)
         elif len(world.members) < PROCESSES_MAX:
@@ -174,6 +233,9 @@ def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
         weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
     elif seed % 5 == 2:  # leaders come and go, and leave behind what only they hold
         weather = replace(weather, partitions=0.0, isolations=0.4, full_links=0.5, loss=0.0, unruly_seconds=4.0)
+    elif seed % 5 == 3:  # the words of one tenure come in a later one
+        size, every = 5, PRODUCTION
+        weather = Weather(delay_mean=weather.delay_mean, full_links=weather.full_links, outvotes=1.0)
     kept_log_bytes = (1, 4000, 100_000)[seed % 3]
     world = World(seed, size=size, weather=weather, rules=rules, snapshot_every=every, kept_log_bytes=kept_log_bytes)
     for member in world.members.values():
@@ -188,14 +250,18 @@ def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
 
 
 def calm(world: World) -> None:
-    """Heal everything; then every member must answer and agree."""
+    """Heal everything; then every member must answer and agree.
+
+    It is not healed before the last late message has come.
+    """
+    late_seconds = world.weather.late_seconds_max
     world.weather = Weather()
     world.unblock(list(world.wires))
     for member in world.members.values():
         member.frozen_until = 0.0
         world.restart(member)
-    end = world.now + HEAL_SECONDS
-    settled = settled_members(world, end)
+    world.run_until(world.now + late_seconds)
+    settled = settled_members(world, world.now + HEAL_SECONDS)
     end = world.now + HEAL_SECONDS
     for number, member in enumerate(settled):
         command, served = f"calm-{number}".encode(), False

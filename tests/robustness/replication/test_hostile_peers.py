@@ -20,7 +20,7 @@ from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.reads import Read
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
-from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_message
+from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.mailroom import (
     Connected,
     Introduced,
@@ -29,6 +29,8 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     Received,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, ReadIndexRequest
+from stampede_rt_supernode.replication.wire.records import MalformedMessage
 from tests.robustness.replication.hostile_messages import Liar
 from tests.robustness.replication.machine import History, ListMachine
 from tests.robustness.replication.simulate import Storm, calm, weather_of
@@ -49,9 +51,8 @@ class Ears:
     def release(self, messages: Sequence[Outgoing]) -> None:
         """Nobody answers truly."""
         for _, message in messages:
-            for asking in (message.forwarded_command, message.read_index_request):
-                if asking.request_id:
-                    self.asked = [*self.asked[-20:], asking.request_id]
+            if isinstance(message, ForwardedCommand | ReadIndexRequest):
+                self.asked = [*self.asked[-20:], message.request_id]
 
     def has_room(self, member_id: str) -> bool:
         """There is always room."""

@@ -190,7 +190,7 @@ class Bomb:
 
 
 def hello(**changes: Any) -> pb.RaftServiceExchangeRequest:
-    fields = {"member_id": "m1", "peer_member_id": "m0", "protocol_version": 1, **changes}
+    fields = {"member_id": "m1", "peer_member_id": "m0", "protocol_version": 2, "highest_feature_level": 1} | changes
     return pb.RaftServiceExchangeRequest(hello=pb.RaftHello(**fields))
 
 
@@ -241,7 +241,8 @@ async def test_pickles_and_random_bytes_at_the_port_execute_nothing(tmp_path: Pa
         ({"member_id": "m0"}, grpc.StatusCode.PERMISSION_DENIED),
         ({"peer_member_id": "m2"}, grpc.StatusCode.FAILED_PRECONDITION),
         ({"cluster_id": "other"}, grpc.StatusCode.FAILED_PRECONDITION),
-        ({"protocol_version": 2}, grpc.StatusCode.FAILED_PRECONDITION),
+        ({"highest_feature_level": 0}, grpc.StatusCode.FAILED_PRECONDITION),
+        ({"protocol_version": 1}, grpc.StatusCode.FAILED_PRECONDITION),
     ],
 )
 async def test_a_caller_that_is_no_member_is_turned_away(

@@ -14,10 +14,11 @@ from stampede_rt_supernode.replication.rules.proposals import Outcome
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.messages import InstallSnapshot, Message, VoteRequest
 from tests.robustness.replication.machine import FORK, PromiseBroken
 from tests.robustness.replication.simulate import PRODUCTION, run
-from tests.robustness.replication.world import SimMember, Weather, World
+from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.world import SimMember, World
 
 SEEDS_IN_SUITE = 40
 
@@ -336,9 +337,9 @@ class CutsOffWhatAgrees(TrialElections):
 class CommitsByPieces(TrialElections):
     """The unchanged library's way with the commit index of a snapshot's pieces."""
 
-    def _on_snapshot_piece(self, node: object, message: Message) -> None:
-        self.raise_commit_index(min(message["commit_index"], self.log.last_index))
-        super()._on_snapshot_piece(node, message)
+    def _on_install_snapshot(self, node: object, message: InstallSnapshot) -> None:
+        self.raise_commit_index(min(message.commit_index, self.log.last_index))
+        super()._on_install_snapshot(node, message)
 
 
 class ReadsTooEarly(TrialElections):
@@ -351,8 +352,8 @@ class ReadsTooEarly(TrialElections):
 class VotesTwice(TrialElections):
     """A member that forgets whom it voted for."""
 
-    def _on_vote_request(self, node: object, message: Message) -> None:
-        if not message["trial"]:
+    def _on_vote_request(self, node: object, message: VoteRequest) -> None:
+        if not message.trial:
             self.voted_for = None
         super()._on_vote_request(node, message)
 

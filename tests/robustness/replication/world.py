@@ -19,7 +19,7 @@ from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.reads import Read
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.store import StoredState
-from stampede_rt_supernode.replication.wire.codec import decode_message
+from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.mailroom import (
     Connected,
     Disconnected,
@@ -30,40 +30,16 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     StreamEnded,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Message
 from tests.robustness.replication.disk import Disk, DiskStore
 from tests.robustness.replication.machine import History, Ignorant, ListMachine, PromiseBroken
 from tests.robustness.replication.raft_rules import Committed, Said, check_match
+from tests.robustness.replication.weather import Weather
 
 T = TypeVar("T")
 
 # A slow wire takes pieces of snapshots and entries until so much waits on it.
 ROOM_SECONDS = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weather:
-    """How bad a run is. Rates are per simulated second and cluster; times in seconds."""
-
-    loss: float = 0.0
-    delay_mean: float = 0.002
-    # Share of messages that overtake others or, commands aside, come twice; how late they may be.
-    unruly: float = 0.0
-    unruly_seconds: float = 0.5
-    crashes: float = 0.0
-    # How long a commit takes, on average; the share of commits in which the power is lost, or the disk hangs for long.
-    disk_seconds: float = 0.0
-    disk_crash: float = 0.0
-    disk_hangs: float = 0.0
-    partitions: float = 0.0
-    isolations: float = 0.0
-    freezes: float = 0.0
-    link_breaks: float = 0.0
-    # Share of the times at which a link has no room for more entries.
-    full_links: float = 0.0
-    # Members that are to come or go.
-    changes: float = 0.0
-    # Snapshots that somebody wants, beside those that the log takes by itself.
-    snapshots: float = 0.0
 
 
 @dataclass
@@ -76,6 +52,8 @@ class Wire:
     generation: int = 0
     last_arrival: float = 0.0
     answer_due: float = 0.0
+    # What is sent waits until then, as while TCP sends again and again.
+    stalled_until: float = 0.0
     # How fast it is; one that is slow lets nothing overtake anything.
     bytes_per_second: float = float("inf")
 
@@ -123,7 +101,7 @@ class SimMember:
         self._next_step = float("inf")
         # How often it was started; for how long the present step has waited for the disk; when the last one ends.
         self._starts = 0
-        self._waited = self._busy_until = 0.0
+        self._waited = self._busy_until = self._hangs_since = 0.0
         self._checked = (0, 0)
 
     @property
@@ -135,7 +113,7 @@ class SimMember:
         """Come up from the disk, with every connection still to be made."""
         self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
         self._starts += 1
-        self._checked, self._waited = (0, 0), 0.0
+        self._checked, self._waited, self._hangs_since = (0, 0), 0.0, self.world.now
         self.replica = self._open()
         self._busy_until, self._waited = self.now, 0.0
         self._next_step = float("inf")
@@ -168,6 +146,16 @@ class SimMember:
         """While it is down, somebody restores a backup of its disk."""
         self.disk.put_back(state)
         self.said, self.rolled_back = Said(self.member.member_id), True
+
+    def hang(self, seconds: float) -> None:
+        """Its disk does not answer for so long: the log stands still, and the rest of the process goes on."""
+        self._hangs_since = self.world.now
+        self._busy_until = max(self._busy_until, self.world.now + seconds)
+
+    @property
+    def stuck_seconds(self) -> float:
+        """For how long it has waited for a disk that does not answer."""
+        return self.world.now - self._hangs_since if self._busy_until > self.world.now else 0.0
 
     def after_disk(self, call: Callable[[], None]) -> None:
         """Call when the step has come so far, its waiting for the disk included, unless the process ends before."""
@@ -227,7 +215,7 @@ class SimMember:
             return
         roster, before = replica.roster, replica.status()
         again = replica.step()
-        self._busy_until, self._waited = self.now, 0.0
+        self._hangs_since, self._busy_until, self._waited = self.world.now, self.now, 0.0
         self._judge(replica, roster, before)
         self._plan(0.0 if again else self.world.timing.tick_seconds)
 
@@ -334,21 +322,19 @@ class World:
 
     # -- network ---------------------------------------------------------------------------------------------
 
-    def send(self, sender: str, to: str, message: pb.RaftMessage) -> None:
+    def send(self, sender: str, to: str, message: Message) -> None:
         wire = self.wires[sender, to]
         if not wire.up or wire.blocked or self.dice.random() < self.weather.loss:
             return
-        data, generation = message.SerializeToString(), wire.generation
-        arrival = self.now + self.dice.expovariate(1 / self.weather.delay_mean)
+        data, generation = encode_message(message).SerializeToString(), wire.generation
+        arrival = max(self.now, wire.stalled_until) + self.dice.expovariate(1 / self.weather.delay_mean)
         if wire.bytes_per_second < float("inf"):
             arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
         if self.dice.random() < self.weather.unruly:
             arrival += self.dice.random() * self.weather.unruly_seconds
-            if not message.HasField("forwarded_command") and self.dice.random() < 0.5:
-                self.at(
-                    self.now + 2 * self.dice.random() * self.weather.unruly_seconds,
-                    lambda: self._arrive(sender, to, generation, data),
-                )
+            if not isinstance(message, ForwardedCommand) and self.dice.random() < 0.5:
+                again = self.now + self.dice.random() * self.weather.late_seconds_max
+                self.at(again, lambda: self._arrive(sender, to, generation, data))
         else:
             arrival = wire.last_arrival = max(arrival, wire.last_arrival)
         self.at(arrival, lambda: self._arrive(sender, to, generation, data))
@@ -413,14 +399,21 @@ class World:
         sender.deliver(MembersTold(ends[1], receiver.roster.members))
         if ends[0] not in receiver.roster.peers:
             settings = self.members[ends[0]].settings
-            hello = introduction(settings, ends[1], store_id="", standing=sender.standing, roster=sender.roster)
+            hello = introduction(
+                settings,
+                ends[1],
+                store_id="",
+                standing=sender.standing,
+                roster=sender.roster,
+                highest_level=sender.highest_level,
+            )
             if (met := newly_met(hello, self.members[ends[1]].settings)) is not None:
                 receiver.deliver(Introduced(met.member_id, met))
             self._plan_connect(ends)
             return
         wire.up = True
         sender.deliver(Connected(ends[1]))
-        receiver.deliver(StreamOpened(ends[0]))
+        receiver.deliver(StreamOpened(ends[0], sender.highest_level))
 
     def _refuse(self, member: SimMember) -> None:
         """Its store lacks what it has promised: it ends, for good."""

@@ -17,7 +17,7 @@ from stampede_rt_bench.paper.captioned_video import (
     play,
 )
 from stampede_rt_bench.paper.skew import judge
-from stampede_rt_local.namespaces import Network, unavailable_because
+from stampede_rt_local.namespaces import NamespaceNetwork, unavailable_because
 
 CAPTION_NANOS = NANOS_PER_SECOND // 2
 CAPTIONS = [Receipt(number * CAPTION_NANOS, number * CAPTION_NANOS + 10) for number in range(3)]
@@ -59,7 +59,7 @@ def test_a_run_that_misses_frames_is_refused() -> None:
 
 @pytest.mark.timeout(120)  # six processes come up
 def test_consumers_in_places_of_their_own_get_every_frame_through_the_group() -> None:
-    with nullcontext() if unavailable_because() else Network(MACHINES) as network:
+    with nullcontext() if unavailable_because() else NamespaceNetwork(MACHINES) as network:
         frames, captions = play(Setting(name="grouped"), network, seconds=1)
     assert [frame.time - frames[0].time for frame in frames] == [n * NANOS_PER_SECOND // 30 for n in range(30)]
     assert [caption.time for caption in captions] == [frames[0].time, frames[15].time]

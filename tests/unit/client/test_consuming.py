@@ -60,7 +60,7 @@ class FakeSession:
         self.attached: list[Any] = []
         self.closed = False
         self.detached = asyncio.Event()
-        self.ports = self
+        self.endpoints = self
 
     def to(self, target: str) -> FakeHost:
         return self.host

@@ -17,7 +17,7 @@ from stampede_rt.security.credentials import read_secret
 from stampede_rt.v1 import error_pb2
 from stampede_rt.values.payloads import check_attributes, check_payload
 from stampede_rt.values.policy import parse_name, parse_policy
-from stampede_rt.values.reading import Read, Wait, parse_limit
+from stampede_rt.values.reading import ReadQuery, Wait, parse_limit
 from stampede_rt.values.timeline import last, parse_interval
 from stampede_rt.wire.batching import RunBuilder
 from stampede_rt.wire.runs import RUN_ITEMS_MAX, parse_run
@@ -94,7 +94,7 @@ def test_a_wrong_limit_is_refused(limit: object) -> None:
 def test_what_is_no_flag_is_refused(flag: str) -> None:
     """The text "no" counted as yes, or failed inside protobuf."""
     with pytest.raises(InvalidArgument, match=f"{flag} is 'no'; write True or False"):
-        Read(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
+        ReadQuery(parse_interval(1, 2), **{flag: "no"})  # type: ignore[arg-type]
 
 
 def test_the_last_duration_lies_before_now() -> None:

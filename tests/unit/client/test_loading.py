@@ -59,7 +59,7 @@ def test_the_awaited_surface_comes_without_the_blocking_one() -> None:
         "import stampede_rt.aio",
         "import stampede_rt.status",
         "import stampede_rt.transports.stubs",
-        "import stampede_rt._sync.ports",
+        "import stampede_rt._sync.endpoints",
         "from stampede_rt.cli.main import main; main(['ls', '--url', 'localhost:x'])",
         "from stampede_rt.cli.main import main; main(['frontend', '--help'])",
         *(

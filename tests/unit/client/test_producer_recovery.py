@@ -51,7 +51,7 @@ class Place:
 
     def __init__(self) -> None:
         self.cache = BindingCache()
-        self.ports = self
+        self.endpoints = self
         self.found = asyncio.Event()  # where the channel is
         self.found.set()
         self.streams: list[Duplex] = []

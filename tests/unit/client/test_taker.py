@@ -9,7 +9,7 @@ from typing import Any, cast
 import pytest
 
 import stampede_rt as st
-from stampede_rt._async.queue_place import QueuePlace, QueueState
+from stampede_rt._async.queue_locator import QueueLocator, QueueState
 from stampede_rt._async.session import Session
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import BindingCache, Owner
@@ -36,7 +36,7 @@ class Stream:
         self.answers: asyncio.Queue[pb.TakeResponse | st.StampedeError | None] = asyncio.Queue()
         self.heard = asyncio.Event()
 
-    async def say(self, request: pb.TakeRequest) -> None:
+    async def send(self, request: pb.TakeRequest) -> None:
         self.said.append(request)
         if self.error is not None:
             self.answers.put_nowait(self.error)
@@ -87,7 +87,7 @@ class Host:
 
     def __init__(self) -> None:
         self.cache = Staying()
-        self.ports = self
+        self.endpoints = self
         self.queues = self
         self.streams: asyncio.Queue[Stream] = asyncio.Queue()
         self.opens = True
@@ -102,7 +102,7 @@ class Host:
     def to(self, target: str) -> Host:
         return self
 
-    def converse(self, method: Any) -> Stream:
+    def open_bidi(self, method: Any) -> Stream:
         stream = Stream(self.opens, self.error)
         self.streams.put_nowait(stream)
         return stream
@@ -129,7 +129,7 @@ class Host:
 def taker_at(host: Host, prefetch: int = 1) -> Taker:
     session = cast(Session, host)
     state = QueueState("queue", "work", INFO, QueuePolicy(), create=True)
-    return Taker(session, QueuePlace(session, state), state, prefetch)
+    return Taker(session, QueueLocator(session, state), state, prefetch)
 
 
 async def until_said(stream: Stream, wanted: Any) -> None:

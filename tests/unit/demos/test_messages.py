@@ -1,12 +1,12 @@
-"""The lines between roles and conductor survive the way there, and nonsense is refused."""
+"""The lines between roles and orchestrator survive the way there, and nonsense is refused."""
 
 import pytest
 
 from stampede_rt_demos.staging import messages
 from stampede_rt_demos.tv_watcher import steps
-from stampede_rt_demos.tv_watcher.statistics import Step
+from stampede_rt_demos.tv_watcher.statistics import StepFigures
 
-STEP = Step(
+STEP = StepFigures(
     time=1,
     end=2,
     text='a caption, "quoted", über zwei\nLines',

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from stampede_rt_demos.tv_watcher.report import RunReport, bytes_text, render, subtitle
-from stampede_rt_demos.tv_watcher.statistics import Step, StreamFigures
+from stampede_rt_demos.tv_watcher.statistics import StepFigures, StreamFigures
 
 SECOND = 1_000_000_000
 
@@ -24,9 +24,9 @@ def figures(name: str, accepted: int, received: int) -> StreamFigures:
     )
 
 
-def step(number: int) -> Step:
+def step(number: int) -> StepFigures:
     end = (number + 1) * SECOND
-    return Step(
+    return StepFigures(
         time=number * SECOND,
         end=end,
         text=f"caption {number}",

@@ -1,14 +1,16 @@
-"""A role's process: it starts when told, reports what happened, and never outlives the conductor."""
+"""A role's process: it starts when told, reports what happened, and never outlives the orchestrator."""
 
 import json
 import signal
 import subprocess
 import sys
 import textwrap
+from contextlib import AbstractContextManager
 
 import pytest
 
 from stampede_rt_demos.staging.role import EXIT_ORPHANED, RoleSettings
+from tests.support.processes import started
 
 PRELUDE = """
     import signal, sys
@@ -19,15 +21,9 @@ PRELUDE = """
 END_SECONDS = 20
 
 
-def start_role(play: str) -> subprocess.Popen[str]:
+def start_role(play: str) -> AbstractContextManager[subprocess.Popen[str]]:
     source = textwrap.dedent(PRELUDE) + textwrap.dedent(play) + "\nsys.exit(run_role(play))\n"
-    return subprocess.Popen(
-        [sys.executable, "-c", source, "--address", "localhost:1", "--seconds", "4"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    return started([sys.executable, "-c", source, "--address", "localhost:1", "--seconds", "4"], stderr=subprocess.PIPE)
 
 
 def read_event(role: subprocess.Popen[str]) -> dict[str, object]:
@@ -68,7 +64,7 @@ def play(stage):
     assert (role.returncode, complained) == (1, "")
 
 
-def test_a_defect_ends_with_a_traceback_for_the_conductor_to_quote():
+def test_a_defect_ends_with_a_traceback_for_the_orchestrator_to_quote():
     with start_role("""
 def play(stage):
     return {}["no such key"]
@@ -78,7 +74,7 @@ def play(stage):
     assert complained.rstrip().endswith("KeyError: 'no such key'")
 
 
-def test_a_role_ends_if_the_conductor_goes_before_the_start():
+def test_a_role_ends_if_the_orchestrator_goes_before_the_start():
     with start_role("""
 def play(stage):
     stage.wait_for_start()
@@ -89,7 +85,7 @@ def play(stage):
     assert role.returncode == EXIT_ORPHANED
 
 
-def test_a_role_ends_if_the_conductor_goes_while_it_plays():
+def test_a_role_ends_if_the_orchestrator_goes_while_it_plays():
     with start_role("""
 def play(stage):
     stage.wait_for_start()
@@ -103,7 +99,7 @@ def play(stage):
     assert role.returncode == EXIT_ORPHANED
 
 
-def test_a_role_leaves_ctrl_c_to_the_conductor():
+def test_a_role_leaves_ctrl_c_to_the_orchestrator():
     with start_role("""
 def play(stage):
     stage.wait_for_start()

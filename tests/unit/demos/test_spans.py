@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from stampede_rt import ByChannel, Cut, Item, Items
-from stampede_rt_demos.tv_watcher.programme import STREAMS, Stream
+from stampede_rt_demos.tv_watcher.programme import STREAMS, StreamPlan
 from stampede_rt_demos.tv_watcher.spans import Span, features_keep_times, spans_of, spans_taken
 
 SECOND, FRAME, BLOCK = 1_000_000_000, 40_000_000, 125_000_000
@@ -48,7 +48,7 @@ def cut(*, behind: str = "", truncated: str = "", late: Item | None = None) -> C
     )
 
 
-def channel(stream: Stream) -> SimpleNamespace:
+def channel(stream: StreamPlan) -> SimpleNamespace:
     """What a cut event knows a channel by."""
     return SimpleNamespace(info=SimpleNamespace(name=stream.channel, channel_id=stream.name.encode()))
 

@@ -3,11 +3,11 @@
 import pytest
 
 from stampede_rt_demos.staging.statistics import Receipts, SequenceAccount, percentile
-from stampede_rt_demos.tv_watcher.statistics import Step, stream_figures
+from stampede_rt_demos.tv_watcher.statistics import StepFigures, stream_figures
 
 
-def step(*, video: int = 25) -> Step:
-    return Step(
+def step(*, video: int = 25) -> StepFigures:
+    return StepFigures(
         time=0,
         end=1000,
         text="x",

@@ -37,6 +37,8 @@ class MemoryLog:
         self.other = OTHER
         self.quorum = True
         self.diverged_at = 0
+        # What the members have told of their releases; None: both know what this one knows.
+        self.highest_levels: dict[str, int] | None = None
         # What every change of the members ends with; None: it succeeds.
         self.change_fails: Exception | None = None
         self.snapshot_fails: Exception | None = None
@@ -95,7 +97,13 @@ class MemoryLog:
             applied_index=self.index,
             diverged_at=self.diverged_at,
             members=[SELF, self.other],
+            feature_level=self.machine.feature_level,
+            highest_levels=self._levels(),
         )
+
+    def _levels(self) -> dict[str, int]:
+        own = self.machine.highest_level
+        return {SELF.member_id: own, self.other.member_id: own} if self.highest_levels is None else self.highest_levels
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         self.added.append((member, ticket))

@@ -104,7 +104,7 @@ class Node:
 async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[Node]:
     replica, clock = DirectoryReplica(), ManualClock()
     log = MemoryLog(replica)
-    submission = Submission(log, time_unix_nano=clock.time_unix_nano)
+    submission = Submission(log, replica, time_unix_nano=clock.time_unix_nano)
     leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=TTL_NANOS)
     watches = Watches(replica, log, sign_of_life_seconds=sign_of_life_seconds)
     probe = Probe(log, lambda target: dial(target, secret=None))

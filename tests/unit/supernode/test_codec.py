@@ -16,7 +16,13 @@ from stampede_rt_supernode.codecs.command_codec import (
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
-from stampede_rt_supernode.core.cluster.commands import MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.commands import (
+    FeatureLevelRaised,
+    MarkTime,
+    RaiseFeatureLevel,
+    TenureBegun,
+    TimeMarked,
+)
 from stampede_rt_supernode.core.command_table import KINDS
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 from stampede_rt_supernode.core.directory import Directory
@@ -117,6 +123,7 @@ OPERATIONS: list[Operation] = [
     update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
     delete_queue(id_of(2)),
     MarkTime(tenure=2**64 - 1, after_index=7),
+    RaiseFeatureLevel(feature_level=2**32 - 1),
     register_peer(1, "planner", boot=2**64 - 1, proof=7, **EVERYTHING_OF_PEERS),
     register_peer(1, "planner", mailbox=QueueSpec()),
     register_peer(1),
@@ -196,6 +203,7 @@ RESULTS: list[Result] = [
     HostExpired(expired=True),
     TenureBegun(tenure=4, cluster_id="c"),
     TimeMarked(marked=True),
+    FeatureLevelRaised(feature_level=2),
     GroupOpened(group=GROUP, created=True),
     GroupUpdated(group=GROUP),
     GroupDeleted(),

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 import stampede_rt as st
 from stampede_rt_bench.clusters import running
-from stampede_rt_local.namespaces import Network, Place
+from stampede_rt_local.namespaces import NamespaceNetwork, NetworkNamespace
 
 SECONDS = 8
 PATIENCE_SECONDS = 20.0
@@ -53,13 +53,17 @@ class Setting:
     decoding_nanos: int = DECODING_NANOS
 
 
-def play(setting: Setting, network: Network | None, seconds: int = SECONDS) -> tuple[list[Receipt], list[Receipt]]:
+def play(
+    setting: Setting, network: NamespaceNetwork | None, seconds: int = SECONDS
+) -> tuple[list[Receipt], list[Receipt]]:
     """What the consumers of frames and captions got, and when. Blocks for some seconds more than that.
 
     On a `network` of MACHINES places every host and consumer is in one of its own.
     """
     context = multiprocessing.get_context("spawn")
-    places: Sequence[Place | None] = [None, None] if network is None else network.places[2:MACHINES]  # hosts come first
+    namespaces: Sequence[NetworkNamespace | None] = (
+        [None, None] if network is None else network.namespaces[2:MACHINES]
+    )  # hosts come first
     with running(hosts=2, network=network) as address, st.connect(address) as rt, ExitStack() as pools:
         channels = [
             rt.channel(name, max_age="60s", host=host.name)
@@ -68,8 +72,8 @@ def play(setting: Setting, network: Network | None, seconds: int = SECONDS) -> t
         rt.group(GROUP, channels, reference="oldest", bound=setting.bound)
         deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C this process ends them, in silence
         consumers = [pools.enter_context(context.Pool(1, *deaf)) for _ in channels]
-        for consumer, channel, place in zip(consumers, channels, places, strict=True):
-            consumer.apply(prepare, (place, address, channel.name, setting.grouped))
+        for consumer, channel, namespace in zip(consumers, channels, namespaces, strict=True):
+            consumer.apply(prepare, (namespace, address, channel.name, setting.grouped))
         start = time.time_ns() + LEAD_NANOS
         span = start, start + seconds * NANOS_PER_SECOND
         received = [consumer.apply_async(consume, span) for consumer in consumers]
@@ -120,10 +124,10 @@ def _put_all(
 _prepared: list[tuple[st.Connection, st.Channel | st.GroupChannel]] = []
 
 
-def prepare(place: Place | None, address: str, name: str, grouped: bool) -> None:
+def prepare(namespace: NetworkNamespace | None, address: str, name: str, grouped: bool) -> None:
     """Go to the place, if there is one, and get ready to read the channel there."""
-    if place is not None:
-        place.enter()
+    if namespace is not None:
+        namespace.enter()
     rt = st.connect(address)
     _prepared.append((rt, rt.group(GROUP)[name] if grouped else rt.channel(name, create=False)))
 

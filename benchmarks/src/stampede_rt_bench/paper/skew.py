@@ -30,7 +30,7 @@ from stampede_rt_bench.paper.captioned_video import (
     play,
 )
 from stampede_rt_bench.tables import Table, spread
-from stampede_rt_local.namespaces import Network, unavailable_because
+from stampede_rt_local.namespaces import NamespaceNetwork, unavailable_because
 
 GOAL_MS = 0.02 * 1000 / CAPTIONS_PER_SECOND
 BETWEEN = Setting(name="captions between frames", captions_after_nanos=FRAME_NANOS // 2, decoding_nanos=0)
@@ -42,7 +42,7 @@ SETTINGS = (
 )
 
 
-class Run(NamedTuple):
+class SkewRun(NamedTuple):
     """Each frame's place in its caption's span and its skew; how many frames of each caption came in one get."""
 
     skews_ms: Sequence[tuple[int, float]]
@@ -59,7 +59,7 @@ def measure(effort: Effort, chart: Path) -> Table:
     table = Table(["consumers read", "skew of a frame, ms", "of a caption's 15 frames in one get"])
     lines: dict[str, list[tuple[float, Spread]]] = {}
     why_not = unavailable_because()
-    with nullcontext() if why_not else Network(MACHINES) as network:
+    with nullcontext() if why_not else NamespaceNetwork(MACHINES) as network:
         for setting in SETTINGS:
             runs = [judge(*play(setting, network)) for _ in range(effort.runs)]
             lines[setting.name] = _by_place(runs)
@@ -84,16 +84,16 @@ def _notes(effort: Effort, why_not: str | None) -> list[str]:
     ]
 
 
-def _by_place(runs: Sequence[Run]) -> list[tuple[float, Spread]]:
+def _by_place(runs: Sequence[SkewRun]) -> list[tuple[float, Spread]]:
     """The median skew of the first, second, ... frame of a span, over the runs."""
     points = []
-    for place in range(FRAMES_PER_CAPTION):
-        medians = [[ms for at, ms in run.skews_ms if at == place] for run in runs]
-        points.append((place + 1.0, Spread.of([statistics.median(skews) for skews in medians if skews])))
+    for namespace in range(FRAMES_PER_CAPTION):
+        medians = [[ms for at, ms in run.skews_ms if at == namespace] for run in runs]
+        points.append((namespace + 1.0, Spread.of([statistics.median(skews) for skews in medians if skews])))
     return points
 
 
-def judge(frames: Sequence[Receipt], captions: Sequence[Receipt]) -> Run:
+def judge(frames: Sequence[Receipt], captions: Sequence[Receipt]) -> SkewRun:
     """Each frame against the caption in whose span it begins; the last caption's span may not be over.
 
     Raises AssertionError if a caption between the first and the last has not all its frames.
@@ -111,4 +111,4 @@ def judge(frames: Sequence[Receipt], captions: Sequence[Receipt]) -> Run:
     wrong = [number for number, gets in together.items() if gets.total() != FRAMES_PER_CAPTION]
     if wrong or not skews:
         raise AssertionError(f"{len(captions)} captions came, and not {FRAMES_PER_CAPTION} frames with those: {wrong}")
-    return Run(skews, [max(gets.values()) for gets in together.values()])
+    return SkewRun(skews, [max(gets.values()) for gets in together.values()])

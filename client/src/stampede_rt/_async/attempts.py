@@ -15,7 +15,7 @@ from stampede_rt.transports.concurrency_async import sleep
 Result = TypeVar("Result")
 
 
-class Place(Protocol):
+class Locator(Protocol):
     """Where a channel or queue is, as far as it is known; what turns out to be stale counts as a miss."""
 
     async def find(self, deadline_s: float) -> Binding:
@@ -40,26 +40,28 @@ class Place(Protocol):
         ...
 
 
-async def attempt(place: Place, operation: Callable[[Binding], Awaitable[Result]], timeout_s: float | None) -> Result:
+async def attempt(
+    locator: Locator, operation: Callable[[Binding], Awaitable[Result]], timeout_s: float | None
+) -> Result:
     """Run `operation` where the thing is, again and again while what it raises is retryable.
 
     `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met; if only
     the end of the time cut that one short, what the try before met, which says more.
     """
-    place.check()
+    locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
     told: StampedeError | None = None
     while True:
         try:
-            return await operation(await place.find(backoff.deadline_s))
+            return await operation(await locator.find(backoff.deadline_s))
         except StampedeError as error:
-            place.explain(error)
+            locator.explain(error)
             slow = isinstance(error, DeadlineExceeded)  # a host that hangs may be lost soon
             if not (error.retryable or slow):
                 raise
-            place.forget()
+            locator.forget()
             told = told if slow and told is not None else error
-            delay_s = None if place.closed else backoff.next_delay_s(time.monotonic(), random.random())
+            delay_s = None if locator.closed else backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:
                 raise told from (None if told is error else error)
         await sleep(delay_s)

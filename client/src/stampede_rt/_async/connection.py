@@ -8,17 +8,17 @@ from typing import Any
 
 from stampede_rt._async.channel import Channel
 from stampede_rt._async.cross_section import cross_section
+from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S
 from stampede_rt._async.discovery import Discovery
 from stampede_rt._async.group import Group
 from stampede_rt._async.group_channel import GroupChannel
 from stampede_rt._async.group_members import GroupMembers, member_handles
-from stampede_rt._async.peer_place import PeerPlace
+from stampede_rt._async.mailbox_sender import MailboxSender
+from stampede_rt._async.peer_locator import PeerLocator
 from stampede_rt._async.presence import Mailbox, Presence
 from stampede_rt._async.queue import Queue, dead_letter_id, pending_at, stats_at
-from stampede_rt._async.queue_place import open_queue, queue_state
-from stampede_rt._async.sending import Sending
+from stampede_rt._async.queue_locator import open_queue, queue_state
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
-from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference
 from stampede_rt.transports.concurrency_async import monotonic_s
@@ -52,7 +52,7 @@ class Connection(Discovery, Reference):
         self.name = name
         self._presence = Presence(session, name, proof) if name else None
         self._mailbox: Mailbox | None = None
-        self._sending = Sending(session)
+        self._mailbox_sender = MailboxSender(session)
 
     def __repr__(self) -> str:
         name = f", peer {self.name!r}" if self.name else ""
@@ -274,14 +274,14 @@ class Connection(Discovery, Reference):
         QueueFull, ItemTooLarge, CodecError; Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer
-        return await self._sending.send(
+        return await self._mailbox_sender.send(
             parse_name(name, "peer"), payload, timeout, attributes, content_type, codec, message_id
         )
 
     async def mailbox_stats(self, peer: str) -> QueueStats:
         """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""
-        return await stats_at(self._session, PeerPlace(self._session, parse_name(peer, "peer")))
+        return await stats_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")))
 
     async def mailbox_pending(self, peer: str, limit: int = 1000) -> list[PendingMessage]:
         """What a participant has taken from its mailbox and not settled, see `Queue.pending`. Raises PeerNotFound."""
-        return await pending_at(self._session, PeerPlace(self._session, parse_name(peer, "peer")), limit)
+        return await pending_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")), limit)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
-from stampede_rt.transports.concurrency_async import Background, Mutex, Signal
+from stampede_rt.transports.concurrency_async import BackgroundTask, Mutex, Signal
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 
@@ -31,8 +31,8 @@ async def consume(session: Session, state: ChannelState, items: Item | Iterable[
         response = await _consume(session, state, incarnation, chunk)
         consumed += response.consumed
         lease_s = response.lease_nanos / 1e9
-    kept = session.consumer_places.setdefault(state.info.channel_id, _KeptPlace(session, state))
-    assert isinstance(kept, _KeptPlace), "nothing else is put there"
+    kept = session.consumer_places.setdefault(state.info.channel_id, _HeldConsumerPlace(session, state))
+    assert isinstance(kept, _HeldConsumerPlace), "nothing else is put there"
     kept.keep(lease_s)
     return consumed
 
@@ -65,7 +65,7 @@ async def _consume(
     """One request, tried again as often as that helps: consuming twice is as good as once."""
 
     async def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
-        port = session.ports.to(binding.target)
+        endpoint = session.endpoints.to(binding.target)
         request = channel_pb.ConsumeRequest(
             channel_id=binding.channel_id,
             epoch=binding.epoch,
@@ -74,13 +74,13 @@ async def _consume(
             incarnation=incarnation,
             lease_nanos=lease_nanos,
         )
-        response: channel_pb.ConsumeResponse = await port.call(port.channels.Consume, request, timeout_s)
+        response: channel_pb.ConsumeResponse = await endpoint.call(endpoint.channels.Consume, request, timeout_s)
         return response
 
     return await session.perform(state, consume_at, timeout_s)
 
 
-class _KeptPlace:
+class _HeldConsumerPlace:
     """Renews the lease on the connection's place at one channel until the connection is closed, then gives it up."""
 
     def __init__(self, session: Session, state: ChannelState) -> None:
@@ -89,7 +89,7 @@ class _KeptPlace:
         self._mutex = Mutex()
         self._stop = Signal()
         self._lease_s = 0.0
-        self._background: Background | None = None
+        self._background: BackgroundTask | None = None
 
     def keep(self, lease_s: float) -> None:
         """The place was just taken or renewed for so long. Begins to renew it, unless that is under way."""
@@ -97,7 +97,7 @@ class _KeptPlace:
             self._lease_s = lease_s
             if self._background is None:
                 self._session.attach(self)
-                self._background = Background(self._run, f"consumer of {self._state.info.name}")
+                self._background = BackgroundTask(self._run, f"consumer of {self._state.info.name}")
 
     async def end(self) -> None:
         """Give the place up, so that nothing waits for the lease to end. What closing the connection does."""

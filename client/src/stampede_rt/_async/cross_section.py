@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from stampede_rt._async.reader import Reader
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.transports.concurrency_async import monotonic_s, together
+from stampede_rt.transports.concurrency_async import monotonic_s, run_all
 from stampede_rt.values.grouping import ByChannel, CrossSection, Over
 from stampede_rt.values.model import Item, Items
 from stampede_rt.values.reading import Wait
@@ -46,7 +46,7 @@ async def cross_section(
 
         ids = (other.info.channel_id for other in others)
         reads = [functools.partial(beside, other) for other in others]
-        found |= dict(zip(ids, await together(reads), strict=True))
+        found |= dict(zip(ids, await run_all(reads), strict=True))
     return CrossSection(time=held[-1].time if held else None, items=ByChannel([reference, *others], found))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt._async.peer_place import peer_not_found
+from stampede_rt._async.peer_locator import peer_not_found
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt._async.watch import PeerWatch, Watch
 from stampede_rt.errors import DeadlineExceeded, HostNotFound, PeerNotFound, Unavailable
@@ -90,11 +90,11 @@ class Discovery:
         found = host_info((await self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)
         if not found.alive or not found.endpoints:
             raise HostNotFound(f"the host {host!r} is lost: its lease has ended; start it again, or name another")
-        port = self._session.ports.to(found.endpoints[0])
+        endpoint = self._session.endpoints.to(found.endpoints[0])
         stats: dict[str, ChannelStats] = {}
         page_request = gatekeeper_pb.ListHostedChannelsRequest(name_glob=name_glob)
         for _ in range(PAGES_MAX):
-            page = await port.call(port.gatekeeper.ListHostedChannels, page_request, CALL_TIMEOUT_S)
+            page = await endpoint.call(endpoint.gatekeeper.ListHostedChannels, page_request, CALL_TIMEOUT_S)
             stats |= {status.record.name: channel_stats(status) for status in page.channels}
             if not page.next_page_token:
                 break

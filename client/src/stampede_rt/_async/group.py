@@ -25,15 +25,15 @@ from stampede_rt.errors import (
     StampedeError,
     Unavailable,
 )
-from stampede_rt.handles import Reference, shown
-from stampede_rt.transports.concurrency_async import together
+from stampede_rt.handles import Reference, handle_repr
+from stampede_rt.transports.concurrency_async import run_all
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import (
     ByChannel,
     GroupInfo,
     GroupStatus,
-    Named,
+    NamedChannel,
     NewestItems,
     parse_lateness,
     parse_max_wait,
@@ -41,7 +41,7 @@ from stampede_rt.values.grouping import (
     parse_tolerance,
 )
 from stampede_rt.values.model import Items
-from stampede_rt.values.reading import Read, parse_limit
+from stampede_rt.values.reading import ReadQuery, parse_limit
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
@@ -97,12 +97,12 @@ class Group(Reference):
     def __repr__(self) -> str:
         members = ", ".join(channel.name for channel in self.channels)
         state = f", {self._session.state}" if self._session.state else ""
-        return f"{shown('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
+        return f"{handle_repr('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._session.reopened("group", self._members)
 
-    def __getitem__(self, channel: Named | str) -> GroupChannel:
+    def __getitem__(self, channel: NamedChannel | str) -> GroupChannel:
         """The descriptor of a member, by its handle, whose codec it has, or by its name.
 
         Raises InvalidArgument for a channel that is no member.
@@ -133,7 +133,7 @@ class Group(Reference):
         """
         interval = parse_interval(start, end, bounds)
         return await self._read(
-            Read(
+            ReadQuery(
                 interval,
                 match=parse_match(match),
                 limit=parse_limit(limit),
@@ -149,10 +149,12 @@ class Group(Reference):
         what is before it, so right after the first ones nothing is visible.
         """
         interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
-        answers = await self._read(Read(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
+        answers = await self._read(
+            ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads)
+        )
         return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
 
-    async def _read(self, query: Read) -> ByChannel[Channel, Items]:
+    async def _read(self, query: ReadQuery) -> ByChannel[Channel, Items]:
         return await self._with_members_of_now(functools.partial(self._read_all, query))
 
     async def _with_members_of_now(self, operation: Callable[[], Awaitable[Result]]) -> Result:
@@ -166,9 +168,9 @@ class Group(Reference):
                 raise
         return await operation()
 
-    async def _read_all(self, query: Read) -> ByChannel[Channel, Items]:
+    async def _read_all(self, query: ReadQuery) -> ByChannel[Channel, Items]:
         query = replace(query, cut=await self._cut())
-        answers = await together(
+        answers = await run_all(
             [functools.partial(read, self._session, one._state, query, self._members.view) for one in self.channels]
         )
         ids = (channel.info.channel_id for channel in self.channels)
@@ -178,11 +180,11 @@ class Group(Reference):
         """One cut for one read of all channels; the least instant: nothing is visible yet."""
 
         async def cut_at(binding: Binding) -> group_pb.GetCutResponse:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetCutRequest(
                 group_id=self.info.group_id, cut_floor_unix_nano=self._members.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
             )
-            response: group_pb.GetCutResponse = await port.call(port.groups.GetCut, request, CALL_TIMEOUT_S)
+            response: group_pb.GetCutResponse = await endpoint.call(endpoint.groups.GetCut, request, CALL_TIMEOUT_S)
             return response
 
         response = await self._session.perform(self.channels[0]._state, cut_at)
@@ -213,7 +215,7 @@ class Group(Reference):
 
     def match(
         self,
-        per: Named | str,
+        per: NamedChannel | str,
         tolerance: DurationLike,
         *,
         unique: bool = False,
@@ -248,10 +250,10 @@ class Group(Reference):
 
     async def _status(self) -> GroupStatus[Channel]:
         async def status_at(binding: Binding) -> group_pb.GetGroupStatusResponse:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetGroupStatusRequest(group_id=self.info.group_id)
-            response: group_pb.GetGroupStatusResponse = await port.call(
-                port.groups.GetGroupStatus, request, HOST_TIMEOUT_S
+            response: group_pb.GetGroupStatusResponse = await endpoint.call(
+                endpoint.groups.GetGroupStatus, request, HOST_TIMEOUT_S
             )
             return response
 

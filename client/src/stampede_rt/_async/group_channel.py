@@ -9,7 +9,7 @@ from stampede_rt._async.reader import Reader
 from stampede_rt._async.session import ChannelState
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.values.model import Items
-from stampede_rt.values.reading import Read
+from stampede_rt.values.reading import ReadQuery
 
 
 class GroupChannel(Reader):
@@ -22,7 +22,7 @@ class GroupChannel(Reader):
         super().__init__(group.session, state, group.view)
         self._group = group
 
-    async def _read(self, query: Read) -> Items:
+    async def _read(self, query: ReadQuery) -> Items:
         floor = self._group.view.cut_floor
         try:
             items = await super()._read(query)

@@ -7,11 +7,11 @@ from functools import cached_property
 from types import TracebackType
 from typing import Any
 
-from stampede_rt._async.attempts import Place, attempt
+from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import LeaseExpired, StampedeError
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import queue_pb2
@@ -20,7 +20,7 @@ from stampede_rt.values.codecs import CodecLike, Coding
 from stampede_rt.values.policy import duration_of
 from stampede_rt.values.queueing import parse_lease, parse_reason
 from stampede_rt.values.timeline import DurationLike
-from stampede_rt.wire.queues import Delivery
+from stampede_rt.wire.queues import DeliveredMessage
 
 SETTLEMENTS_MAX = 1024
 _DONE_ONCE = ("give_back", "terminate")
@@ -29,9 +29,9 @@ _DONE_ONCE = ("give_back", "terminate")
 class Settler:
     """Tells a queue's host what became of deliveries to one taker."""
 
-    def __init__(self, session: Session, place: Place, taker_id: int) -> None:
+    def __init__(self, session: Session, locator: Locator, taker_id: int) -> None:
         self._session = session
-        self._place = place
+        self._locator = locator
         self._taker_id = taker_id
 
     async def settle(self, settlement: queue_pb2.Settlement, incarnation: int) -> queue_pb2.SettlementResult:
@@ -54,7 +54,7 @@ class Settler:
                     raise error  # else an earlier try has done it already
             return result
 
-        return await attempt(self._place, settle_at, CALL_TIMEOUT_S)
+        return await attempt(self._locator, settle_at, CALL_TIMEOUT_S)
 
     async def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
         """Give back what was never handed to anybody, which counts as no delivery.
@@ -69,7 +69,7 @@ class Settler:
                 held = [one.given_back() for one in some if one.incarnation == binding.incarnation]
                 return await self._settle_at(binding, held, timeout_s) if held else ()
 
-            await attempt(self._place, settle_at, timeout_s)
+            await attempt(self._locator, settle_at, timeout_s)
 
     async def extend(self, messages: Sequence[Message], timeout_s: float) -> list[Message]:
         """Have them for as long as at first, from now on. Those that are still this taker's."""
@@ -84,21 +84,21 @@ class Settler:
                 results = await self._settle_at(binding, settlements, timeout_s) if held else ()
                 return [one for one, result in zip(held, results, strict=True) if one.has_extended(result, began_s)]
 
-            extended += await attempt(self._place, settle_at, timeout_s)
+            extended += await attempt(self._locator, settle_at, timeout_s)
         return extended
 
     async def _settle_at(
         self, binding: Binding, settlements: Sequence[queue_pb2.Settlement], timeout_s: float
     ) -> Sequence[queue_pb2.SettlementResult]:
-        port = self._session.ports.to(binding.target)
+        endpoint = self._session.endpoints.to(binding.target)
         request = queue_service_pb.SettleRequest(
             queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id, settlements=settlements
         )
-        response: queue_service_pb.SettleResponse = await port.call(port.queues.Settle, request, timeout_s)
+        response: queue_service_pb.SettleResponse = await endpoint.call(endpoint.queues.Settle, request, timeout_s)
         return response.results
 
 
-class Message(OfOneProcess):
+class Message(BoundToProcess):
     """An item that a queue or mailbox has leased to this taker. It comes again unless `ack` is called in time.
 
     `deliveries` says which delivery of the item this is, from 1; `time` is when the queue accepted it, in nanoseconds
@@ -107,7 +107,7 @@ class Message(OfOneProcess):
     `origin` tells of a dead letter where it comes from; it is None for others.
     """
 
-    def __init__(self, settler: Settler, delivery: Delivery, incarnation: int, coding: Coding | None) -> None:
+    def __init__(self, settler: Settler, delivery: DeliveredMessage, incarnation: int, coding: Coding | None) -> None:
         self._settler = settler
         self._delivery = delivery
         self._coding = coding

@@ -14,7 +14,7 @@ from weakref import WeakMethod
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_error_message
@@ -33,7 +33,7 @@ REJECTIONS_KEPT_MAX = 1024
 _in_flight: set[Producer] = set()  # held until their items are acked, even if nobody else holds them any more
 
 
-class Producer(OfOneProcess):
+class Producer(BoundToProcess):
     """Puts that do not wait for their acks, with bounded bytes in flight (see `Channel.producer`).
 
     Use it as a context manager, from one thread or task; leaving it flushes. One that is dropped without being closed
@@ -200,12 +200,12 @@ class Producer(OfOneProcess):
         await self.aclose()
 
         async def open_at(binding: Binding) -> None:  # as a whole or not at all: nothing in it waits
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
             head = put_head(binding.channel_id, binding.epoch, self._producer_id)
             with self._mutex:
-                self._stream = stream = port.duplex(on_acks, on_end)
+                self._stream = stream = endpoint.duplex(on_acks, on_end)
                 self._opened[:] = [stream]
                 self._failure = None
                 stream.send(head)

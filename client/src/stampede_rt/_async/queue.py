@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
 
-from stampede_rt._async.attempts import Place, attempt
+from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.message import Message
-from stampede_rt._async.puts import Numbers, Puts, Single, enqueued
-from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
+from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem, enqueued
+from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._async.reconnecting import Reconnecting
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.handles import Reference, shown
+from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.transports.concurrency_async import when_dropped
-from stampede_rt.transports.grpc_async import Port
+from stampede_rt.transports.grpc_async import ServerEndpoint
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.values.model import OnFull
@@ -31,19 +31,24 @@ from stampede_rt.wire.queues import pending_message, queue_policy_to_spec, queue
 PENDING_PAGE_MAX = 1000
 
 
-class Taking:
+class MessageTaking:
     """What messages are taken from: a queue, or one's own mailbox. An iterator that waits for the next one for ever."""
 
     def __init__(
-        self, session: Session, state: QueueState, place: Place, prefetch: int, reconnect: DurationLike | None = None
+        self,
+        session: Session,
+        state: QueueState,
+        locator: Locator,
+        prefetch: int,
+        reconnect: DurationLike | None = None,
     ) -> None:
         self._session = session
         self._reconnecting = Reconnecting(
             session, f"the iteration over {state.kind} {state.name!r}", reconnect, held=True
         )
         self._state = state
-        self._place = place
-        self._taker = Taker(session, place, state, prefetch, session.supernodes.peer_name)
+        self._locator = locator
+        self._taker = Taker(session, locator, state, prefetch, session.supernodes.peer_name)
         when_dropped(self, self._taker.let_go)
 
     @property
@@ -68,7 +73,7 @@ class Taking:
 
     def __repr__(self) -> str:
         state = self._session.state or ("closed" if self._taker.closed else "")
-        return shown(type(self).__name__, self.name, self.info.queue_id, self.host, state)
+        return handle_repr(type(self).__name__, self.name, self.info.queue_id, self.host, state)
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and other._state.info.queue_id == self._state.info.queue_id
@@ -84,7 +89,7 @@ class Taking:
         """
         return await self._taker.get(Wait.parse(timeout))
 
-    def __aiter__(self) -> Taking:
+    def __aiter__(self) -> MessageTaking:
         return self
 
     async def __anext__(self) -> Message:
@@ -112,7 +117,7 @@ class Taking:
 
     async def stats(self) -> QueueStats:
         """Counters and waiters, taken at one moment."""
-        return await stats_at(self._session, self._place)
+        return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
         """What is leased to whom, since when and until when: the `limit` oldest deliveries, in their order.
@@ -120,7 +125,7 @@ class Taking:
         Changes nothing. Long lists are fetched page by page, so that what was settled meanwhile may be missing. Raises
         QueueNotFound, Unavailable, InvalidArgument.
         """
-        return await pending_at(self._session, self._place, limit)
+        return await pending_at(self._session, self._locator, limit)
 
     async def aclose(self) -> None:
         """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
@@ -131,7 +136,7 @@ class Taking:
         await self._taker.end()
 
 
-class Queue(Taking, Reference):
+class Queue(MessageTaking, Reference):
     """A named queue. Handles of the same queue are equal; any number may put and take anywhere.
 
     A context manager, which closes the handle. Items come in the order of their acceptance, each to one taker at a
@@ -141,11 +146,11 @@ class Queue(Taking, Reference):
     def __init__(
         self, session: Session, state: QueueState, prefetch: int, reconnect: DurationLike | None = None
     ) -> None:
-        place = QueuePlace(session, state)
+        locator = QueueLocator(session, state)
         self._reconnect = reconnect
-        super().__init__(session, state, place, prefetch, reconnect)
-        self._puts = Puts(session, place, Port.enqueues)
-        self._numbers = Numbers()
+        super().__init__(session, state, locator, prefetch, reconnect)
+        self._puts = Puts(session, locator, ServerEndpoint.enqueues)
+        self._numbers = ProducerNumbers()
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self._state
@@ -180,7 +185,7 @@ class Queue(Taking, Reference):
         of those under way at once none waits behind one that may wait longer. Raises QueueFull, ItemTooLarge,
         CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
-        item = Single.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
+        item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
 
     async def configure(
@@ -219,7 +224,7 @@ class Queue(Taking, Reference):
             self._state.info = learn_queue(self._session, response.queue, now.host)
             return self._state.info.policy
 
-        return await attempt(self._place, update_at, CALL_TIMEOUT_S)
+        return await attempt(self._locator, update_at, CALL_TIMEOUT_S)
 
     async def delete(self) -> None:
         """Delete the queue with all that it holds, for everyone. Not while it is the dead-letter queue of another."""
@@ -230,24 +235,24 @@ class Queue(Taking, Reference):
         self._session.cache.forget(self.info.queue_id)
 
 
-async def stats_at(session: Session, place: Place) -> QueueStats:
+async def stats_at(session: Session, locator: Locator) -> QueueStats:
     """Counters and waiters of the queue at a place."""
 
     async def status_at(binding: Binding) -> QueueStats:
-        port = session.ports.to(binding.target)
+        endpoint = session.endpoints.to(binding.target)
         request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
-        response = await port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+        response = await endpoint.call(endpoint.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
         return queue_stats(response.status)
 
-    return await attempt(place, status_at, CALL_TIMEOUT_S)
+    return await attempt(locator, status_at, CALL_TIMEOUT_S)
 
 
-async def pending_at(session: Session, place: Place, limit: int) -> list[PendingMessage]:
+async def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMessage]:
     """The oldest deliveries that are leased, of the queue at a place. One that moves begins anew."""
     most = count_of("limit", limit) or 1
 
     async def pages_at(binding: Binding) -> list[PendingMessage]:
-        port = session.ports.to(binding.target)
+        endpoint = session.endpoints.to(binding.target)
         found: list[PendingMessage] = []
         after, more = 0, True
         while more and len(found) < most:  # each page lies behind the one before
@@ -257,12 +262,12 @@ async def pending_at(session: Session, place: Place, limit: int) -> list[Pending
                 after_delivery_id=after,
                 page_size=min(most - len(found), PENDING_PAGE_MAX),
             )
-            page = await port.call(port.queues.ListPending, request, CALL_TIMEOUT_S)
+            page = await endpoint.call(endpoint.queues.ListPending, request, CALL_TIMEOUT_S)
             found += map(pending_message, page.deliveries)
             after, more = page.deliveries[-1].delivery_id if page.deliveries else after, page.more
         return found
 
-    return await attempt(place, pages_at, CALL_TIMEOUT_S)
+    return await attempt(locator, pages_at, CALL_TIMEOUT_S)
 
 
 async def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> bytes | None:

@@ -6,14 +6,14 @@ import logging
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from stampede_rt._async.listener import END_TIMEOUT_S, worth_a_line
+from stampede_rt._async.listener import END_TIMEOUT_S, should_log
 from stampede_rt._async.session import Session
 from stampede_rt.errors import ChannelNotFound, StampedeError
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.periods import Periods
 from stampede_rt.transports.concurrency_async import (
-    Background,
-    Beginning,
+    BackgroundStart,
+    BackgroundTask,
     Signal,
     call_back,
     check_callback,
@@ -47,7 +47,7 @@ class MonotonicClock:
         return await stop.wait(timeout_nanos / 1e9)
 
 
-class Sampler(Beginning, OfOneProcess):
+class Sampler(BackgroundStart, BoundToProcess):
     """What asks a function for an item every so often (see `Channel.sample`), until `cancel`.
 
     `samples` counts items put, `missed` periods that passed while the function or a put took too long. `failures`
@@ -77,7 +77,7 @@ class Sampler(Beginning, OfOneProcess):
         self.last_failure: Exception | None = None
         self.error: StampedeError | None = None
         session.attach(self)
-        self._background = Background(self._run, f"sample of {name}")
+        self._background = BackgroundTask(self._run, f"sample of {name}")
 
     @property
     def missed(self) -> int:
@@ -128,5 +128,5 @@ class Sampler(Beginning, OfOneProcess):
         except Exception as error:  # noqa: BLE001  # whatever it is, it is told, and the next one comes
             self.failures += 1
             self.last_failure = error
-            if worth_a_line(self.failures):
+            if should_log(self.failures):
                 _log.exception("sampling for %s: failure %d; it goes on", self._name, self.failures)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from stampede_rt._async.attempts import attempt
-from stampede_rt._async.ports import Ports
+from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S, DirectoryClient
+from stampede_rt._async.endpoints import EndpointPool
 from stampede_rt._async.put_streams import PutStreams
-from stampede_rt._async.supernodes import CONNECT_TIMEOUT_S, Supernodes
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.credentials import Credentials
-from stampede_rt.transports.concurrency_async import Turns, thread_id
+from stampede_rt.transports.concurrency_async import KeyedLock, thread_id
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import ChannelInfo, Policy
@@ -33,7 +33,7 @@ TRY_TIMEOUT_S = 5.0
 Result = TypeVar("Result")
 
 
-class Attached(Protocol):
+class SessionTask(Protocol):
     """What works in the background of a connection, and ends with it."""
 
     async def end(self) -> None:
@@ -83,15 +83,15 @@ class Session:
         self.frontends = frontends
         self.zone = zone
         self._reopening = reopening
-        self.ports = Ports(credentials)
-        self.supernodes = Supernodes(frontends, self.ports, peer_name=peer_name, zone=zone)
+        self.endpoints = EndpointPool(credentials)
+        self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.put_streams = PutStreams()
-        self._turns = Turns()
+        self._binding_locks = KeyedLock()
         self.closed = False
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # who the connection is where items are consumed
-        self.consumer_places: dict[bytes, Attached] = {}  # that it keeps, by channel id; see `consuming`
-        self._attached: dict[Attached, None] = {}  # in the order of their coming
+        self.consumer_places: dict[bytes, SessionTask] = {}  # that it keeps, by channel id; see `consuming`
+        self._attached: dict[SessionTask, None] = {}  # in the order of their coming
 
     async def open(self) -> None:
         """Find the supernodes, within 5 s. Raises Unavailable, PermissionDenied, VersionMismatch."""
@@ -108,12 +108,12 @@ class Session:
         finally:  # also when somebody loses patience meanwhile
             self.closed = True
             self.cache.forget_all()
-            await self.ports.aclose()
+            await self.endpoints.aclose()
 
     @property
     def inherited(self) -> bool:
         """The connection was made before this process was forked, and is of no use in it."""
-        return self.ports.inherited
+        return self.endpoints.inherited
 
     @property
     def state(self) -> str:
@@ -131,7 +131,7 @@ class Session:
 
     def check_process(self) -> None:
         """Raises ForkedProcess if the connection is inherited."""
-        self.ports.check_process()
+        self.endpoints.check_process()
 
     def check(self) -> None:
         """Raises ForkedProcess, or Unavailable if the connection is closed."""
@@ -139,12 +139,12 @@ class Session:
         if self.closed:
             raise Unavailable("this connection is closed; connect() again")
 
-    def attach(self, one: Attached) -> None:
+    def attach(self, one: SessionTask) -> None:
         """End `one` before the connection is closed."""
         self.check()
         self._attached[one] = None
 
-    def detach(self, one: Attached) -> None:
+    def detach(self, one: SessionTask) -> None:
         """It has ended by itself."""
         self._attached.pop(one, None)
 
@@ -194,14 +194,14 @@ class Session:
 
         `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met.
         """
-        return await attempt(ChannelPlace(self, state), operation, timeout_s)
+        return await attempt(ChannelLocator(self, state), operation, timeout_s)
 
     async def bind(self, state: ChannelState, deadline_s: float = float("inf")) -> Binding:
         """Where the channel's data is, from the caches or by asking."""
         found = self.cache.binding(state.info.channel_id, thread_id())
         if found is not None:
             return found
-        async with self._turns.of(state.info.channel_id, left_s(deadline_s)):
+        async with self._binding_locks.hold(state.info.channel_id, left_s(deadline_s)):
             return await self._find(state, deadline_s)
 
     async def _find(self, state: ChannelState, deadline_s: float) -> Binding:
@@ -254,9 +254,11 @@ class Session:
         )
         failure: StampedeError = Unavailable(f"the host of channel {state.info.name!r} has no endpoint")
         for target in self.cache.gatekeepers(owner.host_id):
-            port = self.ports.to(target)
+            endpoint = self.endpoints.to(target)
             try:
-                response = await port.call(port.gatekeeper.BindChannel, request, min(left_s(deadline_s), TRY_TIMEOUT_S))
+                response = await endpoint.call(
+                    endpoint.gatekeeper.BindChannel, request, min(left_s(deadline_s), TRY_TIMEOUT_S)
+                )
             except (Unavailable, DeadlineExceeded) as error:
                 failure = Unavailable(
                     f"the host {state.info.host!r} of channel {state.info.name!r} at {target} cannot be reached: "
@@ -280,7 +282,7 @@ class Session:
 
 
 @dataclass(frozen=True, slots=True)
-class ChannelPlace:
+class ChannelLocator:
     """Where a channel is, as far as a session knows."""
 
     session: Session

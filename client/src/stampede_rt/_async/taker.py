@@ -9,16 +9,16 @@ from collections import deque
 from contextlib import suppress
 from functools import partial
 
-from stampede_rt._async.attempts import Place, attempt
+from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.message import Message, Settler
-from stampede_rt._async.prefetched import Prefetched
-from stampede_rt._async.queue_place import QueueState
+from stampede_rt._async.prefetch_buffer import PrefetchBuffer
+from stampede_rt._async.queue_locator import QueueState
 from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.pacing.retry import FIRST_DELAY_S
-from stampede_rt.transports.concurrency_async import Background, Mutex, Signal, sleep
-from stampede_rt.transports.grpc_async import Conversation
+from stampede_rt.transports.concurrency_async import BackgroundTask, Mutex, Signal, sleep
+from stampede_rt.transports.grpc_async import BidiStream
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.values.queueing import PREFETCH_MAX
 from stampede_rt.values.reading import Wait
@@ -29,7 +29,7 @@ END_TIMEOUT_S = 1.0
 _log = logging.getLogger("stampede_rt")
 
 
-class Waiter:
+class WaitingTake:
     """One `get` that waits: for a message, or for the error that it raises."""
 
     def __init__(self) -> None:
@@ -48,30 +48,32 @@ class Taker:
     opened by the first `get` and again whenever it breaks; whoever dies gives nothing back but loses nothing, either.
     """
 
-    def __init__(self, session: Session, place: Place, state: QueueState, prefetch: int, name: str = "") -> None:
+    def __init__(self, session: Session, locator: Locator, state: QueueState, prefetch: int, name: str = "") -> None:
         self._name = name or _this_process()
         self._session = session
-        self._place = place
+        self._locator = locator
         self._state = state
         self.prefetch = prefetch
         self._taker_id = int.from_bytes(os.urandom(8), "little") | 1
-        self._settler = Settler(session, place, self._taker_id)
+        self._settler = Settler(session, locator, self._taker_id)
         self._mutex = Mutex()  # guards everything below
-        self._waiting: deque[Waiter] = deque()
-        self._ready = Prefetched(self._settler, self._give_back, f"{state.kind} {state.name!r}")  # at most `prefetch`
-        self._stream: Conversation[queue_pb.TakeResponse] | None = None
+        self._waiting: deque[WaitingTake] = deque()
+        self._ready = PrefetchBuffer(
+            self._settler, self._give_back, f"{state.kind} {state.name!r}"
+        )  # at most `prefetch`
+        self._stream: BidiStream[queue_pb.TakeResponse] | None = None
         self._credit = 0  # how many the open stream may still deliver
         self._draining = False
         self._opened = Signal()  # the stream is, or nobody wants one
         self._drained = Signal()
         self._incarnation = 0
-        self._worker: Background | None = None
+        self._worker: BackgroundTask | None = None
         self.closed = False
 
     async def get(self, wait: Wait) -> Message | None:
         """The next message, or None when the wait is over or this is closed. Raises what keeps it from coming."""
         self._session.check_process()
-        waiter = Waiter()
+        waiter = WaitingTake()
         with self._mutex:
             if self._session.closed:
                 raise Unavailable("this connection is closed; connect() again")
@@ -85,7 +87,7 @@ class Taker:
             raise waiter.error
         return waiter.message
 
-    async def _wait(self, waiter: Waiter, wait: Wait) -> None:
+    async def _wait(self, waiter: WaitingTake, wait: Wait) -> None:
         """Until the waiter has a message, or its time is over. Interrupted anywhere in it, the waiter leaves."""
         over = False
         try:
@@ -98,14 +100,14 @@ class Taker:
         finally:
             self._leave(waiter)
             if not over:
-                Background(partial(self._after_interruption, waiter), f"tidying up {self._state.name}")
+                BackgroundTask(partial(self._after_interruption, waiter), f"tidying up {self._state.name}")
 
-    def _leave(self, waiter: Waiter) -> None:
+    def _leave(self, waiter: WaitingTake) -> None:
         with self._mutex:
             if waiter in self._waiting:
                 self._waiting.remove(waiter)
 
-    async def _after_interruption(self, waiter: Waiter) -> None:
+    async def _after_interruption(self, waiter: WaitingTake) -> None:
         """What came at that very moment is the next getter's, and what was asked for goes back."""
         message = waiter.message
         if message is not None and message.lease_left and not self._pass_on(message, first=True):
@@ -123,7 +125,7 @@ class Taker:
             if self._worker is None and self._wanted():
                 self._session.attach(self)
                 self._opened.clear()
-                self._worker = Background(self._work, f"taking from {self._state.name}")
+                self._worker = BackgroundTask(self._work, f"taking from {self._state.name}")
             more = self._wanted() - self._credit
             stream, asking = self._stream, tuple(self._waiting)
             if stream is None or self._draining:  # the next one is opened with what is wanted then
@@ -133,7 +135,7 @@ class Taker:
             self._credit += max(more, 0)
         if more > 0:
             with suppress(Unavailable):  # a stream that breaks is the worker's to replace
-                await stream.say(queue_pb.TakeRequest(credit=more))
+                await stream.send(queue_pb.TakeRequest(credit=more))
         for waiter in asking:
             waiter.asked.set()
 
@@ -149,7 +151,7 @@ class Taker:
             begin, self._draining = not self._draining, True
         if begin:
             with suppress(Unavailable):
-                await stream.say(queue_pb.TakeRequest(drain=True))
+                await stream.send(queue_pb.TakeRequest(drain=True))
         if not await drained.wait(timeout_s):
             stream.cancel()  # it hangs
 
@@ -157,7 +159,7 @@ class Taker:
         """Keep a stream open as long as somebody wants something."""
         try:
             while self._goes_on():
-                await attempt(self._place, self._take_at, CALL_TIMEOUT_S)
+                await attempt(self._locator, self._take_at, CALL_TIMEOUT_S)
         except StampedeError as error:
             self._fail(error)
         except Exception as error:
@@ -201,8 +203,8 @@ class Taker:
             self._credit = self._wanted()
             if not self._credit:  # whoever waited left while it could not be opened
                 return
-        port = self._session.ports.to(binding.target)
-        stream: Conversation[queue_pb.TakeResponse] = port.converse(port.queues.Take)
+        endpoint = self._session.endpoints.to(binding.target)
+        stream: BidiStream[queue_pb.TakeResponse] = endpoint.open_bidi(endpoint.queues.Take)
         heard = False
         opening = queue_pb.TakeOpen(
             queue_id=binding.channel_id,
@@ -211,7 +213,7 @@ class Taker:
             taker_name=self._name,
         )
         try:
-            await stream.say(queue_pb.TakeRequest(open=opening, credit=self._credit))
+            await stream.send(queue_pb.TakeRequest(open=opening, credit=self._credit))
             async for response in stream:  # the first one says that the stream is open
                 if not heard:
                     heard = True
@@ -220,12 +222,12 @@ class Taker:
         except StampedeError as error:
             if not (error.retryable and heard):
                 raise
-            self._place.forget()
+            self._locator.forget()
             await sleep(FIRST_DELAY_S)
         finally:
             self._ended()
 
-    async def _begin(self, stream: Conversation[queue_pb.TakeResponse]) -> None:
+    async def _begin(self, stream: BidiStream[queue_pb.TakeResponse]) -> None:
         with self._mutex:
             self._stream = stream
             self._opened.set()
@@ -235,7 +237,7 @@ class Taker:
             await self._ask()
             return
         with suppress(Unavailable):  # whoever would drain it may have stopped waiting until it is open
-            await stream.say(queue_pb.TakeRequest(drain=True))
+            await stream.send(queue_pb.TakeRequest(drain=True))
 
     def _ended(self) -> None:
         with self._mutex:
@@ -246,7 +248,7 @@ class Taker:
             self._drained.set()
             self._drained = Signal()
 
-    async def _receive(self, stream: Conversation[queue_pb.TakeResponse], response: queue_pb.TakeResponse) -> None:
+    async def _receive(self, stream: BidiStream[queue_pb.TakeResponse], response: queue_pb.TakeResponse) -> None:
         self._incarnation = response.incarnation or self._incarnation
         content_type = self._state.info.policy.content_type or ""
         unwanted: list[Message] = []
@@ -257,7 +259,7 @@ class Taker:
                     unwanted.append(message)
         if not response.ByteSize():  # a sign of life, which asks for one
             with suppress(Unavailable):
-                await stream.say(queue_pb.TakeRequest())
+                await stream.send(queue_pb.TakeRequest())
         if response.drained:
             stream.cancel()  # its credit is void; whoever still waits is served by the next one
         if unwanted:
@@ -299,7 +301,7 @@ class Taker:
         if self._session.inherited:
             return
         if self._worker is not None or len(self._ready):
-            Background(self.end, f"closing {self._state.name}")
+            BackgroundTask(self.end, f"closing {self._state.name}")
 
     async def end(self) -> None:
         """Wake those who wait, take back what was asked for, and give back what nobody was given."""

@@ -9,13 +9,13 @@ from typing import Any
 
 from stampede_rt._sync.consuming import consume
 from stampede_rt._sync.producer import Producer
-from stampede_rt._sync.puts import Numbers, Puts, Single
+from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.sampler import MonotonicClock, Sampler
 from stampede_rt._sync.session import (
     CALL_TIMEOUT_S,
     TRY_TIMEOUT_S,
-    ChannelPlace,
+    ChannelLocator,
     ChannelState,
     Session,
     request_id,
@@ -24,7 +24,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable
 from stampede_rt.transports.concurrency_sync import monotonic_s
-from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.values.model import ChannelStats, Item, OnFull, Policy
@@ -42,8 +42,8 @@ class Channel(Reader):
 
     def __init__(self, session: Session, state: ChannelState) -> None:
         super().__init__(session, state)
-        self._puts = Puts(session, ChannelPlace(session, state), Port.puts)
-        self._numbers = Numbers()
+        self._puts = Puts(session, ChannelLocator(session, state), ServerEndpoint.puts)
+        self._numbers = ProducerNumbers()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._session.reopened("channel", self.name, self._state.stated, self._state.create, self._state.coding)
@@ -66,7 +66,7 @@ class Channel(Reader):
         next: of those under way at once none waits behind one that may wait longer.
         Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
-        item = Single.parse(self._state.coding, payload, time, duration, attributes, content_type)
+        item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
         renew_s = RENEW_S if self.info.policy.on_full == "block" else FIRST_WAIT_S
         ack = self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s)
         return item.accepted_as(self._state, ack)
@@ -109,11 +109,11 @@ class Channel(Reader):
         instant = parse_instant(time)
 
         def advance_at(binding: Binding) -> int:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = channel_pb.AdvanceRequest(
                 channel_id=binding.channel_id, epoch=binding.epoch, time_unix_nano=instant
             )
-            response = port.call(port.channels.Advance, request, CALL_TIMEOUT_S)
+            response = endpoint.call(endpoint.channels.Advance, request, CALL_TIMEOUT_S)
             return int(response.advance_unix_nano)
 
         return self._session.perform(self._state, advance_at)
@@ -122,10 +122,10 @@ class Channel(Reader):
         """Counters and bounds, taken at one moment, and how far the host's clock is ahead of this machine's."""
 
         def status_at(binding: Binding) -> ChannelStats:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = channel_pb.GetChannelStatusRequest(channel_id=binding.channel_id, epoch=binding.epoch)
             sent_s, sent = monotonic_s(), time_ns()
-            response = port.call(port.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
+            response = endpoint.call(endpoint.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
             return channel_stats(response.status, clock_offset_nanos=response.status.host_time_unix_nano - asked_at)
 
@@ -159,7 +159,7 @@ class Channel(Reader):
         identity, since_s = request_id(), age_clock_s()
 
         def configure_at(binding: Binding) -> Policy:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.ConfigureChannelRequest(
                 request_id=identity,
                 channel_id=binding.channel_id,
@@ -167,7 +167,7 @@ class Channel(Reader):
                 spec=policy_to_spec(policy),
             )
             age_s = age_clock_s() - since_s
-            response = port.call(port.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S, age_s=age_s)
+            response = endpoint.call(endpoint.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S, age_s=age_s)
             return channel_info(response.channel, None).policy
 
         return self._session.perform(self._state, configure_at)
@@ -177,11 +177,11 @@ class Channel(Reader):
         identity, since_s = request_id(), age_clock_s()
 
         def drop_at(binding: Binding) -> None:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
                 request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
             )
-            port.call(port.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=age_clock_s() - since_s)
+            endpoint.call(endpoint.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=age_clock_s() - since_s)
 
         try:
             self._session.perform(self._state, drop_at, timeout_s=1.0)

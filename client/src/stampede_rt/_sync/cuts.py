@@ -10,26 +10,26 @@ from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt.errors import StampedeError, Unavailable
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
-from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
-from stampede_rt.transports.grpc_sync import Conversation
+from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, sleep
+from stampede_rt.transports.grpc_sync import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
 from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.groups import cut_items
 
 
-class _Talk:
+class _HostStream:
     """The stream to one host, and what it brought to the event under way."""
 
-    def __init__(self, conversation: Conversation[group_pb.SubscribeCutsResponse]) -> None:
+    def __init__(self, conversation: BidiStream[group_pb.SubscribeCutsResponse]) -> None:
         self.conversation = conversation
         self._responses: Any = conversation.__iter__()
 
     def open(self, request: group_pb.SubscribeCutsOpen) -> group_pb.CutCursor:
         """Begin; where the subscription begins, as the host says."""
-        self.conversation.say(group_pb.SubscribeCutsRequest(open=request))
+        self.conversation.send(group_pb.SubscribeCutsRequest(open=request))
         response = self._responses.__next__()
         cursor: group_pb.CutCursor = response.opened
         return cursor
@@ -44,7 +44,7 @@ class _Talk:
                 return boundary
 
 
-class CutSubscription(OfOneProcess):
+class CutSubscription(BoundToProcess):
     """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. `close` works from anywhere.
 
     One host decides when an event is due, and the others bring theirs up to the same cut. When a host is lost, or the
@@ -67,11 +67,11 @@ class CutSubscription(OfOneProcess):
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos
         self._payloads = payloads
-        self._talks: list[_Talk] = []  # the first decides
-        self._beginning: list[_Talk] = []  # the same while they are being opened
+        self._streams: list[_HostStream] = []  # the first decides
+        self._opening_streams: list[_HostStream] = []  # the same while they are being opened
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
-        begin_now(self._open)
+        begin_if_blocking(self._open)
 
     @property
     def reconnects(self) -> int:
@@ -109,7 +109,7 @@ class CutSubscription(OfOneProcess):
                 if self._group.session.closed:
                     break
                 raise
-            if not self._talks:
+            if not self._streams:
                 break  # closed while it was being opened
             try:
                 parts: list[group_pb.CutPart] = []
@@ -125,7 +125,7 @@ class CutSubscription(OfOneProcess):
                     self._closed = True
                     raise self._group.explained(error) from None
                 self._reconnecting.broke()
-                self._group.forget_places()
+                self._group.forget_bindings()
             except BaseException:  # an interrupt: the event that was under way comes again from its beginning
                 self._hang_up()
                 raise
@@ -138,13 +138,13 @@ class CutSubscription(OfOneProcess):
         self._hang_up()
 
     def _hang_up(self) -> None:
-        talks, self._talks, self._beginning = [*self._talks, *self._beginning], [], []
-        for talk in talks:
-            talk.conversation.cancel()
+        streams, self._streams, self._opening_streams = [*self._streams, *self._opening_streams], [], []
+        for stream in streams:
+            stream.conversation.cancel()
 
     def _open(self) -> None:
         """Begin, or go on behind the last event, with one stream to each host that owns members."""
-        if self._talks or self._closed:
+        if self._streams or self._closed:
             return
         try:
             self._reconnecting.open(self._open_within)
@@ -154,7 +154,7 @@ class CutSubscription(OfOneProcess):
 
     def _open_within(self, timeout_s: float) -> None:
         backoff = Backoff(monotonic_s() + timeout_s)
-        while not self._talks and not self._closed:
+        while not self._streams and not self._closed:
             try:
                 self._open_each()
             except StampedeError as error:
@@ -163,7 +163,7 @@ class CutSubscription(OfOneProcess):
                     return
                 if not error.retryable or self._group.session.closed:
                     raise
-                self._group.forget_places()
+                self._group.forget_bindings()
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:
                     raise
@@ -174,10 +174,10 @@ class CutSubscription(OfOneProcess):
         self._keep_members_only()
         try:
             for target in self._group.targets():
-                port = self._group.session.ports.to(target)
-                talk = _Talk(port.converse(port.groups.SubscribeCuts))
-                self._beginning.append(talk)
-                opened = talk.open(self._opening(decides=len(self._beginning) == 1))
+                endpoint = self._group.session.endpoints.to(target)
+                stream = _HostStream(endpoint.open_bidi(endpoint.groups.SubscribeCuts))
+                self._opening_streams.append(stream)
+                opened = stream.open(self._opening(decides=len(self._opening_streams) == 1))
                 self._cursor = self._cursor or opened
                 self._learn(opened)
         except StopIteration:
@@ -185,7 +185,7 @@ class CutSubscription(OfOneProcess):
         except BaseException:
             self._hang_up()
             raise
-        self._talks, self._beginning = self._beginning, []
+        self._streams, self._opening_streams = self._opening_streams, []
         if self._closed:  # while it was being opened
             self._hang_up()
 
@@ -215,16 +215,16 @@ class CutSubscription(OfOneProcess):
         self._cursor.channels.extend(one for one in opened.channels if one.channel_id not in known)
 
     def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
-        talks = self._talks
-        if not talks:  # closed while it was being opened
+        streams = self._streams
+        if not streams:  # closed while it was being opened
             raise StopIteration
-        decider, *others = talks
-        decider.conversation.say(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
+        decider, *others = streams
+        decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
         boundary = decider.event(parts)
-        for talk in others:
-            talk.conversation.say(group_pb.SubscribeCutsRequest(boundary=boundary))
-        for talk in others:
-            talk.event(parts)
+        for stream in others:
+            stream.conversation.send(group_pb.SubscribeCutsRequest(boundary=boundary))
+        for stream in others:
+            stream.event(parts)
         return boundary
 
     def _cut(self, boundary: group_pb.CutBoundary, parts: list[group_pb.CutPart]) -> Cut[Channel]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt._sync.peer_place import peer_not_found
+from stampede_rt._sync.peer_locator import peer_not_found
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt._sync.watch import PeerWatch, Watch
 from stampede_rt.errors import DeadlineExceeded, HostNotFound, PeerNotFound, Unavailable
@@ -91,11 +91,11 @@ class Discovery:
         found = host_info((self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)
         if not found.alive or not found.endpoints:
             raise HostNotFound(f"the host {host!r} is lost: its lease has ended; start it again, or name another")
-        port = self._session.ports.to(found.endpoints[0])
+        endpoint = self._session.endpoints.to(found.endpoints[0])
         stats: dict[str, ChannelStats] = {}
         page_request = gatekeeper_pb.ListHostedChannelsRequest(name_glob=name_glob)
         for _ in range(PAGES_MAX):
-            page = port.call(port.gatekeeper.ListHostedChannels, page_request, CALL_TIMEOUT_S)
+            page = endpoint.call(endpoint.gatekeeper.ListHostedChannels, page_request, CALL_TIMEOUT_S)
             stats |= {status.record.name: channel_stats(status) for status in page.channels}
             if not page.next_page_token:
                 break

@@ -26,15 +26,15 @@ from stampede_rt.errors import (
     StampedeError,
     Unavailable,
 )
-from stampede_rt.handles import Reference, shown
-from stampede_rt.transports.concurrency_sync import together
+from stampede_rt.handles import Reference, handle_repr
+from stampede_rt.transports.concurrency_sync import run_all
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import (
     ByChannel,
     GroupInfo,
     GroupStatus,
-    Named,
+    NamedChannel,
     NewestItems,
     parse_lateness,
     parse_max_wait,
@@ -42,7 +42,7 @@ from stampede_rt.values.grouping import (
     parse_tolerance,
 )
 from stampede_rt.values.model import Items
-from stampede_rt.values.reading import Read, parse_limit
+from stampede_rt.values.reading import ReadQuery, parse_limit
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
@@ -98,12 +98,12 @@ class Group(Reference):
     def __repr__(self) -> str:
         members = ", ".join(channel.name for channel in self.channels)
         state = f", {self._session.state}" if self._session.state else ""
-        return f"{shown('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
+        return f"{handle_repr('Group', self.name, self.info.group_id, '', '')[:-1]} of {members}{state}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._session.reopened("group", self._members)
 
-    def __getitem__(self, channel: Named | str) -> GroupChannel:
+    def __getitem__(self, channel: NamedChannel | str) -> GroupChannel:
         """The descriptor of a member, by its handle, whose codec it has, or by its name.
 
         Raises InvalidArgument for a channel that is no member.
@@ -134,7 +134,7 @@ class Group(Reference):
         """
         interval = parse_interval(start, end, bounds)
         return self._read(
-            Read(
+            ReadQuery(
                 interval,
                 match=parse_match(match),
                 limit=parse_limit(limit),
@@ -150,10 +150,10 @@ class Group(Reference):
         what is before it, so right after the first ones nothing is visible.
         """
         interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
-        answers = self._read(Read(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
+        answers = self._read(ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
         return NewestItems(self.channels, {channel.info.channel_id: items for channel, items in answers.items()})
 
-    def _read(self, query: Read) -> ByChannel[Channel, Items]:
+    def _read(self, query: ReadQuery) -> ByChannel[Channel, Items]:
         return self._with_members_of_now(functools.partial(self._read_all, query))
 
     def _with_members_of_now(self, operation: Callable[[], Result]) -> Result:
@@ -167,9 +167,9 @@ class Group(Reference):
                 raise
         return operation()
 
-    def _read_all(self, query: Read) -> ByChannel[Channel, Items]:
+    def _read_all(self, query: ReadQuery) -> ByChannel[Channel, Items]:
         query = replace(query, cut=self._cut())
-        answers = together(
+        answers = run_all(
             [functools.partial(read, self._session, one._state, query, self._members.view) for one in self.channels]
         )
         ids = (channel.info.channel_id for channel in self.channels)
@@ -179,11 +179,11 @@ class Group(Reference):
         """One cut for one read of all channels; the least instant: nothing is visible yet."""
 
         def cut_at(binding: Binding) -> group_pb.GetCutResponse:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetCutRequest(
                 group_id=self.info.group_id, cut_floor_unix_nano=self._members.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
             )
-            response: group_pb.GetCutResponse = port.call(port.groups.GetCut, request, CALL_TIMEOUT_S)
+            response: group_pb.GetCutResponse = endpoint.call(endpoint.groups.GetCut, request, CALL_TIMEOUT_S)
             return response
 
         response = self._session.perform(self.channels[0]._state, cut_at)
@@ -214,7 +214,7 @@ class Group(Reference):
 
     def match(
         self,
-        per: Named | str,
+        per: NamedChannel | str,
         tolerance: DurationLike,
         *,
         unique: bool = False,
@@ -249,9 +249,11 @@ class Group(Reference):
 
     def _status(self) -> GroupStatus[Channel]:
         def status_at(binding: Binding) -> group_pb.GetGroupStatusResponse:
-            port = self._session.ports.to(binding.target)
+            endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetGroupStatusRequest(group_id=self.info.group_id)
-            response: group_pb.GetGroupStatusResponse = port.call(port.groups.GetGroupStatus, request, HOST_TIMEOUT_S)
+            response: group_pb.GetGroupStatusResponse = endpoint.call(
+                endpoint.groups.GetGroupStatus, request, HOST_TIMEOUT_S
+            )
             return response
 
         status = (self._at_any_host(status_at)).status

@@ -10,7 +10,7 @@ from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.session import ChannelState
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.values.model import Items
-from stampede_rt.values.reading import Read
+from stampede_rt.values.reading import ReadQuery
 
 
 class GroupChannel(Reader):
@@ -23,7 +23,7 @@ class GroupChannel(Reader):
         super().__init__(group.session, state, group.view)
         self._group = group
 
-    def _read(self, query: Read) -> Items:
+    def _read(self, query: ReadQuery) -> Items:
         floor = self._group.view.cut_floor
         try:
             items = super()._read(query)

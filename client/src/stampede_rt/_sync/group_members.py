@@ -12,9 +12,9 @@ from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt.errors import GroupNotFound, InvalidArgument, StampedeError
 from stampede_rt.handles import Reference
-from stampede_rt.transports.concurrency_sync import monotonic_s, together
+from stampede_rt.transports.concurrency_sync import monotonic_s, run_all
 from stampede_rt.v1 import group_directory_service_pb2 as group_directory_pb
-from stampede_rt.values.grouping import GroupInfo, GroupView, Named, is_named_by, shown_name
+from stampede_rt.values.grouping import GroupInfo, NamedChannel, SeenCut, is_named_by, shown_name
 from stampede_rt.wire.groups import group_info, group_spec
 
 
@@ -28,7 +28,7 @@ class GroupMembers(Reference):
         self.session = session
         self.info = info
         self.channels = tuple(channels)
-        self.view = GroupView(info.group_id)
+        self.view = SeenCut(info.group_id)
         self._create = create
         self._cluster_id = session.supernodes.cluster_id
 
@@ -79,7 +79,7 @@ class GroupMembers(Reference):
         begun_anew = supernodes.present_cluster(monotonic_s() + CALL_TIMEOUT_S) != self._cluster_id
         if self._create and begun_anew:
             reference = [one for one in self.channels if one.info.channel_id == self.info.reference_id]
-            self.forget_places()
+            self.forget_bindings()
             self.targets()  # finds the members by their names
             spec = group_spec(
                 [one.info.channel_id for one in self.channels],
@@ -99,15 +99,15 @@ class GroupMembers(Reference):
 
     def targets(self) -> list[str]:
         """The data endpoints of the hosts that own members, each once."""
-        bindings = together([functools.partial(self.session.place, one._state) for one in self.channels])
+        bindings = run_all([functools.partial(self.session.place, one._state) for one in self.channels])
         return list(dict.fromkeys(binding.target for binding in bindings))
 
-    def forget_places(self) -> None:
+    def forget_bindings(self) -> None:
         """Look for the members' hosts anew."""
         for channel in self.channels:
             self.session.cache.forget(channel.info.channel_id)
 
-    def member(self, channel: Named | str) -> Channel:
+    def member(self, channel: NamedChannel | str) -> Channel:
         """The handle of a member, by any handle of it or by its name. Raises InvalidArgument for another channel."""
         for member in self.channels:
             if is_named_by(channel, member):

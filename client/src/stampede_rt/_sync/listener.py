@@ -10,19 +10,19 @@ from typing import Any
 from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.errors import IncarnationLost, StampedeError
-from stampede_rt.handles import OfOneProcess
-from stampede_rt.transports.concurrency_sync import Background, Beginning, Signal, call_back, check_callback
+from stampede_rt.handles import BoundToProcess
+from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, call_back, check_callback
 
 END_TIMEOUT_S = 1.0
 _log = logging.getLogger("stampede_rt")
 
 
-def worth_a_line(count: int) -> bool:
+def should_log(count: int) -> bool:
     """Whether the `count`-th failure is logged: the 1st, 2nd, 4th, 8th and so on, so that a log stays readable."""
     return count & (count - 1) == 0
 
 
-class Listener(Beginning, OfOneProcess):
+class Listener(BackgroundStart, BoundToProcess):
     """What calls a function for each item (see `Channel.on_item`), one after the other, until `cancel`.
 
     `delivered` counts finished calls, `failures` those that raised, `last_failure` is what the last of them raised;
@@ -49,7 +49,7 @@ class Listener(Beginning, OfOneProcess):
         self.last_failure: Exception | None = None
         self.error: StampedeError | None = None
         session.attach(self)
-        self._background = Background(self._run, f"on_item of {name}")
+        self._background = BackgroundTask(self._run, f"on_item of {name}")
 
     @property
     def dropped(self) -> int:
@@ -137,5 +137,5 @@ class Listener(Beginning, OfOneProcess):
         except Exception as error:  # noqa: BLE001  # whatever it is, it is told, and the next one comes
             self.failures += 1
             self.last_failure = error
-            if worth_a_line(self.failures):
+            if should_log(self.failures):
                 _log.exception("on_item of %s: failure %d; it goes on", self._name, self.failures)

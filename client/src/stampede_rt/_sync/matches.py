@@ -15,18 +15,18 @@ from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
-from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, together
-from stampede_rt.transports.grpc_sync import Conversation
+from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, run_all
+from stampede_rt.transports.grpc_sync import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import Matched
 from stampede_rt.values.model import Item
-from stampede_rt.values.reading import Read, Wait
+from stampede_rt.values.reading import ReadQuery, Wait
 from stampede_rt.values.timeline import DurationLike, Match, parse_interval
 
 
-class MatchSubscription(OfOneProcess):
+class MatchSubscription(BoundToProcess):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. `close` may be called from anywhere.
 
     The host sends as much ahead as the reader takes in a tenth of a second, 1 MiB at most. `unmatched` counts items
@@ -57,7 +57,7 @@ class MatchSubscription(OfOneProcess):
         self._unique = unique
         self._partial = partial
         self._payloads = payloads
-        self._stream: Conversation[group_pb.SubscribeMatchesResponse] | None = None
+        self._stream: BidiStream[group_pb.SubscribeMatchesResponse] | None = None
         self._responses: Any = None
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with what it takes of the window
         self._window = CreditWindow()
@@ -67,7 +67,7 @@ class MatchSubscription(OfOneProcess):
         self.unmatched = 0
         self.dropped = 0
         self.losses = 0
-        begin_now(self._open)
+        begin_if_blocking(self._open)
 
     @property
     def reconnects(self) -> int:
@@ -129,13 +129,13 @@ class MatchSubscription(OfOneProcess):
 
     def _open_within(self, timeout_s: float) -> None:
         def open_at(binding: Binding) -> None:
-            port = self._group.session.ports.to(binding.target)
-            self._stream = stream = port.converse(port.groups.SubscribeMatches)
+            endpoint = self._group.session.endpoints.to(binding.target)
+            self._stream = stream = endpoint.open_bidi(endpoint.groups.SubscribeMatches)
             self._window.begin()
             try:
                 if self._closed:
                     raise StopIteration
-                stream.say(group_pb.SubscribeMatchesRequest(open=self._opening(binding.epoch)))
+                stream.send(group_pb.SubscribeMatchesRequest(open=self._opening(binding.epoch)))
                 self._responses = stream.__iter__()
                 self._take(self._responses.__next__())  # says that the subscription holds
             except StopIteration:  # closed meanwhile
@@ -169,7 +169,7 @@ class MatchSubscription(OfOneProcess):
             return
         try:
             with suppress(Unavailable):  # of a stream that broke the iteration hears, with the reason
-                stream.say(group_pb.SubscribeMatchesRequest(credit_bytes=credit))
+                stream.send(group_pb.SubscribeMatchesRequest(credit_bytes=credit))
         except BaseException:  # an interrupt: what the host may send is not known any more
             self._resume()
             raise
@@ -185,7 +185,7 @@ class MatchSubscription(OfOneProcess):
                 self._closed = True
                 raise self._group.explained(error) from None
             self._reconnecting.broke()
-            self._group.forget_places()
+            self._group.forget_bindings()
         except BaseException:  # an interrupt: what was being fetched comes again
             self._resume()
             raise
@@ -199,7 +199,7 @@ class MatchSubscription(OfOneProcess):
     def _take(self, response: group_pb.SubscribeMatchesResponse) -> None:
         """Take in a response as a whole or, if a fetch fails, nothing of it."""
         self._know_members(response)
-        found = together([functools.partial(self._matched, message) for message in response.matches])
+        found = run_all([functools.partial(self._matched, message) for message in response.matches])
         for message, (matched, gone) in zip(response.matches, found, strict=True):
             self._dropped_before += gone
             self._unmatched_before += bool(matched.missing) and not (gone or message.unmatched_channel_ids)
@@ -226,7 +226,7 @@ class MatchSubscription(OfOneProcess):
         by_id = {channel.info.channel_id: channel for channel in self._group.channels}
         mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
         others = [one for one in message.matched if one.channel_id in by_id]
-        fetched = together([functools.partial(self._item, by_id[one.channel_id], one) for one in others])
+        fetched = run_all([functools.partial(self._item, by_id[one.channel_id], one) for one in others])
         found = {one.channel_id: item for one, item in zip(others, fetched, strict=True) if item is not None}
         found[self._per.info.channel_id] = mine
         missing = [channel for channel in self._group.channels if channel.info.channel_id not in found]
@@ -239,7 +239,7 @@ class MatchSubscription(OfOneProcess):
             decoder = channel._state.decoder(position.incarnation, payloads=self._payloads)
             return decoder.decode([matched.item])[0]
         interval = parse_interval(position.time_unix_nano, position.time_unix_nano)
-        query = Read(interval, match=Match.START, payloads=self._payloads, wait=Wait(0))
+        query = ReadQuery(interval, match=Match.START, payloads=self._payloads, wait=Wait(0))
         items = read(self._group.session, channel._state, query)
         found = [item for item in items if (item.seq, item.incarnation) == (position.seq, position.incarnation)]
         return found[0] if found else None

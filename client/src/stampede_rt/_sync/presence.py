@@ -9,9 +9,9 @@ import random
 import time
 from collections.abc import Callable
 
-from stampede_rt._sync.listener import worth_a_line
-from stampede_rt._sync.queue import Taking
-from stampede_rt._sync.queue_place import QueuePlace, QueueState, learn_queue
+from stampede_rt._sync.listener import should_log
+from stampede_rt._sync.queue import MessageTaking
+from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._sync.session import Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import (
@@ -22,8 +22,8 @@ from stampede_rt.errors import (
     StampedeError,
     Unavailable,
 )
-from stampede_rt.handles import OfOneProcess
-from stampede_rt.transports.concurrency_sync import Background, Signal
+from stampede_rt.handles import BoundToProcess
+from stampede_rt.transports.concurrency_sync import BackgroundTask, Signal
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.values.peering import ClockOffset, PeerIdentity, PeerInfo
 from stampede_rt.values.queueing import QueuePolicy
@@ -51,7 +51,7 @@ class Presence:
         self._left = False
         self._registered = False
         self._failures = 0  # since the last success
-        self._background: Background | None = None
+        self._background: BackgroundTask | None = None
         self.peer: PeerInfo | None = None
         self._mailbox: QueueState | None = None
         self.error: StampedeError | None = None
@@ -66,7 +66,7 @@ class Presence:
         """Register, and keep the lease from now on; the mailbox. Raises PeerExists, Unavailable."""
         mailbox = self._register(timeout_s)
         self._session.attach(self)
-        self._background = Background(self._keep, f"lease of peer {self._name}")
+        self._background = BackgroundTask(self._keep, f"lease of peer {self._name}")
         return mailbox
 
     def _register(self, timeout_s: float) -> QueueState:
@@ -159,7 +159,7 @@ class Presence:
 
     def _failed(self, how: str, error: StampedeError) -> None:
         self._failures += 1
-        if worth_a_line(self._failures):
+        if should_log(self._failures):
             _log.warning("the lease of peer %r %s, which is tried again: %s", self._name, how, error)
 
     def _renew(self, timeout_s: float) -> None:
@@ -170,7 +170,7 @@ class Presence:
             boot_incarnation=self._boot_incarnation,
             clock=clock_message(supernodes.clock),
         )
-        began, sent = time.monotonic_ns(), time.time_ns()  # in this order, see Supernodes._ping
+        began, sent = time.monotonic_ns(), time.time_ns()  # in this order, see DirectoryClient._ping
         response = supernodes.call_leader("RenewPeerLease", request, timeout_s)
         took = time.monotonic_ns() - began
         if response.supernode_id:  # an older one tells no time
@@ -207,7 +207,7 @@ def _taken_over(error: StampedeError) -> bool:
     return isinstance(error, LeaseExpired) and "held_by" in error.metadata
 
 
-class MailboxPlace(QueuePlace):
+class MailboxLocator(QueueLocator):
     """Where one's own mailbox is: the presence finds it again when it is lost."""
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
@@ -234,9 +234,9 @@ class MailboxPlace(QueuePlace):
             error.retryable = True
 
 
-class Mailbox(Taking, OfOneProcess):
+class Mailbox(MessageTaking, BoundToProcess):
     """What other participants send to this one (see `Connection.send`): a queue that comes and goes with it."""
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
-        super().__init__(session, state, MailboxPlace(session, presence, state), 1)
+        super().__init__(session, state, MailboxLocator(session, presence, state), 1)
         presence.on_lost = self._taker.interrupt

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.transports.concurrency_sync import Mutex, callers, thread_id, when_dropped
+from stampede_rt.transports.concurrency_sync import Mutex, live_thread_ids, thread_id, when_dropped
 from stampede_rt.transports.grpc_sync import PutExchange
 
 STREAMS_MAX = 512
@@ -86,7 +86,7 @@ class PutStreams:
     def _replace(self, key: tuple[int, int, int], stream: PutStream) -> PutStream:
         with self._mutex:
             gone = [self._streams.pop(key, None)]  # to a place that is not the channel's any more
-            alive = callers()
+            alive = live_thread_ids()
             gone += [self._streams.pop(one) for one in tuple(self._streams) if one[1] not in alive]
             idle = [one for one, open_one in self._streams.items() if not open_one.puts]
             gone += [self._streams.pop(one) for one in idle[: max(0, len(self._streams) + 1 - STREAMS_MAX)]]

@@ -9,13 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stampede_rt._sync.attempts import Place, attempt
+from stampede_rt._sync.attempts import Locator, attempt
 from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Full
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import monotonic_s
-from stampede_rt.transports.grpc_sync import Port, PutExchange
+from stampede_rt.transports.grpc_sync import PutExchange, ServerEndpoint
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import Item
@@ -28,7 +28,7 @@ from stampede_rt.wire.put_frames import put_head, put_request
 from stampede_rt.wire.runs import run_parts
 
 
-class Numbers:
+class ProducerNumbers:
     """A producer's identity and the numbers of its puts, by which a put that is sent again is recognised."""
 
     def __init__(self) -> None:
@@ -43,13 +43,17 @@ class Numbers:
 class Puts:
     """The puts of one handle, each on an open stream to the place of its channel or queue."""
 
-    def __init__(self, session: Session, place: Place, open_stream: Callable[[Port], PutExchange]) -> None:
+    def __init__(
+        self, session: Session, locator: Locator, open_stream: Callable[[ServerEndpoint], PutExchange]
+    ) -> None:
         self._session = session
-        self._place = place
+        self._locator = locator
         self._open_stream = open_stream
         self._handle_id = session.put_streams.handle(self)
 
-    def put(self, numbers: Numbers, item: Single, wait: Wait, renew_s: float = RENEW_S) -> channel_pb.PutAck:
+    def put(
+        self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, renew_s: float = RENEW_S
+    ) -> channel_pb.PutAck:
         """Put one item under the producer's next number, which makes it safe to send it again; its ack.
 
         `wait` is for one that may have to wait for room. A long one is renewed from time to time, the first time after
@@ -67,7 +71,7 @@ class Puts:
                     raise
             renew_s = RENEW_S
 
-    def _put(self, numbers: Numbers, item: Single, wait: Wait) -> channel_pb.PutAck:
+    def _put(self, numbers: ProducerNumbers, item: SingleItem, wait: Wait) -> channel_pb.PutAck:
         seconds = wait.seconds or 0.0
         number, ends_s = numbers.next(), monotonic_s() + seconds
 
@@ -76,11 +80,11 @@ class Puts:
             head = put_head(binding.channel_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
             with self._session.put_streams.use(
-                self._handle_id, ends_s, binding, lambda: self._open_stream(self._session.ports.to(binding.target))
+                self._handle_id, ends_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
             ) as stream:
                 return _accepted(stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S))
 
-        return attempt(self._place, put_at, seconds + CALL_TIMEOUT_S)
+        return attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)
 
     def close(self) -> None:
         """Give the streams up. A later put opens one again."""
@@ -101,7 +105,7 @@ def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
 
 
 @dataclass(frozen=True, slots=True)
-class Single:
+class SingleItem:
     """One item as its caller stated it, checked."""
 
     payload: bytes
@@ -121,7 +125,7 @@ class Single:
         attributes: Mapping[str, str] | None,
         content_type: str | None,
         message_id: str | None = None,
-    ) -> Single:
+    ) -> SingleItem:
         """Raises InvalidArgument, ItemTooLarge, CodecError."""
         check_attributes(attributes)
         return cls(

@@ -7,19 +7,19 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import Any
 
-from stampede_rt._sync.attempts import Place, attempt
+from stampede_rt._sync.attempts import Locator, attempt
 from stampede_rt._sync.message import Message
-from stampede_rt._sync.puts import Numbers, Puts, Single, enqueued
-from stampede_rt._sync.queue_place import QueuePlace, QueueState, learn_queue
+from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
+from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.handles import Reference, shown
+from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.transports.concurrency_sync import when_dropped
-from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.values.model import OnFull
@@ -32,19 +32,24 @@ from stampede_rt.wire.queues import pending_message, queue_policy_to_spec, queue
 PENDING_PAGE_MAX = 1000
 
 
-class Taking:
+class MessageTaking:
     """What messages are taken from: a queue, or one's own mailbox. An iterator that waits for the next one for ever."""
 
     def __init__(
-        self, session: Session, state: QueueState, place: Place, prefetch: int, reconnect: DurationLike | None = None
+        self,
+        session: Session,
+        state: QueueState,
+        locator: Locator,
+        prefetch: int,
+        reconnect: DurationLike | None = None,
     ) -> None:
         self._session = session
         self._reconnecting = Reconnecting(
             session, f"the iteration over {state.kind} {state.name!r}", reconnect, held=True
         )
         self._state = state
-        self._place = place
-        self._taker = Taker(session, place, state, prefetch, session.supernodes.peer_name)
+        self._locator = locator
+        self._taker = Taker(session, locator, state, prefetch, session.supernodes.peer_name)
         when_dropped(self, self._taker.let_go)
 
     @property
@@ -69,7 +74,7 @@ class Taking:
 
     def __repr__(self) -> str:
         state = self._session.state or ("closed" if self._taker.closed else "")
-        return shown(type(self).__name__, self.name, self.info.queue_id, self.host, state)
+        return handle_repr(type(self).__name__, self.name, self.info.queue_id, self.host, state)
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and other._state.info.queue_id == self._state.info.queue_id
@@ -85,7 +90,7 @@ class Taking:
         """
         return self._taker.get(Wait.parse(timeout))
 
-    def __iter__(self) -> Taking:
+    def __iter__(self) -> MessageTaking:
         return self
 
     def __next__(self) -> Message:
@@ -113,7 +118,7 @@ class Taking:
 
     def stats(self) -> QueueStats:
         """Counters and waiters, taken at one moment."""
-        return stats_at(self._session, self._place)
+        return stats_at(self._session, self._locator)
 
     def pending(self, limit: int = 1000) -> list[PendingMessage]:
         """What is leased to whom, since when and until when: the `limit` oldest deliveries, in their order.
@@ -121,7 +126,7 @@ class Taking:
         Changes nothing. Long lists are fetched page by page, so that what was settled meanwhile may be missing. Raises
         QueueNotFound, Unavailable, InvalidArgument.
         """
-        return pending_at(self._session, self._place, limit)
+        return pending_at(self._session, self._locator, limit)
 
     def close(self) -> None:
         """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
@@ -132,7 +137,7 @@ class Taking:
         self._taker.end()
 
 
-class Queue(Taking, Reference):
+class Queue(MessageTaking, Reference):
     """A named queue. Handles of the same queue are equal; any number may put and take anywhere.
 
     A context manager, which closes the handle. Items come in the order of their acceptance, each to one taker at a
@@ -142,11 +147,11 @@ class Queue(Taking, Reference):
     def __init__(
         self, session: Session, state: QueueState, prefetch: int, reconnect: DurationLike | None = None
     ) -> None:
-        place = QueuePlace(session, state)
+        locator = QueueLocator(session, state)
         self._reconnect = reconnect
-        super().__init__(session, state, place, prefetch, reconnect)
-        self._puts = Puts(session, place, Port.enqueues)
-        self._numbers = Numbers()
+        super().__init__(session, state, locator, prefetch, reconnect)
+        self._puts = Puts(session, locator, ServerEndpoint.enqueues)
+        self._numbers = ProducerNumbers()
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self._state
@@ -181,7 +186,7 @@ class Queue(Taking, Reference):
         of those under way at once none waits behind one that may wait longer. Raises QueueFull, ItemTooLarge,
         CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
-        item = Single.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
+        item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(self._puts.put(self._numbers, item, Wait.parse(timeout)))
 
     def configure(
@@ -220,7 +225,7 @@ class Queue(Taking, Reference):
             self._state.info = learn_queue(self._session, response.queue, now.host)
             return self._state.info.policy
 
-        return attempt(self._place, update_at, CALL_TIMEOUT_S)
+        return attempt(self._locator, update_at, CALL_TIMEOUT_S)
 
     def delete(self) -> None:
         """Delete the queue with all that it holds, for everyone. Not while it is the dead-letter queue of another."""
@@ -231,24 +236,24 @@ class Queue(Taking, Reference):
         self._session.cache.forget(self.info.queue_id)
 
 
-def stats_at(session: Session, place: Place) -> QueueStats:
+def stats_at(session: Session, locator: Locator) -> QueueStats:
     """Counters and waiters of the queue at a place."""
 
     def status_at(binding: Binding) -> QueueStats:
-        port = session.ports.to(binding.target)
+        endpoint = session.endpoints.to(binding.target)
         request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
-        response = port.call(port.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+        response = endpoint.call(endpoint.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
         return queue_stats(response.status)
 
-    return attempt(place, status_at, CALL_TIMEOUT_S)
+    return attempt(locator, status_at, CALL_TIMEOUT_S)
 
 
-def pending_at(session: Session, place: Place, limit: int) -> list[PendingMessage]:
+def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMessage]:
     """The oldest deliveries that are leased, of the queue at a place. One that moves begins anew."""
     most = count_of("limit", limit) or 1
 
     def pages_at(binding: Binding) -> list[PendingMessage]:
-        port = session.ports.to(binding.target)
+        endpoint = session.endpoints.to(binding.target)
         found: list[PendingMessage] = []
         after, more = 0, True
         while more and len(found) < most:  # each page lies behind the one before
@@ -258,12 +263,12 @@ def pending_at(session: Session, place: Place, limit: int) -> list[PendingMessag
                 after_delivery_id=after,
                 page_size=min(most - len(found), PENDING_PAGE_MAX),
             )
-            page = port.call(port.queues.ListPending, request, CALL_TIMEOUT_S)
+            page = endpoint.call(endpoint.queues.ListPending, request, CALL_TIMEOUT_S)
             found += map(pending_message, page.deliveries)
             after, more = page.deliveries[-1].delivery_id if page.deliveries else after, page.more
         return found
 
-    return attempt(place, pages_at, CALL_TIMEOUT_S)
+    return attempt(locator, pages_at, CALL_TIMEOUT_S)
 
 
 def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> bytes | None:

@@ -11,10 +11,10 @@ from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting
 from stampede_rt._sync.session import ChannelState, Session
 from stampede_rt._sync.subscription import Subscription
-from stampede_rt.handles import Reference, shown
-from stampede_rt.values.grouping import GroupView
+from stampede_rt.handles import Reference, handle_repr
+from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import ChannelInfo, Item, Items
-from stampede_rt.values.reading import Read, SubscribeMode, Wait, after_position, parse_limit
+from stampede_rt.values.reading import ReadQuery, SubscribeMode, Wait, after_position, parse_limit
 from stampede_rt.values.timeline import (
     MAX_INSTANT,
     MIN_INSTANT,
@@ -34,7 +34,7 @@ from stampede_rt.values.timeline import (
 class Reader(Reference):
     """What can be read by time. `view` is the group that it is read through, None for the whole channel."""
 
-    def __init__(self, session: Session, state: ChannelState, view: GroupView | None = None) -> None:
+    def __init__(self, session: Session, state: ChannelState, view: SeenCut | None = None) -> None:
         self._session = session
         self._state = state
         self._view = view
@@ -66,7 +66,7 @@ class Reader(Reference):
         return hash(self._identity())
 
     def __repr__(self) -> str:
-        return shown(type(self).__name__, self.name, self.info.channel_id, self.host, self._session.state)
+        return handle_repr(type(self).__name__, self.name, self.info.channel_id, self.host, self._session.state)
 
     def _identity(self) -> tuple[bytes, bytes]:
         return self._state.info.channel_id, self._view.group_id if self._view else b""
@@ -95,7 +95,7 @@ class Reader(Reference):
         interval = parse_interval(start, end, bounds)
         position = None if after is None else after_position(after)
         return self._read(
-            Read(
+            ReadQuery(
                 interval,
                 match=parse_match(match),
                 limit=parse_limit(limit),
@@ -110,7 +110,7 @@ class Reader(Reference):
     def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
         """The items whose own span holds `time`."""
         bound = parse_bound(time, "time")
-        return self._read(Read(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
+        return self._read(ReadQuery(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
 
     def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
         """The newest item older than `time`; where several share its time, the last accepted."""
@@ -140,7 +140,7 @@ class Reader(Reference):
         timeout: float | None,
     ) -> Item | None:
         items = self._read(
-            Read(
+            ReadQuery(
                 parse_interval(start, end, bounds),
                 match=Match.START,
                 limit=1,
@@ -152,7 +152,7 @@ class Reader(Reference):
         )
         return items[0] if items else None
 
-    def _read(self, query: Read) -> Items:
+    def _read(self, query: ReadQuery) -> Items:
         return read(self._session, self._state, query, self._view)
 
     def subscribe(

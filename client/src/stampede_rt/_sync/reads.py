@@ -10,9 +10,9 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
-from stampede_rt.values.grouping import GroupView
+from stampede_rt.values.grouping import SeenCut
 from stampede_rt.values.model import Item, Items, Reason
-from stampede_rt.values.reading import RENEW_S, Read, Wait
+from stampede_rt.values.reading import RENEW_S, ReadQuery, Wait
 from stampede_rt.values.timeline import fixed
 from stampede_rt.wire.reads import (
     interval_to_message,
@@ -25,7 +25,7 @@ from stampede_rt.wire.reads import (
 _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)  # also what was lost: its producer may put it again
 
 
-def read(session: Session, state: ChannelState, query: Read, view: GroupView | None = None) -> Items:
+def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
     """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait.
 
     `view`: what a group shows of the channel; the highest cut that it has seen is sent along and kept.
@@ -42,12 +42,12 @@ def read(session: Session, state: ChannelState, query: Read, view: GroupView | N
         query = replace(query, interval=fixed(query.interval, items.interval))
 
 
-def _read_once(session: Session, state: ChannelState, query: Read, view: GroupView | None) -> Items:
+def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None) -> Items:
     limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
     began_s = monotonic_s()
 
     def read_at(binding: Binding) -> Items:
-        exchange = session.ports.to(binding.target).gets()
+        exchange = session.endpoints.to(binding.target).gets()
         wait = query.wait.after(monotonic_s() - began_s)
         responses = exchange.get(
             _request(binding, query, wait, view), None if wait.seconds is None else wait.seconds + CALL_TIMEOUT_S
@@ -60,7 +60,7 @@ def _read_once(session: Session, state: ChannelState, query: Read, view: GroupVi
     return session.perform(state, read_at, limit_s)
 
 
-def _request(binding: Binding, query: Read, wait: Wait, view: GroupView | None) -> channel_pb.GetRequest:
+def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | None) -> channel_pb.GetRequest:
     return channel_pb.GetRequest(
         channel_id=binding.channel_id,
         epoch=binding.epoch,
@@ -79,7 +79,7 @@ def _request(binding: Binding, query: Read, wait: Wait, view: GroupView | None) 
     )
 
 
-def _answer(state: ChannelState, query: Read, responses: list[channel_pb.GetResponse]) -> Items:
+def _answer(state: ChannelState, query: ReadQuery, responses: list[channel_pb.GetResponse]) -> Items:
     last = responses[-1]
     if last.HasField("error"):
         raise from_error_message(last.error)

@@ -13,10 +13,10 @@ from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt._sync.session import ChannelState, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError, Unavailable
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
-from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s
-from stampede_rt.transports.grpc_sync import Conversation
+from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s
+from stampede_rt.transports.grpc_sync import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import SubscribeMode
@@ -27,7 +27,7 @@ from stampede_rt.wire.runs import ItemDecoder
 _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_MODE_NEWEST}
 
 
-class Subscription(OfOneProcess):
+class Subscription(BoundToProcess):
     """An iterator over items (see `Channel.subscribe`), and a context manager.
 
     The host sends what the reader asks for: with "newest" one item for each step, the newest at that moment; else as
@@ -46,7 +46,7 @@ class Subscription(OfOneProcess):
         self._reconnecting = reconnecting
         self._state = state
         self._begun = begun
-        self._stream: Conversation[channel_pb.SubscribeResponse] | None = None
+        self._stream: BidiStream[channel_pb.SubscribeResponse] | None = None
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
         self._ready: deque[Item] = deque()
@@ -85,7 +85,7 @@ class Subscription(OfOneProcess):
         if after is not None:
             begun.after.CopyFrom(position_of(after))
         self = cls(session, state, begun, reconnecting)
-        begin_now(self._open)
+        begin_if_blocking(self._open)
         return self
 
     @property
@@ -154,10 +154,10 @@ class Subscription(OfOneProcess):
 
     def _open_at(self, binding: Binding) -> None:
         self._begun.channel_id, self._begun.epoch = binding.channel_id, binding.epoch
-        port = self._session.ports.to(binding.target)
-        stream: Conversation[channel_pb.SubscribeResponse] = port.converse(port.channels.Subscribe)
+        endpoint = self._session.endpoints.to(binding.target)
+        stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_bidi(endpoint.channels.Subscribe)
         try:
-            stream.say(channel_pb.SubscribeRequest(open=self._begun))
+            stream.send(channel_pb.SubscribeRequest(open=self._begun))
             responses = stream.__iter__()
             first = responses.__next__()
         except BaseException:
@@ -177,7 +177,7 @@ class Subscription(OfOneProcess):
             return
         try:
             with suppress(Unavailable):  # of a stream that broke the iteration hears, with the reason
-                stream.say(channel_pb.SubscribeRequest(credit_bytes=credit))
+                stream.send(channel_pb.SubscribeRequest(credit_bytes=credit))
         except BaseException:  # an interrupt: what the host may send is not known any more
             stream.cancel()
             self._resume()

@@ -8,14 +8,14 @@ from collections.abc import Iterable
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
+from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
 from stampede_rt._sync.session import Session
-from stampede_rt._sync.supernodes import CONNECT_TIMEOUT_S
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
-from stampede_rt.handles import OfOneProcess
+from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
-from stampede_rt.transports.concurrency_sync import begin_now, monotonic_s, sleep
-from stampede_rt.transports.grpc_sync import Stream
+from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, sleep
+from stampede_rt.transports.grpc_sync import ServerStream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
 from stampede_rt.values.model import Change
 from stampede_rt.values.peering import PeerChange
@@ -26,7 +26,7 @@ from stampede_rt.wire.records import change
 Told = TypeVar("Told")
 
 
-class Following(OfOneProcess, Generic[Told]):
+class DirectoryWatch(BoundToProcess, Generic[Told]):
     """Changes told by a supernode, one after the other; another one goes on from where the last one was."""
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
@@ -34,11 +34,11 @@ class Following(OfOneProcess, Generic[Told]):
         self._reconnecting = Reconnecting(session, f"the watch of {request.name_glob!r}", reconnect)
         self._cluster_id = session.supernodes.cluster_id
         self._request = request
-        self._stream: Stream[Any] | None = None
+        self._stream: ServerStream[Any] | None = None
         self._responses: Any = None
         self._ready: deque[Told] = deque()
         self._closed = False
-        begin_now(self._open)
+        begin_if_blocking(self._open)
 
     @property
     def reconnects(self) -> int:
@@ -119,7 +119,7 @@ class Following(OfOneProcess, Generic[Told]):
         if self._closed:  # while it was being opened
             stream.cancel()
 
-    def _begin(self) -> Stream[Any]:
+    def _begin(self) -> ServerStream[Any]:
         raise NotImplementedError
 
     def _receive(self) -> None:
@@ -142,7 +142,7 @@ class Following(OfOneProcess, Generic[Told]):
         raise NotImplementedError
 
 
-class Watch(Following[Change]):
+class Watch(DirectoryWatch[Change]):
     """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
 
     Goes to another supernode by itself, from where it was: `reconnects` counts how often, `connected` says whether it
@@ -154,7 +154,7 @@ class Watch(Following[Change]):
         request = directory_service_pb2.WatchRequest(name_glob=name_glob, include_hosts=True)
         super().__init__(session, request, reconnect)
 
-    def _begin(self) -> Stream[Any]:
+    def _begin(self) -> ServerStream[Any]:
         hosts = self._session.supernodes.call(
             "ListHosts", directory_service_pb2.ListHostsRequest(include_dead=True), CONNECT_TIMEOUT_S
         )
@@ -168,13 +168,13 @@ class Watch(Following[Change]):
             yield change(message, self._hosts)
 
 
-class PeerWatch(Following[PeerChange]):
+class PeerWatch(DirectoryWatch[PeerChange]):
     """An iterator over changes of participants (see `Connection.watch_peers`); else as Watch."""
 
     def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:
         super().__init__(session, peer_service_pb2.WatchPeersRequest(name_glob=name_glob), reconnect)
 
-    def _begin(self) -> Stream[Any]:
+    def _begin(self) -> ServerStream[Any]:
         return self._session.supernodes.stream("WatchPeers", self._request)
 
     def _changes(self, response: peer_service_pb2.WatchPeersResponse) -> Iterable[PeerChange]:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from stampede_rt.cli.interrupts import interruption
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.values.policy import ON_FULL
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
@@ -55,11 +56,13 @@ def add_verb(
     return parser
 
 
-def connected(arguments: argparse.Namespace) -> Connection:
-    """The connection that the common options name."""
+def connected(arguments: argparse.Namespace, name: str | None = None) -> Connection:
+    """The connection that the common options name, as the participant `name`. Ctrl-C closes it."""
     from stampede_rt import connect  # gRPC takes 0.1 s to load, which --help and completion do not pay
 
-    return connect(arguments.url or os.environ.get("STAMPEDE_URL"))
+    rt = connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=name)
+    interruption.closes(rt.close)
+    return rt
 
 
 def existing(rt: Connection, name: str) -> Channel:

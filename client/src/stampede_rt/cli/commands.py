@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from stampede_rt.cli.interrupts import INTERRUPTED, interruption
 from stampede_rt.cli.terminal import escaped
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.version import VERSION
@@ -33,7 +34,7 @@ SERVICE_VERBS = {
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command; the exit status is returned. KeyboardInterrupt is the caller's."""
+    """Run one command; the exit status is returned."""
     try:
         if arguments and arguments[0] in SERVICE_VERBS:
             return _run_service(arguments[0], arguments[1:])
@@ -42,12 +43,16 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()  # a full disk is told here, rather than by the interpreter as it exits
         return status
     except StampedeError as error:
+        if interruption.asked:  # its connection was closed under it
+            return INTERRUPTED
         print(f"stampede: {escaped(error.message)}", file=sys.stderr)
         return MISUSED if isinstance(error, InvalidArgument) else FAILED
     except BrokenPipeError:  # whoever read the output has seen enough
         _drop_output()
         return 0
     except Exception as error:
+        if interruption.asked:
+            return INTERRUPTED
         if isinstance(error, OSError) and error.errno in OUTPUT_ERRNOS:
             _drop_output()
             print(f"stampede: the output cannot be written: {error.strerror}", file=sys.stderr)

@@ -86,7 +86,7 @@ class Observation:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Holdings:
+class Inventory:
     """The channels, or the queues, of the whole directory: how many, and the names and hosts of those that are lost."""
 
     kind: str
@@ -95,7 +95,7 @@ class Holdings:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckResult:
     """One thing that was looked at; `advice` is empty if it is well."""
 
     part: str
@@ -106,22 +106,22 @@ class Finding:
 
 
 def diagnose(
-    seen: Sequence[Observation], held: Sequence[Holdings] = (), *, own_version: str, certificate_s_min: float
-) -> list[Finding]:
+    seen: Sequence[Observation], held: Sequence[Inventory] = (), *, own_version: str, certificate_s_min: float
+) -> list[CheckResult]:
     """Everything that was looked at: first the parts, one by one, then what concerns them together."""
     parts = [_of_part(one, certificate_s_min) for one in seen]
     of_all = [*_frontends(seen), *_quorum(seen), *_hosts(seen), *map(_holdings, held), *_clocks(seen)]
     return [*parts, *of_all, *_versions(seen, own_version)]
 
 
-def _of_part(one: Observation, certificate_s_min: float) -> Finding:
+def _of_part(one: Observation, certificate_s_min: float) -> CheckResult:
     state, advice = _state(one)
     left_s = one.certificate_left_s
     if not advice and left_s is not None and left_s < certificate_s_min:
         advice = f"its certificate ends in {left_s / 86400:.1f} days; issue it anew (stampede certs issue)"
         if left_s < 0:
             advice = "its certificate has expired; issue it anew (stampede certs issue)"
-    return Finding(one.part, one.address, state, advice, one)
+    return CheckResult(one.part, one.address, state, advice, one)
 
 
 def _state(one: Observation) -> tuple[str, str]:
@@ -173,7 +173,7 @@ def _of(kind: str, seen: Sequence[Observation]) -> list[Observation]:
     return [one for one in seen if one.kind == kind]
 
 
-def _frontends(seen: Sequence[Observation]) -> Iterator[Finding]:
+def _frontends(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     frontends, supernodes = _of(FRONTEND, seen), _of(SUPERNODE, seen)
     answering = sum(not one.failure for one in frontends)
     if not frontends:
@@ -192,10 +192,10 @@ def _frontends(seen: Sequence[Observation]) -> Iterator[Finding]:
             )
         elif any(one.refuses_caller for one in frontends):
             state, advice = "unknown", "they run, but nothing more is known while secret and certificates do not fit"
-    yield Finding("front-ends", "-", state, advice)
+    yield CheckResult("front-ends", "-", state, advice)
 
 
-def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
+def _quorum(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     members = [one for one in _of(SUPERNODE, seen) if one.is_member]
     if not members:
         return
@@ -205,9 +205,9 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
     needed = len(members) // 2 + 1
     if ready >= needed:
         again = f"start {down} again with its folder, or, if that is lost, replace it (runbook: replace one)"
-        yield Finding("quorum", "-", f"{ready} of {len(members)} serve", again if down else "")
+        yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve", again if down else "")
     elif len(running) >= needed:
-        yield Finding(
+        yield CheckResult(
             "quorum",
             "-",
             f"{len(running)} of {len(members)} run, {ready} serve",
@@ -215,9 +215,9 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[Finding]:
         )
     elif len(running) + refused >= needed:
         advice = "a majority runs, but nothing more is known while secret and certificates do not fit"
-        yield Finding("quorum", "-", "unknown", advice)
+        yield CheckResult("quorum", "-", "unknown", advice)
     else:
-        yield Finding(
+        yield CheckResult(
             "quorum",
             "-",
             f"{len(running)} of {len(members)} run",
@@ -232,14 +232,14 @@ def _chapter(members: int, running: int) -> str:
     return "lose all" if running == 0 else "lose two" if members == 3 else "restore"
 
 
-def _hosts(seen: Sequence[Observation]) -> Iterator[Finding]:
+def _hosts(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     if any(one.kind == SUPERNODE and one.ready and not one.failure for one in seen) and not _of(HOST, seen):
-        yield Finding(HOST, "-", "none", "no channel host has registered; start one with `stampede host`")
+        yield CheckResult(HOST, "-", "none", "no channel host has registered; start one with `stampede host`")
 
 
-def _holdings(held: Holdings) -> Finding:
+def _holdings(held: Inventory) -> CheckResult:
     if not held.lost:
-        return Finding(f"{held.kind}s", "-", f"{held.count}, none lost")
+        return CheckResult(f"{held.kind}s", "-", f"{held.count}, none lost")
     names = [name for name, _ in held.lost[:NAMED_MAX]]
     more = f" and {len(held.lost) - NAMED_MAX} more" if len(held.lost) > NAMED_MAX else ""
     hosts = _joined(sorted({host for _, host in held.lost}))
@@ -247,10 +247,10 @@ def _holdings(held: Holdings) -> Finding:
         f"{', '.join(names)}{more} belonged to {hosts}, which is gone, and what they held with it; start it again, or "
         f"open them anew: the next put into a {held.kind}, or a handle that may create it, does"
     )
-    return Finding(f"{held.kind}s", "-", f"{len(held.lost)} of {held.count} lost", advice)
+    return CheckResult(f"{held.kind}s", "-", f"{len(held.lost)} of {held.count} lost", advice)
 
 
-def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
+def _clocks(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     """Whose clock is off, against the services' and the caller's. Those of most services are taken to be right.
 
     An answer that took long tells little of a clock: beyond half of its round trip nothing is judged.
@@ -261,7 +261,7 @@ def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
     if not services:
         if offsets:
             quickest = format_duration(2 * min(one.clock_doubt_nanos for one in offsets))
-            yield Finding("clocks", "-", f"{UNKNOWN}: answers took {quickest} or longer, which tells too little")
+            yield CheckResult("clocks", "-", f"{UNKNOWN}: answers took {quickest} or longer, which tells too little")
         return
     middle = sorted(offsets[one] for one in services)[(len(services) - 1) // 2]
     doubt = max(one.clock_doubt_nanos for one in services)
@@ -273,7 +273,7 @@ def _clocks(seen: Sequence[Observation]) -> Iterator[Finding]:
     advice = [f"that of {one.part} is {ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]
     if is_off(middle, 2 * doubt):
         advice.append(f"this machine's is {ahead(-middle)} the cluster's; synchronise this one")
-    yield Finding(
+    yield CheckResult(
         "clocks",
         "-",
         _apart(told | {one: offsets[one] for one in off}),
@@ -306,7 +306,7 @@ def ahead(offset_nanos: int) -> str:
     return f"{format_duration(abs(offset_nanos))} {'ahead of' if offset_nanos > 0 else 'behind'}"
 
 
-def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[Finding]:
+def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[CheckResult]:
     who: dict[str, list[str]] = {own_version: [CALLER]}
     for one in seen:
         if one.version and one.kind != PEER:  # theirs may be of any program
@@ -315,7 +315,7 @@ def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[Finding
     if len(who) > 1:
         mixed = "; ".join(f"{version}: {_joined(parts)}" for version, parts in sorted(who.items()))
         advice = f"not all run the same ({mixed}); upgrade the older ones, one after the other (runbook: upgrade)"
-    yield Finding("versions", "-", ", ".join(sorted(who)), advice)
+    yield CheckResult("versions", "-", ", ".join(sorted(who)), advice)
 
 
 def _joined(names: Sequence[str]) -> str:

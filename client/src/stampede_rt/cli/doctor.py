@@ -7,7 +7,7 @@ import os
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb
-from stampede_rt.cli.diagnosis import CLOCK_OFFSET_NANOS_MAX, PEER, UNKNOWN, Finding, Observation, diagnose
+from stampede_rt.cli.diagnosis import CLOCK_OFFSET_NANOS_MAX, PEER, UNKNOWN, CheckResult, Observation, diagnose
 from stampede_rt.cli.output import print_rows
 from stampede_rt.cli.terminal import escaped
 from stampede_rt.values.timeline import format_duration
@@ -24,7 +24,7 @@ def add_verbs(subparsers: Any) -> None:
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Look at every part; exit status 1 if something is to be fixed."""
-    from stampede_rt._sync.ports import Ports
+    from stampede_rt._sync.endpoints import EndpointPool
     from stampede_rt.cli.examining import Examination
     from stampede_rt.cluster.connecting import parse_target
 
@@ -32,11 +32,11 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     target = parse_target(url or arguments.member, name=None, secret=None, zone=None)
     members = parse_target(arguments.member, name=None, secret=None, zone=None).frontends if arguments.member else ()
     frontends = target.frontends if url or not members else ()
-    ports = Ports(target.credentials)
+    endpoints = EndpointPool(target.credentials)
     try:
-        seen, held = Examination(ports).look(frontends, members)
+        seen, held = Examination(endpoints).look(frontends, members)
     finally:
-        ports.close()
+        endpoints.close()
     findings = diagnose(seen, held, own_version=VERSION, certificate_s_min=CERTIFICATE_S_MIN)
     print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
     advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
@@ -45,11 +45,11 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     return 1 if advice else 0
 
 
-def _where(finding: Finding) -> str:
+def _where(finding: CheckResult) -> str:
     return finding.part if finding.address == "-" else f"{finding.part} {finding.address}"
 
 
-def _row(finding: Finding, form: str) -> dict[str, Any]:
+def _row(finding: CheckResult, form: str) -> dict[str, Any]:
     people, seen = form == "table", finding.seen
 
     def duration(nanos: int | None, if_none: str | None = None) -> Any:

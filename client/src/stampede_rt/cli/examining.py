@@ -11,8 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from stampede_rt._sync.ports import Ports
-from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Holdings, Observation, gathered
+from stampede_rt._sync.endpoints import EndpointPool
+from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Inventory, Observation, gathered
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import (
     certificate_end_unix_s,
@@ -51,13 +51,13 @@ class _Answer(NamedTuple):
 
 
 class Examination:
-    """One look at a cluster; `ports` stay the caller's."""
+    """One look at a cluster; `endpoints` stay the caller's."""
 
-    def __init__(self, ports: Ports) -> None:
-        self._ports = ports
+    def __init__(self, endpoints: EndpointPool) -> None:
+        self._endpoints = endpoints
         self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
 
-    def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Holdings]]:
+    def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
         """Ask the front-ends and the members that are named, and whoever they know; some 8 * TIMEOUT_S at most."""
         with self._pool:
             bound = self._ask(map(_frontend, frontends))
@@ -72,7 +72,7 @@ class Examination:
             held = self._held(supernodes)
         return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts)), *peers], held
 
-    def _held(self, supernodes: Sequence[_Answer]) -> list[Holdings]:
+    def _held(self, supernodes: Sequence[_Answer]) -> list[Inventory]:
         """All channels and queues, as far as a supernode tells them."""
         channels = directory_pb.ListChannelsRequest(stale_ok=True)
         queues = queue_directory_pb.ListQueuesRequest(stale_ok=True, include_mailboxes=True)
@@ -132,9 +132,9 @@ class Examination:
         """What the first of them says that answers this; None if none does."""
         for one in supernodes:
             if one.response is not None:
-                port = self._ports.to(one.seen.address)
+                endpoint = self._endpoints.to(one.seen.address)
                 try:
-                    return port.call(getattr(port.directory, method), request, TIMEOUT_S)
+                    return endpoint.call(getattr(endpoint.directory, method), request, TIMEOUT_S)
                 except StampedeError:
                     continue  # what is wrong with it, its own finding says
         return None
@@ -145,7 +145,7 @@ class Examination:
     def _probe(self, part: _Part) -> _Answer:
         """One call; its response (None if it failed), and what it says of the part."""
         seen = Observation(kind=part.kind, name=part.name, address=part.address)
-        tls = self._ports.credentials.tls
+        tls = self._endpoints.credentials.tls
         try:
             response, sent, round_trip = self._timed(part)
         except StampedeError as error:
@@ -173,11 +173,11 @@ class Examination:
 
     def _timed(self, part: _Part) -> tuple[Any, int, int]:
         """The response, when it was asked for (wall clock), and how long it took. Raises StampedeError."""
-        port = self._ports.to(part.address)
-        method = getattr(getattr(port, part.service), part.method)
+        endpoint = self._endpoints.to(part.address)
+        method = getattr(getattr(endpoint, part.service), part.method)
         for is_last in (False, True):
             started, sent = time.monotonic_ns(), time.time_ns()  # a pause in between makes the round trip longer
-            response = port.call(method, part.request, TIMEOUT_S)
+            response = endpoint.call(method, part.request, TIMEOUT_S)
             round_trip = time.monotonic_ns() - started
             # The first one makes the connection, too; one that waits will wait again.
             if is_last or round_trip > PATIENT_NANOS_MAX:
@@ -186,7 +186,7 @@ class Examination:
 
     def _own(self) -> list[Observation]:
         """The caller's own certificate, if it has one."""
-        tls = self._ports.credentials.tls
+        tls = self._endpoints.credentials.tls
         if tls is None:
             return []
         seen = Observation(kind=CALLER, address=str(tls.files.certificate))
@@ -246,7 +246,7 @@ def _load(response: Any) -> dict[str, Any]:
     }
 
 
-def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Holdings | None:
+def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
     """None if nobody could say."""
     count, lost = 0, []
     for page in pages:
@@ -257,7 +257,7 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Holdings | None:
         count += len(records)
         gone = (one for one in records if one.host_id in hosts and not hosts[one.host_id].alive)
         lost += [(one.name or "a mailbox", f"host {hosts[one.host_id].name}") for one in gone]
-    return Holdings(kind=kind, count=count, lost=lost)
+    return Inventory(kind=kind, count=count, lost=lost)
 
 
 def _gatekeeper(host: Any) -> str:

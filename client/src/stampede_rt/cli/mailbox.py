@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -118,9 +117,7 @@ def run_send(arguments: argparse.Namespace) -> int:
 
 def run_get(arguments: argparse.Namespace) -> int:
     """Take messages under a name and print them."""
-    from stampede_rt import connect
-
-    with connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=arguments.name) as rt:
+    with connected(arguments, arguments.name) as rt:
         return take(rt.mailbox, arguments)
 
 

@@ -7,14 +7,25 @@ from __future__ import annotations
 
 import sys
 
-INTERRUPTED = 130
+from stampede_rt.cli.interrupts import INTERRUPTED, ended_at_once, run_interruptibly
+
+# These stop in ways of their own, and need the main thread for it.
+ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; the exit status is returned."""
-    try:
+    words = sys.argv[1:] if argv is None else argv
+
+    def work() -> int:
         from stampede_rt.cli.commands import run
 
-        return run(sys.argv[1:] if argv is None else argv)
+        return run(words)
+
+    try:
+        if words and words[0] in ON_THE_MAIN_THREAD:
+            with ended_at_once():
+                return work()
+        return run_interruptibly(work)
     except KeyboardInterrupt:
         return INTERRUPTED

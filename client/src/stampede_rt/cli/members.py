@@ -11,12 +11,12 @@ from typing import Any
 
 import grpc
 
-from stampede_rt._sync.ports import Ports
+from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
-from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import membership_service_pb2 as pb
@@ -34,27 +34,27 @@ BACKOFF_SECONDS = 0.5
 class Cluster:
     """The supernodes of a running cluster, reached by any of the addresses given."""
 
-    def __init__(self, ports: Ports, addresses: list[str]) -> None:
-        self._ports = ports
+    def __init__(self, endpoints: EndpointPool, addresses: list[str]) -> None:
+        self._endpoints = endpoints
         self._addresses = addresses
 
     @property
     def is_secured(self) -> bool:
         """Whether the caller has a certificate."""
-        return self._ports.credentials.tls is not None
+        return self._endpoints.credentials.tls is not None
 
     def members(self) -> directory_pb.ListSupernodesResponse:
         """The members, as the first supernode that answers knows them. Raises Unavailable."""
         listed: directory_pb.ListSupernodesResponse = self._first(
-            lambda port: port.call(port.directory.ListSupernodes, _LIST, CALL_SECONDS)
+            lambda endpoint: endpoint.call(endpoint.directory.ListSupernodes, _LIST, CALL_SECONDS)
         )
         return listed
 
     def ping(self, address: str) -> Any:
         """What a supernode says of itself; None if it says nothing."""
-        port = self._ports.to(address)
+        endpoint = self._endpoints.to(address)
         try:
-            return port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
+            return endpoint.call(endpoint.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
         except StampedeError:
             return None
 
@@ -64,7 +64,7 @@ class Cluster:
             request_id=secrets.token_bytes(16), valid_nanos=valid_nanos, supernode_id=supernode_id, target=address
         )
         made: pb.CreateJoinTokenResponse = self._first(
-            lambda port: port.call(_membership(port).CreateJoinToken, request, CALL_SECONDS)
+            lambda endpoint: endpoint.call(_membership(endpoint).CreateJoinToken, request, CALL_SECONDS)
         )
         return made
 
@@ -76,10 +76,10 @@ class Cluster:
             raise no_member(supernode_id, known)
         waiting = self._leader_first(known)
         while waiting:
-            port = self._ports.to(waiting[0])
+            endpoint = self._endpoints.to(waiting[0])
             try:
-                removed: pb.RemoveSupernodeResponse = port.call(
-                    _membership(port).RemoveSupernode, request, CALL_SECONDS
+                removed: pb.RemoveSupernodeResponse = endpoint.call(
+                    _membership(endpoint).RemoveSupernode, request, CALL_SECONDS
                 )
             except (NotLeader, Overloaded, Unavailable) as error:
                 leader = error.metadata.get("leader_endpoint")
@@ -101,29 +101,29 @@ class Cluster:
 
     def snapshot(self, address: str, *, include_data: bool, stale_ok: bool) -> Iterator[pb.TakeSnapshotResponse]:
         """What the supernode at `address` answers, part by part. Raises StampedeError."""
-        port = self._ports.to(address)
+        endpoint = self._endpoints.to(address)
         request = pb.TakeSnapshotRequest(include_data=include_data, stale_ok=stale_ok)
-        responses = port.call(_membership(port).TakeSnapshot, request, SNAPSHOT_SECONDS)
+        responses = endpoint.call(_membership(endpoint).TakeSnapshot, request, SNAPSHOT_SECONDS)
         try:
             yield from responses
         except grpc.RpcError as error:
             raise from_rpc_error(error, f"the supernode at {address}") from error
 
-    def _first(self, ask: Callable[[Port], Any]) -> Any:
-        return _first(self._ports, self._addresses, ask)
+    def _first(self, ask: Callable[[ServerEndpoint], Any]) -> Any:
+        return _first(self._endpoints, self._addresses, ask)
 
 
 _LIST = directory_pb.ListSupernodesRequest()
 
 
-def _first(ports: Ports, addresses: Sequence[str], ask: Callable[[Port], Any]) -> Any:
+def _first(endpoints: EndpointPool, addresses: Sequence[str], ask: Callable[[ServerEndpoint], Any]) -> Any:
     """What the first of them that answers says. Raises why the last one does not, certificates among the reasons."""
     failure: StampedeError = Unavailable("no supernode is known")
     for address in addresses:
         try:
-            return ask(ports.to(address))
+            return ask(endpoints.to(address))
         except Unavailable as error:
-            failure = explain_refusal(address, ports.credentials.tls, seconds=CALL_SECONDS) or error
+            failure = explain_refusal(address, endpoints.credentials.tls, seconds=CALL_SECONDS) or error
         except StampedeError as error:
             failure = error
     raise failure
@@ -152,19 +152,19 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
 def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
     """The cluster behind front-ends or supernodes. Raises StampedeError."""
     target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
-    ports = Ports(target.credentials)
+    endpoints = EndpointPool(target.credentials)
     try:
-        addresses = list(target.frontends) if member else _bound(ports, target.frontends)
-        yield Cluster(ports, addresses)
+        addresses = list(target.frontends) if member else _bound(endpoints, target.frontends)
+        yield Cluster(endpoints, addresses)
     finally:
-        ports.close()
+        endpoints.close()
 
 
-def _bound(ports: Ports, frontends: Sequence[str]) -> list[str]:
+def _bound(endpoints: EndpointPool, frontends: Sequence[str]) -> list[str]:
     request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
-    bound = _first(ports, frontends, lambda port: port.call(port.frontend.Bind, request, CALL_SECONDS))
+    bound = _first(endpoints, frontends, lambda endpoint: endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS))
     return [one.endpoint.target for one in bound.supernodes]
 
 
-def _membership(port: Port) -> Any:
-    return port.stub(membership_service_pb2_grpc.MembershipServiceStub)
+def _membership(endpoint: ServerEndpoint) -> Any:
+    return endpoint.stub(membership_service_pb2_grpc.MembershipServiceStub)

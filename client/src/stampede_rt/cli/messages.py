@@ -22,7 +22,7 @@ NOTHING = 3
 STDIN_BYTES_MAX = 16 * 1024 * 1024
 
 
-class Source(Protocol):
+class MessageSource(Protocol):
     """What messages are taken from."""
 
     def get(self, timeout: float | None = None) -> Message | None:
@@ -58,7 +58,7 @@ def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
     print(f"{name} #{enqueued.seq}{known}" if form == "table" else json.dumps(told))
 
 
-def take(source: Source, arguments: argparse.Namespace) -> int:
+def take(source: MessageSource, arguments: argparse.Namespace) -> int:
     """Take and print messages, each acknowledged once it is printed; the exit status."""
     for count in range(arguments.count):
         message = source.get(timeout=arguments.timeout)

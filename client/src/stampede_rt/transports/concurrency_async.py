@@ -1,4 +1,4 @@
-"""What the client needs of asyncio, under names that `concurrency_sync` has, too."""
+"""The client's tools for asyncio. `concurrency_sync` has the same names for threads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ monotonic_nanos = time.monotonic_ns
 
 
 class Mutex:
-    """Guards short sections without waiting inside. Tasks of one loop need no lock for that."""
+    """Guards short sections that do not wait. Tasks of one loop need no lock for that."""
 
     def __enter__(self) -> None:
         return None
@@ -37,7 +37,7 @@ class Mutex:
 
 
 class Signal:
-    """Something happened; whoever waits looks again."""
+    """A flag that callers can wait for. A woken caller looks again at the state that it waits for."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
@@ -66,12 +66,15 @@ async def sleep(delay_s: float) -> None:
 
 
 async def in_thread(operation: Callable[[], Result]) -> Result:
-    """The result of an operation that blocks."""
+    """Run a blocking operation on a worker thread and return its result."""
     return await asyncio.to_thread(operation)
 
 
-async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:
-    """The results of all operations, which run at the same time; raises what the first one to fail met."""
+async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:
+    """Run all operations at the same time and return their results. Raises the first failure.
+
+    The blocking counterpart runs them one after the other; `run_concurrently` is concurrent in both clients.
+    """
     tasks = [asyncio.ensure_future(operation()) for operation in operations]
     try:
         return await asyncio.gather(*tasks)
@@ -80,18 +83,18 @@ async def together(operations: Sequence[Callable[[], Awaitable[Result]]]) -> lis
             task.cancel()
 
 
-at_once = together
+run_concurrently = run_all
 
 
-class Turns:
-    """Those who look for the same thing go one after the other, so that what the first one finds serves all."""
+class KeyedLock:
+    """One lock for each key. Callers that look for the same thing take turns, so that the first answer serves all."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
 
     @asynccontextmanager
-    async def of(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
-        """One's own turn, or after `timeout_s` beside the one whose turn it is."""
+    async def hold(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
+        """Hold the lock of `key`. After `timeout_s` the caller goes on without it."""
         lock, held = self._locks.setdefault(key, asyncio.Lock()), True
         try:
             async with asyncio.timeout(timeout_s):
@@ -105,22 +108,22 @@ class Turns:
                 lock.release()
 
 
-def callers() -> frozenset[int]:
-    """What `thread_id` gives to those who can still call."""
+def live_thread_ids() -> frozenset[int]:
+    """The values of `thread_id` whose callers can still call."""
     return _CALLERS
 
 
 def thread_id() -> int:
-    """What tells callers with connections of their own apart: nothing, since all tasks share the loop's."""
+    """The key of a caller's own connections: always 0, since all tasks share those of the loop."""
     return 0
 
 
-def begin_now(operation: Callable[[], Awaitable[None]]) -> None:
-    """Do at once what needs no awaiting: on asyncio nothing, the first await does it."""
+def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
+    """Run `operation` now in the blocking client. Here the first await of the handle runs it."""
 
 
-class Background:
-    """Work of the library's own beside the caller's: a task. It must handle its errors itself."""
+class BackgroundTask:
+    """Work of the library beside the caller's: a task. It must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
         self._task = asyncio.ensure_future(operation())
@@ -130,7 +133,7 @@ class Background:
             self._task.set_name(f"stampede {name}")
 
     async def join(self, timeout_s: float) -> bool:
-        """Block until it has ended, `timeout_s` at most; whether it has. The work itself does not wait for its end."""
+        """Block until it has ended, at most `timeout_s`. Returns whether it has; False if the work itself asks."""
         if self._task is asyncio.current_task():
             return False
         ended, _ = await asyncio.wait((self._task,), timeout=timeout_s)
@@ -151,11 +154,11 @@ def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[],
         _inherited.append(operation)
         return
     with suppress(RuntimeError):  # the loop has ended, and with it all that was open
-        loop.call_soon_threadsafe(Background, operation, "closing")
+        loop.call_soon_threadsafe(BackgroundTask, operation, "closing")
 
 
-class Beginning:
-    """What begins by itself in the background; awaiting it waits until it has begun."""
+class BackgroundStart:
+    """A handle that begins in the background. `await` on it waits until it has begun."""
 
     async def _begun(self) -> None:
         raise NotImplementedError

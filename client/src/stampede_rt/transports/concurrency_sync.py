@@ -1,4 +1,4 @@
-"""What the client needs of threads, under names that `concurrency_async` has, too."""
+"""The client's tools for threads. `concurrency_async` has the same names for asyncio."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
+END_LIMIT_S = 2.0  # for ending calls and connections
+
 Result = TypeVar("Result")
 _log = logging.getLogger("stampede_rt")
 
@@ -26,22 +28,22 @@ monotonic_nanos = time.monotonic_ns
 thread_id = threading.get_ident
 
 
-class Turns:
-    """Threads find their ways each for itself: they have connections of their own."""
+class KeyedLock:
+    """Locks nothing: each thread has connections of its own and looks for its channels itself."""
 
     @contextmanager
-    def of(self, key: Hashable, timeout_s: float) -> Iterator[None]:
-        """One's own turn, at once."""
+    def hold(self, key: Hashable, timeout_s: float) -> Iterator[None]:
+        """Go on at once."""
         yield
 
 
-def callers() -> set[int | None]:
-    """What `thread_id` gives to those who can still call: the threads that are alive."""
+def live_thread_ids() -> set[int | None]:
+    """The ids of the threads that are alive."""
     return {thread.ident for thread in threading.enumerate()}
 
 
 class Signal:
-    """Something happened; whoever waits looks again."""
+    """A flag that callers can wait for. A woken caller looks again at the state that it waits for."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
@@ -59,42 +61,58 @@ class Signal:
         return self._event.wait(timeout_s)
 
 
-def together(operations: Sequence[Callable[[], Result]]) -> list[Result]:
-    """The results of all operations, one after the other; raises what the first one to fail met."""
+def run_all(operations: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Run all operations, one after the other, and return their results. Raises the first failure.
+
+    The asynchronous counterpart runs them at the same time; `run_concurrently` does so in both clients.
+    """
     return [operation() for operation in operations]
 
 
-def at_once(operations: Sequence[Callable[[], Result]]) -> list[Result]:
-    """The results of all operations, which run at the same time, on threads of their own: they are few and short."""
+def run_concurrently(operations: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Run a few short operations at the same time, each on its own thread, and return their results."""
     if len(operations) < 2:
         return [operation() for operation in operations]
-    with ThreadPoolExecutor(len(operations), thread_name_prefix="stampede at once") as pool:
+    with ThreadPoolExecutor(len(operations), thread_name_prefix="stampede call") as pool:
         return [future.result() for future in [pool.submit(operation) for operation in operations]]
 
 
 def in_thread(operation: Callable[[], Result]) -> Result:
-    """The result of an operation that blocks; this thread is the caller's own."""
+    """Run a blocking operation on the calling thread and return its result."""
     return operation()
 
 
-def begin_now(operation: Callable[[], None]) -> None:
-    """Do at once what needs no awaiting."""
+def begin_if_blocking(operation: Callable[[], None]) -> None:
+    """Run `operation` now. In the asynchronous client the first await of the handle runs it."""
     operation()
 
 
-class Background:
-    """Work of the library's own beside the caller's: a daemon thread. It must handle its errors itself."""
+class BackgroundTask:
+    """Work of the library beside the caller's: a daemon thread. It must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], None], name: str) -> None:
         self._thread = threading.Thread(target=operation, name=f"stampede {name}", daemon=True)
         self._thread.start()
 
     def join(self, timeout_s: float) -> bool:
-        """Block until it has ended, `timeout_s` at most; whether it has. The work itself does not wait for its end."""
+        """Block until it has ended, at most `timeout_s`. Returns whether it has; False if the work itself asks."""
         if self._thread is threading.current_thread():
             return False
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
+
+
+def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> None:
+    """Run what takes locks of gRPC's to end something, and wait `limit_s` at most.
+
+    An exception that a signal's handler raised in gRPC's code may have left such a lock locked for good.
+    """
+    thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
+    try:
+        thread.start()
+    except RuntimeError:  # the interpreter ends, and starts no more threads
+        return
+    thread.join(limit_s)
 
 
 class _Dropped:
@@ -143,8 +161,8 @@ def when_dropped(owner: object, operation: Callable[[], object]) -> None:
     finalizer.atexit = False
 
 
-class Beginning:
-    """What begins by itself in the background. Here it has begun when its maker returns."""
+class BackgroundStart:
+    """A handle that begins in the background. Here it has begun once the method that makes it returns."""
 
 
 def check_callback(function: object) -> None:

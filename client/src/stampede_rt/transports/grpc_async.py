@@ -1,4 +1,4 @@
-"""gRPC on asyncio: one `Port` for each address, with unary calls, streams and exchanges on open streams."""
+"""gRPC on asyncio: one `ServerEndpoint` for each address, with unary calls, streams and exchanges on open streams."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.aio.Channel:
     return grpc.aio.secure_channel(target, channel_credentials(tls), options=CHANNEL_OPTIONS)
 
 
-class Port(Stubs):
+class ServerEndpoint(Stubs):
     """A gRPC connection to one address, shared by all calls there."""
 
     def __init__(self, target: str, secret: str | None, tls: TlsMaterial | None = None) -> None:
@@ -81,13 +81,13 @@ class Port(Stubs):
                 raise
             raise closed(self.target) from error  # the call was ended by closing the connection, not this task
 
-    def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
+    def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
         """One request, many responses."""
-        return Stream(self._begin(method, request), self.target)
+        return ServerStream(self._begin(method, request), self.target)
 
-    def converse(self, method: Callable[..., Any]) -> Conversation[Any]:
+    def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
         """A stream in both directions."""
-        return Conversation(self._begin(method), self.target, self._tasks)
+        return BidiStream(self._begin(method), self.target, self._tasks)
 
     def gets(self) -> GetExchange:
         """An open stream for gets that takes one more: the first one has room for all but very many."""
@@ -116,7 +116,7 @@ class Port(Stubs):
         return PutDuplex(self._begin(self._put), self.target, self._tasks, on_response, on_end)
 
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
-        """The call of a stream. Raises Unavailable once this port is closed."""
+        """The call of a stream. Raises Unavailable once this endpoint is closed."""
         try:
             return method(*request, metadata=self.metadata)
         except grpc.aio.UsageError as error:
@@ -153,7 +153,7 @@ async def _give_up(call: Any) -> None:
     call.cancel()
 
 
-class Stream(Generic[Response]):
+class ServerStream(Generic[Response]):
     """The responses of one request. `cancel` may be called from anywhere and ends the iteration."""
 
     def __init__(self, call: Any, target: str) -> None:
@@ -194,14 +194,14 @@ class Stream(Generic[Response]):
             self._call.cancel()
 
 
-class Conversation(Stream[Response]):
-    """A stream in both directions: `say` sends, the iteration gives what comes."""
+class BidiStream(ServerStream[Response]):
+    """A stream in both directions: `send` sends, the iteration gives what comes."""
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         super().__init__(call, target)
         self._requests = Requests(call, tasks)
 
-    async def say(self, request: Any) -> None:
+    async def send(self, request: Any) -> None:
         """Send `request`, without waiting. That the stream is broken is found out by the iteration.
 
         Raises Unavailable if SAID_MAX requests wait: the other side takes none.

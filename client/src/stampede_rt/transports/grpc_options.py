@@ -9,7 +9,13 @@ SAID_MAX = 1024  # requests on one stream that the other side has yet to take
 END_TIMEOUT_S = 1.0  # for what is to end with its connection
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
-CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
+# A server takes 1024 calls on one connection; whoever needs more of them opens further connections (gRFC A105).
+MORE_CONNECTIONS: tuple[tuple[str, int | str], ...] = (
+    ("grpc.service_config", '{"connectionScaling": {"maxConnectionsPerSubchannel": 10}}'),
+)
+
+CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
+    *MORE_CONNECTIONS,
     ("grpc.max_send_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_receive_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_metadata_size", 16 * 1024),

@@ -18,7 +18,7 @@ from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_sync import when_dropped
+from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD, SAID_MAX, SILENCE_S_MAX
 from stampede_rt.transports.stubs import Stubs
@@ -37,7 +37,7 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.Channel:
     return grpc.secure_channel(target, channel_credentials(tls), options=options)
 
 
-class Port(Stubs):
+class ServerEndpoint(Stubs):
     """A gRPC connection to one address, shared by all calls there."""
 
     def __init__(self, target: str, secret: str | None, tls: TlsMaterial | None = None) -> None:
@@ -74,18 +74,18 @@ class Port(Stubs):
         except ValueError as error:  # how gRPC says that the channel is closed
             raise closed(self.target) from error
 
-    def stream(self, method: Callable[..., Any], request: Any) -> Stream[Any]:
+    def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
         """One request, many responses."""
-        return Stream(self.begin(method, request), self.target, self._watchdog)
+        return ServerStream(self.begin(method, request), self.target, self._watchdog)
 
     def begin(self, method: Callable[..., Any], requests: Any) -> Any:
-        """The call of a stream. Raises Unavailable once this port is closed."""
+        """The call of a stream. Raises Unavailable once this endpoint is closed."""
         try:
             return method(requests, metadata=self.metadata)
         except ValueError as error:
             raise closed(self.target) from error
 
-    def converse_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
+    def open_bidi_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
         """The call of a stream of `requests`. None behind them ends gRPC's sending thread, and so does the call's end:
         else that thread waits for requests for good."""
         call = self.begin(method, iter(requests.get, None))
@@ -93,9 +93,9 @@ class Port(Stubs):
             requests.put(None)  # it has ended already
         return call
 
-    def converse(self, method: Callable[..., Any]) -> Conversation[Any]:
+    def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
         """A stream in both directions."""
-        return Conversation(self, method, self._watchdog)
+        return BidiStream(self, method, self._watchdog)
 
     def gets(self) -> GetExchange:
         """This thread's open stream for gets."""
@@ -119,22 +119,25 @@ class Port(Stubs):
         return PutDuplex(self, self._put, on_response, on_end)
 
     def close(self) -> None:
-        """End everything that is under way here."""
+        """End everything that is under way here, within END_LIMIT_S."""
+        within_limit(self._close)
+
+    def _close(self) -> None:
         self._watchdog.close()
         self._channel.close()
         with self._mutex:
             self._closed = True
             exchanges = tuple(self._exchanges)
         for exchange in exchanges:  # gRPC's sending threads wait for requests, closed or not
-            exchange.cancel()
+            exchange.end()
 
     def opened(self, exchange: _Exchange) -> None:
-        """End `exchange` with this port, if it is still there then."""
+        """End `exchange` with this endpoint, if it is still there then."""
         with self._mutex:
             self._exchanges.add(exchange)
             over = self._closed
         if over:  # since its call began
-            exchange.cancel()
+            exchange.end()
 
     def ended(self) -> None:
         """Its threads are daemons, and end by themselves: there is nothing to wait for."""
@@ -150,7 +153,7 @@ def silent(target: str) -> Unavailable:
     return Unavailable(f"{target} was silent for {SILENCE_S_MAX:g} s; it may be stopped")
 
 
-class Stream(Generic[Response]):
+class ServerStream(Generic[Response]):
     """The responses of one request. `cancel` may be called from any thread and ends the iteration."""
 
     def __init__(self, call: Any, target: str, watchdog: Watchdog) -> None:
@@ -188,17 +191,17 @@ class Stream(Generic[Response]):
 
     def _end_call(self) -> None:
         if self._forks == forking.forks():  # else it is the parent's, and locked perhaps
-            self._call.cancel()
+            within_limit(self._call.cancel)
 
 
-class Conversation(Stream[Response]):
-    """A stream in both directions: `say` sends, the iteration gives what comes."""
+class BidiStream(ServerStream[Response]):
+    """A stream in both directions: `send` sends, the iteration gives what comes."""
 
-    def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
+    def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any], watchdog: Watchdog) -> None:
         self._requests: SimpleQueue[Any] = SimpleQueue()
-        super().__init__(port.converse_by(method, self._requests), port.target, watchdog)
+        super().__init__(endpoint.open_bidi_by(method, self._requests), endpoint.target, watchdog)
 
-    def say(self, request: Any) -> None:
+    def send(self, request: Any) -> None:
         """Send `request`, without waiting. That the stream is broken is found out by the iteration.
 
         Raises Unavailable if SAID_MAX requests wait: the other side takes none.
@@ -212,13 +215,13 @@ class Conversation(Stream[Response]):
 class _Exchange:
     """An open bidirectional stream. Its requests lie in a queue only until gRPC's sending thread takes them."""
 
-    def __init__(self, port: Port, method: Callable[..., Any]) -> None:
-        self._target = port.target
+    def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any]) -> None:
+        self._target = endpoint.target
         self._requests: SimpleQueue[Any] = SimpleQueue()
-        self._call: Any = port.converse_by(method, self._requests)
+        self._call: Any = endpoint.open_bidi_by(method, self._requests)
         self.broken = False
         self._forks = forking.forks()
-        port.opened(self)
+        endpoint.opened(self)
         when_dropped(self, partial(_give_up, self._requests, self._call))  # the thread that owned it is gone
 
     def _error(self, error: BaseException) -> StampedeError:
@@ -228,7 +231,12 @@ class _Exchange:
         return Unavailable(f"{self._target} ended the stream")
 
     def cancel(self) -> None:
-        """Give the stream up."""
+        """Give the stream up, within END_LIMIT_S."""
+        self.broken = True
+        within_limit(self.end)
+
+    def end(self) -> None:
+        """Give the stream up, in a thread that may wait for gRPC's locks."""
         self.broken = True
         if self._forks == forking.forks():
             _give_up(self._requests, self._call)
@@ -242,8 +250,8 @@ def _give_up(requests: SimpleQueue[Any], call: Any) -> None:
 class _Lockstep(_Exchange):
     """One request under way at a time."""
 
-    def __init__(self, port: Port, method: Callable[..., Any], watchdog: Watchdog) -> None:
-        super().__init__(port, method)
+    def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any], watchdog: Watchdog) -> None:
+        super().__init__(endpoint, method)
         self._watchdog = watchdog
         self._next_id = 0
 
@@ -291,12 +299,12 @@ class PutDuplex(_Exchange):
 
     def __init__(
         self,
-        port: Port,
+        endpoint: ServerEndpoint,
         method: Callable[..., Any],
         on_response: Callable[[channel_pb.PutResponse], None],
         on_end: Callable[[StampedeError], None],
     ) -> None:
-        super().__init__(port, method)
+        super().__init__(endpoint, method)
         self._on_response = on_response
         self._on_end = on_end
         threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()

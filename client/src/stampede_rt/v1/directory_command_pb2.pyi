@@ -14,7 +14,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class DirectoryCommand(_message.Message):
-    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "as_of_index")
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "as_of_index")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
@@ -37,6 +37,7 @@ class DirectoryCommand(_message.Message):
     DEREGISTER_PEER_FIELD_NUMBER: _ClassVar[int]
     EXPIRE_PEERS_FIELD_NUMBER: _ClassVar[int]
     MARK_TIME_FIELD_NUMBER: _ClassVar[int]
+    RAISE_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
     time_unix_nano: int
@@ -60,8 +61,15 @@ class DirectoryCommand(_message.Message):
     deregister_peer: DeregisterPeerCommand
     expire_peers: ExpirePeersCommand
     mark_time: MarkTimeCommand
+    raise_feature_level: RaiseFeatureLevelCommand
     as_of_index: int
-    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ...) -> None: ...
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ...) -> None: ...
+
+class RaiseFeatureLevelCommand(_message.Message):
+    __slots__ = ("feature_level",)
+    FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    feature_level: int
+    def __init__(self, feature_level: _Optional[int] = ...) -> None: ...
 
 class MarkTimeCommand(_message.Message):
     __slots__ = ("tenure", "after_index")
@@ -140,13 +148,14 @@ class ExpireHostCommand(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
 
 class BeginTenureCommand(_message.Message):
-    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos", "founded_anew", "takes_over", "new_join_key")
+    __slots__ = ("tenure", "supernode_id", "new_cluster_id", "new_lease_ttl_nanos", "founded_anew", "takes_over", "new_feature_level", "new_join_key")
     TENURE_FIELD_NUMBER: _ClassVar[int]
     SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     FOUNDED_ANEW_FIELD_NUMBER: _ClassVar[int]
     TAKES_OVER_FIELD_NUMBER: _ClassVar[int]
+    NEW_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     NEW_JOIN_KEY_FIELD_NUMBER: _ClassVar[int]
     tenure: int
     supernode_id: str
@@ -154,8 +163,9 @@ class BeginTenureCommand(_message.Message):
     new_lease_ttl_nanos: int
     founded_anew: bool
     takes_over: bool
+    new_feature_level: int
     new_join_key: bytes
-    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ..., takes_over: bool = ..., new_join_key: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ..., takes_over: bool = ..., new_feature_level: _Optional[int] = ..., new_join_key: _Optional[bytes] = ...) -> None: ...
 
 class OpenGroupCommand(_message.Message):
     __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation")
@@ -321,7 +331,7 @@ class PeerLease(_message.Message):
     def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ...) -> None: ...
 
 class DirectoryResult(_message.Message):
-    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired", "time_marked")
+    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired", "time_marked", "feature_level_raised")
     REFUSED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_OPENED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_UPDATED_FIELD_NUMBER: _ClassVar[int]
@@ -343,6 +353,7 @@ class DirectoryResult(_message.Message):
     PEER_DEREGISTERED_FIELD_NUMBER: _ClassVar[int]
     PEERS_EXPIRED_FIELD_NUMBER: _ClassVar[int]
     TIME_MARKED_FIELD_NUMBER: _ClassVar[int]
+    FEATURE_LEVEL_RAISED_FIELD_NUMBER: _ClassVar[int]
     refused: RefusedResult
     channel_opened: ChannelOpenedResult
     channel_updated: ChannelUpdatedResult
@@ -364,7 +375,14 @@ class DirectoryResult(_message.Message):
     peer_deregistered: PeerDeregisteredResult
     peers_expired: PeersExpiredResult
     time_marked: TimeMarkedResult
-    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ..., time_marked: _Optional[_Union[TimeMarkedResult, _Mapping]] = ...) -> None: ...
+    feature_level_raised: FeatureLevelRaisedResult
+    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ..., time_marked: _Optional[_Union[TimeMarkedResult, _Mapping]] = ..., feature_level_raised: _Optional[_Union[FeatureLevelRaisedResult, _Mapping]] = ...) -> None: ...
+
+class FeatureLevelRaisedResult(_message.Message):
+    __slots__ = ("feature_level",)
+    FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    feature_level: int
+    def __init__(self, feature_level: _Optional[int] = ...) -> None: ...
 
 class TimeMarkedResult(_message.Message):
     __slots__ = ("marked",)
@@ -560,7 +578,7 @@ class RememberedOperation(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
-    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest", "join_key")
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest", "feature_level", "join_key")
     FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
@@ -576,6 +594,7 @@ class DirectorySnapshot(_message.Message):
     TIME_MARKS_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     DIGEST_FIELD_NUMBER: _ClassVar[int]
+    FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     JOIN_KEY_FIELD_NUMBER: _ClassVar[int]
     format_version: int
     applied_index: int
@@ -592,5 +611,6 @@ class DirectorySnapshot(_message.Message):
     time_marks: _containers.RepeatedScalarFieldContainer[int]
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
     digest: bytes
+    feature_level: int
     join_key: bytes
-    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ..., join_key: _Optional[bytes] = ...) -> None: ...
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ..., feature_level: _Optional[int] = ..., join_key: _Optional[bytes] = ...) -> None: ...

@@ -50,18 +50,20 @@ class HostRecord(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ...) -> None: ...
 
 class SupernodeRecord(_message.Message):
-    __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos")
+    __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos", "highest_feature_level")
     SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
     ENDPOINT_FIELD_NUMBER: _ClassVar[int]
     IS_LEADER_FIELD_NUMBER: _ClassVar[int]
     HEALTHY_FIELD_NUMBER: _ClassVar[int]
     ROUND_TRIP_NANOS_FIELD_NUMBER: _ClassVar[int]
+    HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     supernode_id: str
     endpoint: Endpoint
     is_leader: bool
     healthy: bool
     round_trip_nanos: int
-    def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[Endpoint, _Mapping]] = ..., is_leader: bool = ..., healthy: bool = ..., round_trip_nanos: _Optional[int] = ...) -> None: ...
+    highest_feature_level: int
+    def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[Endpoint, _Mapping]] = ..., is_leader: bool = ..., healthy: bool = ..., round_trip_nanos: _Optional[int] = ..., highest_feature_level: _Optional[int] = ...) -> None: ...
 
 class DirectoryChange(_message.Message):
     __slots__ = ("index", "kind", "channel", "host", "group", "queue")

@@ -14,7 +14,7 @@ class DirectoryServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class DirectoryServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids")
+    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level")
     class RefusedSupernodesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -29,6 +29,8 @@ class DirectoryServicePingResponse(_message.Message):
     VERSION_FIELD_NUMBER: _ClassVar[int]
     REFUSED_SUPERNODES_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
+    FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     supernode_id: str
     ready: bool
@@ -36,7 +38,9 @@ class DirectoryServicePingResponse(_message.Message):
     version: str
     refused_supernodes: _containers.ScalarMap[str, str]
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    feature_level: int
+    highest_feature_level: int
+    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
     __slots__ = ("request_id", "name", "spec", "create", "host_name")
@@ -249,14 +253,16 @@ class ListSupernodesRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class ListSupernodesResponse(_message.Message):
-    __slots__ = ("supernodes", "term", "applied_index")
+    __slots__ = ("supernodes", "term", "applied_index", "feature_level")
     SUPERNODES_FIELD_NUMBER: _ClassVar[int]
     TERM_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     supernodes: _containers.RepeatedCompositeFieldContainer[_directory_pb2.SupernodeRecord]
     term: int
     applied_index: int
-    def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., term: _Optional[int] = ..., applied_index: _Optional[int] = ...) -> None: ...
+    feature_level: int
+    def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., term: _Optional[int] = ..., applied_index: _Optional[int] = ..., feature_level: _Optional[int] = ...) -> None: ...
 
 class WatchRequest(_message.Message):
     __slots__ = ("name_glob", "after_index", "include_hosts", "include_groups", "include_queues")

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'stampede_rt/v1/membership_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"|\n\x16\x43reateJoinTokenRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x18\n\x0bvalid_nanos\x18\x02 \x01(\x03H\x00\x88\x01\x01\x12\x14\n\x0csupernode_id\x18\x03 \x01(\t\x12\x0e\n\x06target\x18\x04 \x01(\tB\x0e\n\x0c_valid_nanos\"s\n\x17\x43reateJoinTokenResponse\x12\r\n\x05token\x18\x01 \x01(\t\x12\x1d\n\x15valid_until_unix_nano\x18\x02 \x01(\x10\x12\x12\n\ncluster_id\x18\x03 \x01(\t\x12\x16\n\x0elog_cluster_id\x18\x04 \x01(\t\"\x91\x01\n\x13\x41\x64\x64SupernodeRequest\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\x12*\n\x08\x65ndpoint\x18\x02 \x01(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\r\n\x05token\x18\x03 \x01(\t\x12\x18\n\x10protocol_version\x18\x04 \x01(\r\x12\x0f\n\x07version\x18\x05 \x01(\t\"n\n\x14\x41\x64\x64SupernodeResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12\r\n\x05index\x18\x03 \x01(\x04\".\n\x16RemoveSupernodeRequest\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\"]\n\x17RemoveSupernodeResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\r\n\x05index\x18\x02 \x01(\x04\"=\n\x13TakeSnapshotRequest\x12\x14\n\x0cinclude_data\x18\x01 \x01(\x08\x12\x10\n\x08stale_ok\x18\x02 \x01(\x08\"\x9d\x01\n\x14TakeSnapshotResponse\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\x12\x11\n\tlog_index\x18\x02 \x01(\x04\x12\x12\n\nsize_bytes\x18\x03 \x01(\x03\x12\x0e\n\x06sha256\x18\x04 \x01(\x0c\x12\x16\n\x0etime_unix_nano\x18\x05 \x01(\x10\x12\x12\n\ntook_nanos\x18\x06 \x01(\x03\x12\x0c\n\x04\x64\x61ta\x18\x07 \x01(\x0c\x32\x93\x03\n\x11MembershipService\x12\x62\n\x0f\x43reateJoinToken\x12&.stampede_rt.v1.CreateJoinTokenRequest\x1a\'.stampede_rt.v1.CreateJoinTokenResponse\x12Y\n\x0c\x41\x64\x64Supernode\x12#.stampede_rt.v1.AddSupernodeRequest\x1a$.stampede_rt.v1.AddSupernodeResponse\x12\x62\n\x0fRemoveSupernode\x12&.stampede_rt.v1.RemoveSupernodeRequest\x1a\'.stampede_rt.v1.RemoveSupernodeResponse\x12[\n\x0cTakeSnapshot\x12#.stampede_rt.v1.TakeSnapshotRequest\x1a$.stampede_rt.v1.TakeSnapshotResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\'stampede_rt/v1/membership_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"|\n\x16\x43reateJoinTokenRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x18\n\x0bvalid_nanos\x18\x02 \x01(\x03H\x00\x88\x01\x01\x12\x14\n\x0csupernode_id\x18\x03 \x01(\t\x12\x0e\n\x06target\x18\x04 \x01(\tB\x0e\n\x0c_valid_nanos\"s\n\x17\x43reateJoinTokenResponse\x12\r\n\x05token\x18\x01 \x01(\t\x12\x1d\n\x15valid_until_unix_nano\x18\x02 \x01(\x10\x12\x12\n\ncluster_id\x18\x03 \x01(\t\x12\x16\n\x0elog_cluster_id\x18\x04 \x01(\t\"\xb0\x01\n\x13\x41\x64\x64SupernodeRequest\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\x12*\n\x08\x65ndpoint\x18\x02 \x01(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\r\n\x05token\x18\x03 \x01(\t\x12\x18\n\x10protocol_version\x18\x04 \x01(\r\x12\x0f\n\x07version\x18\x05 \x01(\t\x12\x1d\n\x15highest_feature_level\x18\x06 \x01(\r\"n\n\x14\x41\x64\x64SupernodeResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12\r\n\x05index\x18\x03 \x01(\x04\".\n\x16RemoveSupernodeRequest\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\"]\n\x17RemoveSupernodeResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\r\n\x05index\x18\x02 \x01(\x04\"=\n\x13TakeSnapshotRequest\x12\x14\n\x0cinclude_data\x18\x01 \x01(\x08\x12\x10\n\x08stale_ok\x18\x02 \x01(\x08\"\x9d\x01\n\x14TakeSnapshotResponse\x12\x14\n\x0csupernode_id\x18\x01 \x01(\t\x12\x11\n\tlog_index\x18\x02 \x01(\x04\x12\x12\n\nsize_bytes\x18\x03 \x01(\x03\x12\x0e\n\x06sha256\x18\x04 \x01(\x0c\x12\x16\n\x0etime_unix_nano\x18\x05 \x01(\x10\x12\x12\n\ntook_nanos\x18\x06 \x01(\x03\x12\x0c\n\x04\x64\x61ta\x18\x07 \x01(\x0c\x32\x93\x03\n\x11MembershipService\x12\x62\n\x0f\x43reateJoinToken\x12&.stampede_rt.v1.CreateJoinTokenRequest\x1a\'.stampede_rt.v1.CreateJoinTokenResponse\x12Y\n\x0c\x41\x64\x64Supernode\x12#.stampede_rt.v1.AddSupernodeRequest\x1a$.stampede_rt.v1.AddSupernodeResponse\x12\x62\n\x0fRemoveSupernode\x12&.stampede_rt.v1.RemoveSupernodeRequest\x1a\'.stampede_rt.v1.RemoveSupernodeResponse\x12[\n\x0cTakeSnapshot\x12#.stampede_rt.v1.TakeSnapshotRequest\x1a$.stampede_rt.v1.TakeSnapshotResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -37,17 +37,17 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_CREATEJOINTOKENRESPONSE']._serialized_start=217
   _globals['_CREATEJOINTOKENRESPONSE']._serialized_end=332
   _globals['_ADDSUPERNODEREQUEST']._serialized_start=335
-  _globals['_ADDSUPERNODEREQUEST']._serialized_end=480
-  _globals['_ADDSUPERNODERESPONSE']._serialized_start=482
-  _globals['_ADDSUPERNODERESPONSE']._serialized_end=592
-  _globals['_REMOVESUPERNODEREQUEST']._serialized_start=594
-  _globals['_REMOVESUPERNODEREQUEST']._serialized_end=640
-  _globals['_REMOVESUPERNODERESPONSE']._serialized_start=642
-  _globals['_REMOVESUPERNODERESPONSE']._serialized_end=735
-  _globals['_TAKESNAPSHOTREQUEST']._serialized_start=737
-  _globals['_TAKESNAPSHOTREQUEST']._serialized_end=798
-  _globals['_TAKESNAPSHOTRESPONSE']._serialized_start=801
-  _globals['_TAKESNAPSHOTRESPONSE']._serialized_end=958
-  _globals['_MEMBERSHIPSERVICE']._serialized_start=961
-  _globals['_MEMBERSHIPSERVICE']._serialized_end=1364
+  _globals['_ADDSUPERNODEREQUEST']._serialized_end=511
+  _globals['_ADDSUPERNODERESPONSE']._serialized_start=513
+  _globals['_ADDSUPERNODERESPONSE']._serialized_end=623
+  _globals['_REMOVESUPERNODEREQUEST']._serialized_start=625
+  _globals['_REMOVESUPERNODEREQUEST']._serialized_end=671
+  _globals['_REMOVESUPERNODERESPONSE']._serialized_start=673
+  _globals['_REMOVESUPERNODERESPONSE']._serialized_end=766
+  _globals['_TAKESNAPSHOTREQUEST']._serialized_start=768
+  _globals['_TAKESNAPSHOTREQUEST']._serialized_end=829
+  _globals['_TAKESNAPSHOTRESPONSE']._serialized_start=832
+  _globals['_TAKESNAPSHOTRESPONSE']._serialized_end=989
+  _globals['_MEMBERSHIPSERVICE']._serialized_start=992
+  _globals['_MEMBERSHIPSERVICE']._serialized_end=1395
 # @@protoc_insertion_point(module_scope)

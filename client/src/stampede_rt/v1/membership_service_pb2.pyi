@@ -32,18 +32,20 @@ class CreateJoinTokenResponse(_message.Message):
     def __init__(self, token: _Optional[str] = ..., valid_until_unix_nano: _Optional[int] = ..., cluster_id: _Optional[str] = ..., log_cluster_id: _Optional[str] = ...) -> None: ...
 
 class AddSupernodeRequest(_message.Message):
-    __slots__ = ("supernode_id", "endpoint", "token", "protocol_version", "version")
+    __slots__ = ("supernode_id", "endpoint", "token", "protocol_version", "version", "highest_feature_level")
     SUPERNODE_ID_FIELD_NUMBER: _ClassVar[int]
     ENDPOINT_FIELD_NUMBER: _ClassVar[int]
     TOKEN_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
+    HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     supernode_id: str
     endpoint: _directory_pb2.Endpoint
     token: str
     protocol_version: int
     version: str
-    def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[_directory_pb2.Endpoint, _Mapping]] = ..., token: _Optional[str] = ..., protocol_version: _Optional[int] = ..., version: _Optional[str] = ...) -> None: ...
+    highest_feature_level: int
+    def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[_directory_pb2.Endpoint, _Mapping]] = ..., token: _Optional[str] = ..., protocol_version: _Optional[int] = ..., version: _Optional[str] = ..., highest_feature_level: _Optional[int] = ...) -> None: ...
 
 class AddSupernodeResponse(_message.Message):
     __slots__ = ("supernodes", "cluster_id", "index")

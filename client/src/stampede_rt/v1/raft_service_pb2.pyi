@@ -65,7 +65,7 @@ class RaftSpentTicket(_message.Message):
     def __init__(self, ticket_sha256: _Optional[str] = ..., member_id: _Optional[str] = ...) -> None: ...
 
 class RaftHello(_message.Message):
-    __slots__ = ("cluster_id", "member_id", "peer_member_id", "protocol_version", "store_id", "term", "last_log_index", "address")
+    __slots__ = ("cluster_id", "member_id", "peer_member_id", "protocol_version", "store_id", "term", "last_log_index", "address", "highest_feature_level")
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     MEMBER_ID_FIELD_NUMBER: _ClassVar[int]
     PEER_MEMBER_ID_FIELD_NUMBER: _ClassVar[int]
@@ -74,6 +74,7 @@ class RaftHello(_message.Message):
     TERM_FIELD_NUMBER: _ClassVar[int]
     LAST_LOG_INDEX_FIELD_NUMBER: _ClassVar[int]
     ADDRESS_FIELD_NUMBER: _ClassVar[int]
+    HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     cluster_id: str
     member_id: str
     peer_member_id: str
@@ -82,7 +83,8 @@ class RaftHello(_message.Message):
     term: int
     last_log_index: int
     address: str
-    def __init__(self, cluster_id: _Optional[str] = ..., member_id: _Optional[str] = ..., peer_member_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., store_id: _Optional[str] = ..., term: _Optional[int] = ..., last_log_index: _Optional[int] = ..., address: _Optional[str] = ...) -> None: ...
+    highest_feature_level: int
+    def __init__(self, cluster_id: _Optional[str] = ..., member_id: _Optional[str] = ..., peer_member_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., store_id: _Optional[str] = ..., term: _Optional[int] = ..., last_log_index: _Optional[int] = ..., address: _Optional[str] = ..., highest_feature_level: _Optional[int] = ...) -> None: ...
 
 class RaftMessage(_message.Message):
     __slots__ = ("append_entries", "append_reply", "vote_request", "vote_reply", "forwarded_command", "forwarded_command_reply", "read_index_request", "read_index_reply", "timeout_now")

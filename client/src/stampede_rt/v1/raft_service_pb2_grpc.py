@@ -55,7 +55,8 @@ class RaftServiceServicer(object):
         Not idempotent.
         Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
         a member, is one no longer (then the message says "removed"), comes with another store than before ("another
-        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee or another protocol version;
+        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version,
+        or a release that does not know the cluster's feature level ("too old");
         RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
         replaced by a newer one.
         """

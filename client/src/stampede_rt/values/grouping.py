@@ -25,7 +25,7 @@ MAX_LEAD_DEFAULT = "5s"
 Value = TypeVar("Value")
 
 
-class Named(Protocol):
+class NamedChannel(Protocol):
     """A channel, or a descriptor of one."""
 
     @property
@@ -33,11 +33,11 @@ class Named(Protocol):
         """What the directory says of it."""
 
 
-Key = TypeVar("Key", bound=Named)
+Key = TypeVar("Key", bound=NamedChannel)
 
 
 @dataclass(slots=True)
-class GroupView:
+class SeenCut:
     """Through which group a reader looks, and the highest cut that it has seen, which no later read goes behind."""
 
     group_id: bytes
@@ -56,7 +56,7 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
         self._channels = [channel for channel in channels if channel.info.channel_id in values]
         self._values = values
 
-    def __getitem__(self, channel: Named | str) -> Value:
+    def __getitem__(self, channel: NamedChannel | str) -> Value:
         for one in self._channels:
             if is_named_by(channel, one):
                 return self._values[one.info.channel_id]
@@ -155,7 +155,7 @@ class Cut(Generic[Key]):
     late: ByChannel[Key, Sequence[Item]]
     incomplete: Sequence[Key]
 
-    def __getitem__(self, channel: Named | str) -> Items:
+    def __getitem__(self, channel: NamedChannel | str) -> Items:
         return self.items[channel]
 
     def __iter__(self) -> Iterator[Key]:
@@ -172,7 +172,7 @@ class CrossSection(Generic[Key]):
     time: int | None
     items: ByChannel[Key, Items]
 
-    def __getitem__(self, channel: Named | str) -> Items:
+    def __getitem__(self, channel: NamedChannel | str) -> Items:
         return self.items[channel]
 
     def __iter__(self) -> Iterator[Key]:
@@ -203,7 +203,7 @@ def parse_members(channels: Sequence[Key]) -> list[Key]:
     return members
 
 
-def parse_reference(reference: Named | str, members: Sequence[Named]) -> bytes | None:
+def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChannel]) -> bytes | None:
     """The id of the reference, one of the `members` by handle or name; None for "oldest". Raises InvalidArgument."""
     if reference == OLDEST_REFERENCE:
         return None
@@ -215,14 +215,14 @@ def parse_reference(reference: Named | str, members: Sequence[Named]) -> bytes |
     )
 
 
-def is_named_by(named: Named | str, channel: Named) -> bool:
+def is_named_by(named: NamedChannel | str, channel: NamedChannel) -> bool:
     """It is the channel's name, or a handle or descriptor of it."""
     if isinstance(named, str):
         return named == channel.info.name
     return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id
 
 
-def shown_name(named: Named | str) -> object:
+def shown_name(named: NamedChannel | str) -> object:
     """What to call it in an error."""
     return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 

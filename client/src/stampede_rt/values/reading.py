@@ -42,11 +42,11 @@ class Wait:
         return -1 if self.seconds is None else round(self.seconds * 1e9)
 
 
-AT_ONCE = Wait(0)
+NO_WAIT = Wait(0)
 
 
 @dataclass(frozen=True, slots=True)
-class Read:
+class ReadQuery:
     """One read of a channel (see `Channel.get`). Positions are an item or the instant behind whose items to go on.
 
     `cut`: through a group at exactly this cut, which one of its hosts gave; None: the cut of the moment.
@@ -59,7 +59,7 @@ class Read:
     after: Item | int | None = None
     newer_than: Item | int | None = None
     payloads: bool = True
-    wait: Wait = AT_ONCE
+    wait: Wait = NO_WAIT
     complete: bool = False
     cut: int | None = None
 

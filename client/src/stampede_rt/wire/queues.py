@@ -77,7 +77,7 @@ def queue_stats(status: queue_pb2.QueueStatus) -> QueueStats:
 
 
 @dataclass(frozen=True, slots=True)
-class Delivery:
+class DeliveredMessage:
     """One item in the hands of this taker, as it came."""
 
     delivery_id: int
@@ -91,7 +91,7 @@ class Delivery:
     origin: DeadLetterOrigin | None
 
 
-def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[Delivery]:
+def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[DeliveredMessage]:
     """The items of a leased run, one delivery for each; `content_type` is the queue's."""
     run = leased.run
     counts = leased.deliveries or (1,) * len(run.payload_length_bytes)
@@ -99,7 +99,7 @@ def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[De
     bounds = pairwise(accumulate(run.payload_length_bytes, initial=0))
     columns = zip(leased.delivery_ids, run.time_unix_nano, bounds, counts, strict=True)
     for offset, (delivery_id, time, (start, end), count) in enumerate(columns):
-        yield Delivery(
+        yield DeliveredMessage(
             delivery_id=delivery_id,
             seq=run.first_seq + offset,
             time=time,

@@ -1,7 +1,7 @@
-"""What a role and the conductor say to each other: one JSON object a line. Pure.
+"""What a role and the orchestrator say to each other: one JSON object a line. Pure.
 
 A role says `ready` once, then any number of `progress`, `step` and `picture`, and at last `result` or `failed`. The
-conductor says one thing: when to start.
+orchestrator says one thing: when to start.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class BadMessage(ValueError):
 
 
 def encode(event: str, **fields: object) -> str:
-    """One line, without its line feed. Raises BadMessage for an event that the conductor does not know."""
+    """One line, without its line feed. Raises BadMessage for an event that the orchestrator does not know."""
     if event not in EVENTS:
         raise BadMessage(f"a role has no event {event!r}; there are {', '.join(sorted(EVENTS))}")
     return json.dumps({"event": event, **fields}, separators=(",", ":"), allow_nan=False)
@@ -39,7 +39,7 @@ def decode(line: str) -> Message:
 
 
 def encode_start(start_unix_nano: int) -> str:
-    """The conductor's only line: the programme's first instant."""
+    """The orchestrator's only line: the programme's first instant."""
     return json.dumps({"start_unix_nano": start_unix_nano})
 
 

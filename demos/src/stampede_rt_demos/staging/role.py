@@ -1,7 +1,7 @@
-"""The frame of a role's process: settings, the conductor's start, reports, and an end in good order.
+"""The frame of a role's process: settings, the orchestrator's start, reports, and an end in good order.
 
-A role never outlives the conductor: its standard input is a pipe that only the conductor holds, and when the kernel
-closes that, however the conductor ended, the role ends at once. Ctrl-C at the terminal is the conductor's business.
+A role never outlives the orchestrator. Its standard input is a pipe that only the orchestrator holds. The kernel closes
+the pipe however the orchestrator ends, and then the role ends at once. The orchestrator alone handles Ctrl-C.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class RoleSettings:
 
 
 class Stage:
-    """A role's line to the conductor. Methods may be called from several threads, except `wait_for_start`."""
+    """A role's line to the orchestrator. Methods may be called from several threads, except `wait_for_start`."""
 
     def __init__(self, settings: RoleSettings) -> None:
         self.settings = settings
@@ -58,15 +58,15 @@ class Stage:
     def wait_for_start(self) -> int:
         """Say that the role is ready and wait for the programme's first instant, in nanoseconds since the epoch.
 
-        Call it once, when everything slow is done. If the conductor goes meanwhile or later, the process ends.
+        Call it once, when everything slow is done. If the orchestrator goes meanwhile or later, the process ends.
         """
         self.tell("ready")
-        with open(0, "rb", buffering=0, closefd=False) as conductor:
-            line = conductor.readline(_START_LINE_BYTES_MAX)
+        with open(0, "rb", buffering=0, closefd=False) as orchestrator:
+            line = orchestrator.readline(_START_LINE_BYTES_MAX)
         if not line:
             os._exit(EXIT_ORPHANED)
         self._ready_cpu_seconds = time.process_time()
-        threading.Thread(target=_end_with_conductor, name="conductor watch", daemon=True).start()
+        threading.Thread(target=_end_with_orchestrator, name="orchestrator watch", daemon=True).start()
         return messages.decode_start(line.decode())
 
     @property
@@ -75,7 +75,7 @@ class Stage:
         return time.process_time() - self._ready_cpu_seconds
 
     def tell(self, event: str, **fields: object) -> None:
-        """Send one event. Blocks while the conductor does not read."""
+        """Send one event. Blocks while the orchestrator does not read."""
         line = messages.encode(event, **fields)
         with self._lock:
             print(line, flush=True)
@@ -93,7 +93,7 @@ class Stage:
 def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] | None = None) -> int:
     """Main of every role: play it and report what it returns. Returns the exit code, 1 after a reported failure.
 
-    Any other exception is a defect of this demo: its traceback goes to standard error, which the conductor quotes.
+    Any other exception is a defect of this demo: its traceback goes to standard error, which the orchestrator quotes.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stage = Stage(_parse(argv))
@@ -107,14 +107,14 @@ def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] 
 
 
 def _parse(argv: Sequence[str] | None) -> RoleSettings:
-    parser = argparse.ArgumentParser(description="One role of the TV watcher; the conductor starts it.")
+    parser = argparse.ArgumentParser(description="One role of the TV watcher; the orchestrator starts it.")
     parser.add_argument("--address", required=True, help="of the cluster's front-end")
     parser.add_argument("--seconds", required=True, type=int, help="how long the programme runs")
     found = parser.parse_args(sys.argv[1:] if argv is None else argv)
     return RoleSettings(address=found.address, seconds=found.seconds)
 
 
-def _end_with_conductor() -> None:
+def _end_with_orchestrator() -> None:
     while os.read(0, 4096):  # nobody writes any more; it returns nothing when the other end is closed
         pass
     os._exit(EXIT_ORPHANED)

@@ -71,7 +71,7 @@ class RoleProcesses:
                 text=True,
                 encoding="utf-8",
                 errors="replace",
-                process_group=0,  # Ctrl-C comes to the conductor alone, which ends the roles in order
+                process_group=0,  # Ctrl-C comes to the orchestrator alone, which ends the roles in order
             )
         except OSError as error:
             raise DemoFailed(f"the {name} cannot be started with {command[0]}: {error.strerror}") from error

@@ -10,7 +10,7 @@ from stampede_rt_demos.staging.clip import decode_clock
 from stampede_rt_demos.staging.film import ATTRIBUTION, locate_film
 from stampede_rt_demos.staging.pictures import require_writable
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.stereo.conductor import Outcome, conduct
+from stampede_rt_demos.stereo.orchestrator import Outcome, conduct
 from stampede_rt_demos.stereo.report import render
 
 

@@ -45,9 +45,9 @@ class Frame:
 
 def planned(side: Side, clock: LoopedClock, start: int, length_nanos: int) -> Iterator[Frame]:
     """The frames of `length_nanos` from `start`: each off its time by the camera's jitter, some of them lost."""
-    dice = random.Random(f"{SEED} {side.value}")
+    rng = random.Random(f"{SEED} {side.value}")
     for number in range(clock.count_before(length_nanos)):
-        jitter, is_lost = dice.randint(0, JITTER_NANOS), dice.random() < LOST_SHARE
+        jitter, is_lost = rng.randint(0, JITTER_NANOS), rng.random() < LOST_SHARE
         yield Frame(number=number, time=start + clock.offset(number) + jitter, is_lost=is_lost)
 
 

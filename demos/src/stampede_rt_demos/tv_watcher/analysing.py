@@ -11,12 +11,12 @@ from stampede_rt_demos.staging.producing import PUT_TIME_ATTRIBUTE, wait_until
 from stampede_rt_demos.staging.receiving import receive
 from stampede_rt_demos.staging.role import Stage
 from stampede_rt_demos.tv_watcher.opening import open_channel
-from stampede_rt_demos.tv_watcher.programme import Stream
+from stampede_rt_demos.tv_watcher.programme import StreamPlan
 
 Feature = Callable[[bytes], Mapping[str, object]]
 
 
-def analyse(stage: Stage, source: Stream, target: Stream, feature: Feature) -> dict[str, object]:
+def analyse(stage: Stage, source: StreamPlan, target: StreamPlan, feature: Feature) -> dict[str, object]:
     """Put `feature(payload)` as JSON for every item of `source`, with the source's time and duration.
 
     A transformation that keeps its source's timestamps (paper, section 3.1) stays in step with it for every later

@@ -9,7 +9,7 @@ from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.film import ATTRIBUTION
 from stampede_rt_demos.staging.pictures import require_writable
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.tv_watcher.conductor import Outcome, conduct
+from stampede_rt_demos.tv_watcher.orchestrator import Outcome, conduct
 from stampede_rt_demos.tv_watcher.report import render, subtitle
 
 

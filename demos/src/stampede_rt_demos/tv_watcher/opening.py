@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import stampede_rt as st
-from stampede_rt_demos.tv_watcher.programme import Stream
+from stampede_rt_demos.tv_watcher.programme import StreamPlan
 
 
-def open_channel(rt: st.Connection, stream: Stream) -> st.Channel:
-    """The stream's channel, which the conductor has made; its host has been found and connected to on return.
+def open_channel(rt: st.Connection, stream: StreamPlan) -> st.Channel:
+    """The stream's channel, which the orchestrator has made; its host has been found and connected to on return.
 
     Blocks for as long as that takes. Raises ChannelNotFound, Unavailable.
     """

@@ -1,4 +1,4 @@
-"""What the picture shows, taken from the spans that the viewer kept: small enough for one line to the conductor."""
+"""What the picture shows, taken from the spans that the viewer kept: small enough for one line to the orchestrator."""
 
 from __future__ import annotations
 

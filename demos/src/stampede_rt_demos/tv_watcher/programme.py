@@ -17,7 +17,7 @@ GROUP = "tv/programme"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Stream:
+class StreamPlan:
     """One stream and its channel. `host_index` counts the cluster's hosts in the order of their names."""
 
     name: str
@@ -26,16 +26,16 @@ class Stream:
     host_index: int
 
 
-CAPTIONS = Stream(name="captions", channel="tv/captions", content_type="text/plain;charset=utf-8", host_index=0)
-VIDEO = Stream(name="video", channel="tv/video", content_type="image/jpeg", host_index=0)
-AUDIO = Stream(
+CAPTIONS = StreamPlan(name="captions", channel="tv/captions", content_type="text/plain;charset=utf-8", host_index=0)
+VIDEO = StreamPlan(name="video", channel="tv/video", content_type="image/jpeg", host_index=0)
+AUDIO = StreamPlan(
     name="audio",
     channel="tv/audio",
     content_type=f"audio/pcm;format=s16le;rate={AUDIO_RATE_HZ};channels=1",
     host_index=1,
 )
-MOTION = Stream(name="motion", channel="tv/motion", content_type="application/json", host_index=1)
-LOUDNESS = Stream(name="loudness", channel="tv/loudness", content_type="application/json", host_index=0)
+MOTION = StreamPlan(name="motion", channel="tv/motion", content_type="application/json", host_index=1)
+LOUDNESS = StreamPlan(name="loudness", channel="tv/loudness", content_type="application/json", host_index=0)
 
 STREAMS = (CAPTIONS, VIDEO, AUDIO, MOTION, LOUDNESS)
 SOURCE_OF_FEATURE = {MOTION.name: VIDEO.name, LOUDNESS.name: AUDIO.name}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from stampede_rt_demos.staging.statistics import percentile
-from stampede_rt_demos.tv_watcher.statistics import Step, StreamFigures
+from stampede_rt_demos.tv_watcher.statistics import StepFigures, StreamFigures
 
 LINE_CHARS = 100
 _HEADINGS = ("stream", "host", "items", "in step", "per s", "bytes", "latency p50", "p99 ms", "lost")
@@ -23,7 +23,7 @@ class RunReport:
     """
 
     figures: Sequence[StreamFigures]
-    steps: Sequence[Step]
+    steps: Sequence[StepFigures]
     reference: str
     expected: Mapping[str, int]
     lateness_max_nanos: Mapping[str, int]
@@ -35,7 +35,7 @@ class RunReport:
         """Items that a host accepted and a reader never received, over all streams."""
         return sum(figure.lost for figure in self.figures)
 
-    def in_step(self, step: Step) -> bool:
+    def in_step(self, step: StepFigures) -> bool:
         """The span was complete, held what it had to, and the features had their sources' times."""
         return step.complete and step.features_keep_times and dict(step.counts) == dict(self.expected)
 
@@ -114,7 +114,7 @@ def _step_sentence(report: RunReport) -> str:
     return f'{sentence} The first that did not: "{wrong[0].text}" ({state}: {counts}).'
 
 
-def _delay_sentence(steps: Sequence[Step]) -> str:
+def _delay_sentence(steps: Sequence[StepFigures]) -> str:
     delays = _delays(steps)
     return (
         f"A span was in the viewer's hands {_millis(percentile(delays, 50))} ms (p50), "
@@ -122,7 +122,7 @@ def _delay_sentence(steps: Sequence[Step]) -> str:
     )
 
 
-def _delays(steps: Sequence[Step]) -> list[int]:
+def _delays(steps: Sequence[StepFigures]) -> list[int]:
     """From each span's end to the instant at which all of it was in hand, in nanoseconds."""
     return [step.received_unix_nano - step.end for step in steps]
 

@@ -7,13 +7,13 @@ from itertools import pairwise
 
 import stampede_rt as st
 from stampede_rt_demos.tv_watcher.programme import CAPTIONS, SOURCE_OF_FEATURE, STREAMS
-from stampede_rt_demos.tv_watcher.statistics import Step
+from stampede_rt_demos.tv_watcher.statistics import StepFigures
 
 Span = Mapping[str, Sequence[st.Item]]
 """Items by stream, of one caption or of a whole cut event."""
 
 
-def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[Step, Span]]:
+def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[StepFigures, Span]]:
     """The spans that a cut event brought, and what to report of each.
 
     Items that come late belong to a span that was reported before as one that lacks them; they are in no other.
@@ -44,10 +44,10 @@ def features_keep_times(span: Span) -> bool:
     return all(_times(span[feature]) == _times(span[source]) for feature, source in SOURCE_OF_FEATURE.items())
 
 
-def _step(span: Span, end: int, *, complete: bool, received_unix_nano: int) -> Step:
+def _step(span: Span, end: int, *, complete: bool, received_unix_nano: int) -> StepFigures:
     """What the viewer reports of a span: counts, not items."""
     caption = span[CAPTIONS.name][0]
-    return Step(
+    return StepFigures(
         time=caption.time,
         end=end,
         text=(caption.payload or b"").decode(),

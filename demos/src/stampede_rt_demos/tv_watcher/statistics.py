@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Step:
+class StepFigures:
     """One caption's span as the viewer got it: how many items of each stream, all there or not, and when.
 
     `complete`: every stream had come to the span's end when it was handed over, and nothing of it had been collected.
@@ -49,7 +49,7 @@ def stream_figures(
     host: str,
     accepted: int,
     receipts: Mapping[str, int | None],
-    steps: Sequence[Step],
+    steps: Sequence[StepFigures],
     seconds: float,
 ) -> StreamFigures:
     """Put together what the host counted, what the stream's reader noted and what the viewer saw in step."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from stampede_rt_demos.staging.messages import BadMessage, Message
-from stampede_rt_demos.tv_watcher.statistics import Step
+from stampede_rt_demos.tv_watcher.statistics import StepFigures
 
 
-def step_fields(step: Step) -> dict[str, object]:
+def step_fields(step: StepFigures) -> dict[str, object]:
     """A step as the fields of a `step` event."""
     return {
         "time": step.time,
@@ -19,9 +19,9 @@ def step_fields(step: Step) -> dict[str, object]:
     }
 
 
-def step_of(message: Message) -> Step:
+def step_of(message: Message) -> StepFigures:
     """The step of a `step` event. Raises BadMessage if fields are missing."""
     try:
-        return Step(**{name: message[name] for name in Step.__dataclass_fields__})
+        return StepFigures(**{name: message[name] for name in StepFigures.__dataclass_fields__})
     except KeyError as error:
         raise BadMessage(f"a step without {error}") from None

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt_local.certificates import ClusterCertificates
-from stampede_rt_local.namespaces import Place
+from stampede_rt_local.namespaces import NetworkNamespace
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_runtime.auth import Secret, make_secret_file
@@ -28,7 +28,7 @@ class LocalCluster:
     If `durable`, supernodes keep their log and hosts their identity in `folder`, and can be restarted. `folder` is a
     temporary one unless named, None if nothing needs it; `secret_file` is made in it unless named. With `tls` all ports
     ask for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is named. The first
-    hosts run in the namespaces of `host_places`, from where `listen` must be reachable; not with `tls`, whose
+    hosts run in the namespaces of `host_namespaces`, from where `listen` must be reachable; not with `tls`, whose
     certificates are of one address. `on_line` and `on_exit`: see ServiceProcess.
     """
 
@@ -44,7 +44,7 @@ class LocalCluster:
         secret_file: Path | None = None,
         tls: bool = False,
         allow_insecure_anywhere: bool = False,
-        host_places: Sequence[Place] = (),
+        host_namespaces: Sequence[NetworkNamespace] = (),
         log_level: str = "info",
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
@@ -53,15 +53,17 @@ class LocalCluster:
             raise ValueError(
                 "a cluster needs at least one supernode and one front-end, and no negative number of hosts"
             )
-        if tls and host_places:
-            raise ValueError("certificates are of one address, and host_places have several; leave out one of the two")
+        if tls and host_namespaces:
+            raise ValueError(
+                "certificates are of one address, and host_namespaces have several; leave out one of the two"
+            )
         # In memory and with the user's own secret nothing is written, so that even SIGKILL leaves no folder behind.
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
         self._listen = parse_address(listen)
         self._durable = durable
-        self._host_places = tuple(host_places)
+        self._host_namespaces = tuple(host_namespaces)
         self._on_line, self._on_exit = on_line, on_exit
         self.certificates = ClusterCertificates(self._inside("certs"), host=self._listen.host) if tls else None
         self._shared = ["--log-level", log_level]
@@ -150,11 +152,11 @@ class LocalCluster:
         return str(Address(self._listen.host, port))
 
     def _process(
-        self, role: Role, name: str, module: str, *arguments: str, place: Place | None = None
+        self, role: Role, name: str, module: str, *arguments: str, namespace: NetworkNamespace | None = None
     ) -> ServiceProcess:
         words = [*arguments, *self._tls_arguments(role, name), *self._shared]
         title = f"{_TITLES[role]} {name}"
-        return ServiceProcess(title, module, words, on_line=self._on_line, on_exit=self._on_exit, place=place)
+        return ServiceProcess(title, module, words, on_line=self._on_line, on_exit=self._on_exit, namespace=namespace)
 
     def _tls_arguments(self, role: Role, name: str) -> list[str]:
         if self.certificates is None:
@@ -187,7 +189,7 @@ class LocalCluster:
 
     def _plan_host(self, number: int) -> ServiceProcess:
         name = f"h{number}"
-        place = self._host_places[number - 1] if number <= len(self._host_places) else None
-        listen = self._at(0) if place is None else str(Address(place.address, 0))
+        namespace = self._host_namespaces[number - 1] if number <= len(self._host_namespaces) else None
+        listen = self._at(0) if namespace is None else str(Address(namespace.address, 0))
         arguments = ["--listen", listen, "--name", name, "--frontend", self.address, *self._data_dir(name)]
-        return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, place=place)
+        return self._process(Role.HOST, name, "stampede_rt_channel_host", *arguments, namespace=namespace)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import queue
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stampede_rt.cli.interrupts import unwinding
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import secret_file
 from stampede_rt_local.cluster import LocalCluster
@@ -101,7 +101,7 @@ def _run(settings: DevSettings, began: float) -> int:
         on_exit=ended.put,
     )
     try:
-        with _interrupted_by_signals(), cluster:
+        with unwinding(signal.SIGINT, signal.SIGTERM, signal.SIGHUP), cluster:
             print(_welcome(cluster, settings, time.monotonic() - began), flush=True)
             ready.set()
             story = ended.get().describe_end()
@@ -110,25 +110,6 @@ def _run(settings: DevSettings, began: float) -> int:
         return 0
     print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
     return 1
-
-
-@contextlib.contextmanager
-def _interrupted_by_signals() -> Iterator[None]:
-    """Any wish to stop raises KeyboardInterrupt, once: stopping is bounded and must not be cut in its middle."""
-
-    def interrupt(number: int, frame: object) -> None:
-        for one in before:
-            signal.signal(one, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    for one in before:
-        signal.signal(one, interrupt)
-    try:
-        yield
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
 
 
 def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> str:

@@ -13,7 +13,7 @@ from typing import Self
 
 CLONE_NEWNET = 0x40000000  # sched.h
 NETWORKS = IPv4Network("198.18.0.0/15")  # kept for tests (RFC 2544): no machine beside this one has such an address
-PREFIX_BITS, PLACES_MAX = 27, 29
+PREFIX_BITS, NAMESPACES_MAX = 27, 29
 
 
 def unavailable_because() -> str | None:
@@ -30,43 +30,45 @@ def unavailable_because() -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class NetworkNamespace:
     """One namespace: its name, and the address of what runs in it."""
 
-    namespace: str
+    name: str
     outer_link: str
     address: str
 
     def command(self, *words: str) -> list[str]:
         """The same command, to be run inside; its process id is that of the command itself."""
-        return ["ip", "netns", "exec", self.namespace, *words]
+        return ["ip", "netns", "exec", self.name, *words]
 
     def enter(self) -> None:
         """Put the calling thread, and those that it starts from now on, inside; sockets made before stay outside."""
-        descriptor = os.open(f"/run/netns/{self.namespace}", os.O_RDONLY)
+        descriptor = os.open(f"/run/netns/{self.name}", os.O_RDONLY)
         try:
             if ctypes.CDLL(None, use_errno=True).setns(descriptor, CLONE_NEWNET) != 0:
-                raise OSError(ctypes.get_errno(), f"cannot enter the namespace {self.namespace}")
+                raise OSError(ctypes.get_errno(), f"cannot enter the namespace {self.name}")
         finally:
             os.close(descriptor)
 
 
-class Network:
-    """`size` places that reach each other and this process. Use as a context manager; leaves nothing behind.
+class NamespaceNetwork:
+    """`size` namespaces that reach each other and this process. Use as a context manager; leaves nothing behind.
 
-    `address` is this process's own on the bridge. PLACES_MAX of them at the most; one network for each process at once.
+    `address` is this process's own on the bridge. There may be NAMESPACES_MAX namespaces, and one network in a process
+    at a time.
     """
 
     def __init__(self, size: int) -> None:
-        if size > PLACES_MAX:
-            raise ValueError(f"a network has at most {PLACES_MAX} places, and not {size}")
+        if size > NAMESPACES_MAX:
+            raise ValueError(f"a network has at most {NAMESPACES_MAX} namespaces, and not {size}")
         tag = f"{os.getpid() % 100_000}"
         self._bridge = f"rtb{tag}"
         networks = 1 << PREFIX_BITS - NETWORKS.prefixlen
         first = NETWORKS[os.getpid() % networks << 32 - PREFIX_BITS] + 1
         self.address = str(first)
-        self.places = [
-            Place(f"rt{tag}-{number}", f"rtv{tag}-{number}", str(first + 1 + number)) for number in range(size)
+        self.namespaces = [
+            NetworkNamespace(f"rt{tag}-{number}", f"rtv{tag}-{number}", str(first + 1 + number))
+            for number in range(size)
         ]
 
     def __enter__(self) -> Self:
@@ -74,8 +76,8 @@ class Network:
             ip("link", "add", self._bridge, "type", "bridge")
             ip("addr", "add", f"{self.address}/{PREFIX_BITS}", "dev", self._bridge)
             ip("link", "set", self._bridge, "up")
-            for place in self.places:
-                self._make(place)
+            for namespace in self.namespaces:
+                self._make(namespace)
         except BaseException:
             self.close()
             raise
@@ -88,20 +90,20 @@ class Network:
 
     def close(self) -> None:
         """Take everything down; what was not made yet is passed over."""
-        for place in self.places:
-            subprocess.run(["ip", "netns", "del", place.namespace], capture_output=True, check=False)
-            subprocess.run(["ip", "link", "del", place.outer_link], capture_output=True, check=False)
+        for namespace in self.namespaces:
+            subprocess.run(["ip", "netns", "del", namespace.name], capture_output=True, check=False)
+            subprocess.run(["ip", "link", "del", namespace.outer_link], capture_output=True, check=False)
         subprocess.run(["ip", "link", "del", self._bridge], capture_output=True, check=False)
 
-    def _make(self, place: Place) -> None:
+    def _make(self, namespace: NetworkNamespace) -> None:
         inner = "eth0"
-        ip("netns", "add", place.namespace)
-        ip("link", "add", place.outer_link, "type", "veth", "peer", "name", inner, "netns", place.namespace)
-        ip("link", "set", place.outer_link, "master", self._bridge)
-        ip("link", "set", place.outer_link, "up")
-        ip("-n", place.namespace, "addr", "add", f"{place.address}/{PREFIX_BITS}", "dev", inner)
+        ip("netns", "add", namespace.name)
+        ip("link", "add", namespace.outer_link, "type", "veth", "peer", "name", inner, "netns", namespace.name)
+        ip("link", "set", namespace.outer_link, "master", self._bridge)
+        ip("link", "set", namespace.outer_link, "up")
+        ip("-n", namespace.name, "addr", "add", f"{namespace.address}/{PREFIX_BITS}", "dev", inner)
         for link in (inner, "lo"):
-            ip("-n", place.namespace, "link", "set", link, "up")
+            ip("-n", namespace.name, "link", "set", link, "up")
 
 
 def ip(*words: str) -> None:

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import IO
 
-from stampede_rt_local.namespaces import Place
+from stampede_rt_local.namespaces import NetworkNamespace
 
 LAST_LINES_MAX = 50
 LINE_CHARS_MAX = 4096
@@ -32,7 +32,7 @@ class ServiceProcess:
 
     `name` is for people; `module` is run as `python -m`. `on_line` hears of each line that the process prints once it
     is ready, `on_exit` of each end of the process, wanted or not; both are called on a thread of their own and must not
-    block. It runs in the namespace of `place`, if one is given. Not to be used by several threads at once.
+    block. It runs in `namespace`, if one is given. Not to be used by several threads at once.
     """
 
     def __init__(
@@ -43,11 +43,11 @@ class ServiceProcess:
         *,
         on_line: Callable[[ServiceProcess, str], None] | None = None,
         on_exit: Callable[[ServiceProcess], None] | None = None,
-        place: Place | None = None,
+        namespace: NetworkNamespace | None = None,
     ) -> None:
         self.name = name
         self.arguments = list(arguments)
-        self._place = place
+        self._namespace = namespace
         self._module = module
         self._on_line = on_line
         self._on_exit = on_exit
@@ -90,9 +90,9 @@ class ServiceProcess:
         if self.alive:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
         # -P: modules of the folder that the user happens to be in must not stand in for ours.
-        command = [sys.executable, "-P", "-m", "stampede_rt_local.leash", self._module, *self.arguments]
-        if self._place is not None:
-            command = self._place.command(*command)
+        command = [sys.executable, "-P", "-m", "stampede_rt_local.parent_watch", self._module, *self.arguments]
+        if self._namespace is not None:
+            command = self._namespace.command(*command)
         self._run = _Run(command, self._hear_line, self._hear_exit)
 
     def wait_ready(self, timeout: float, *, unless: Callable[[], bool] = lambda: False) -> str:
@@ -176,7 +176,7 @@ class _Run:
         self._asked = False
         self.popen = subprocess.Popen(
             command,
-            stdin=subprocess.PIPE,  # the leash: closed when this process ends
+            stdin=subprocess.PIPE,  # `parent_watch` reads it; the kernel closes it when this process ends
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=_environment(),

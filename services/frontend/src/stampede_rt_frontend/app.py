@@ -11,6 +11,7 @@ from stampede_rt_frontend.roster import SUPERNODES_MAX, Roster
 from stampede_rt_frontend.servicer import FrontendServicer
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import ServiceSettings, announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import setting
@@ -45,7 +46,7 @@ class FrontendSettings(ServiceSettings):
 async def serve(settings: FrontendSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or PermissionDenied."""
     credentials = settings.load_credentials(Role.FRONTEND)
-    server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
+    server = ServiceServer(secret=credentials.secret, tls=credentials.tls, limits=CONTROL_LIMITS)
     roster = Roster(tuple(dict.fromkeys(settings.supernodes)))
     async with Prober(roster, credentials, explain=credentials.explain) as prober:
         servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from stampede_rt.cluster.addresses import is_loopback
-from stampede_rt.errors import StampedeError, Unavailable, VersionMismatch
-from stampede_rt.status import abort
+from stampede_rt.errors import Unavailable, VersionMismatch
 from stampede_rt.v1 import directory_pb2, frontend_service_pb2, frontend_service_pb2_grpc
 from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.ranking import Supernode, rank
 from stampede_rt_frontend.roster import Roster
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.routes import is_of_another_machine
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
 WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so long rather than being sent away
@@ -27,18 +25,16 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
         self._clock = clock
         self._default_zone = default_zone
 
+    @errors_as_status
     async def Bind(  # noqa: N802 - the name of the RPC
-        self, request: frontend_service_pb2.BindRequest, context: Any
+        self, request: frontend_service_pb2.BindRequest, context: Context
     ) -> frontend_service_pb2.BindResponse:
         """The supernodes, best first. Waits up to WAIT_SECONDS_MAX for one that can serve."""
-        try:
-            _check_version(request)
-            await self._prober.wait_healthy(WAIT_SECONDS_MAX)
-            response = self._respond(request.zone or self._default_zone)
-            _check_callable(response, context.peer())
-            return response
-        except StampedeError as error:
-            await abort(context, error)
+        _check_version(request)
+        await self._prober.wait_healthy(WAIT_SECONDS_MAX)
+        response = self._respond(request.zone or self._default_zone)
+        _check_callable(response, context.peer())
+        return response
 
     def _respond(self, zone: str) -> frontend_service_pb2.BindResponse:
         if not self._roster.any_answered():

@@ -13,9 +13,10 @@ from stampede_rt.status import abort
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import why_refused
+from stampede_rt_runtime.rpc import Context
 
 
-def caller_identity(context: Any) -> Identity | None:
+def caller_identity(context: Context) -> Identity | None:
     """Who the call's certificate says the caller is; None without certificates, or if it names nobody."""
     found = context.auth_context().get("peer_uri", ())
     return identity_among(uri.decode(errors="replace") for uri in found)
@@ -39,13 +40,13 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         method = handler_call_details.method
 
         @contextlib.asynccontextmanager
-        async def admitted(context: Any) -> AsyncIterator[None]:
+        async def admitted(context: Context) -> AsyncIterator[None]:
             await self._admit(method, context)
             yield
 
         return guarded(handler, admitted)
 
-    async def _admit(self, method: str, context: Any) -> None:
+    async def _admit(self, method: str, context: Context) -> None:
         caller = caller_identity(context)
         if caller is None:
             refusal = (

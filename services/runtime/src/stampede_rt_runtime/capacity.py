@@ -13,7 +13,9 @@ from stampede_rt.status import abort
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import roles_for
+from stampede_rt_runtime.rpc import Context
 
 
 class Slots:
@@ -48,7 +50,10 @@ class Slots:
 
 
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Lets a call in if there is a slot for it, and refuses it otherwise, before any of its requests is read."""
+    """Lets a call in if there is a slot for it, and refuses it otherwise. Its requests are read and parsed after that.
+
+    It must be the innermost interceptor: those around it look at the caller first.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self._slots = Slots(limits)
@@ -66,7 +71,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         for_members = Role.CLIENT not in roles_for(method) and bool(roles_for(method))
 
         @contextlib.asynccontextmanager
-        async def slot(context: Any) -> AsyncIterator[None]:
+        async def slot(context: Context) -> AsyncIterator[None]:
             try:
                 give_back = self._slots.take(is_stream=streams, for_members=for_members)
             except Overloaded as error:
@@ -76,4 +81,4 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
             finally:
                 give_back()
 
-        return guarded(handler, slot)
+        return guarded(reading_late(method, handler), slot)

@@ -13,6 +13,8 @@ from typing import Any
 
 import grpc
 
+from stampede_rt_runtime.rpc import Context
+
 # Entered with the call's context before the method runs, and left when it has ended. It may end the call.
 Guard = Callable[[Any], contextlib.AbstractAsyncContextManager[None]]
 
@@ -33,8 +35,14 @@ def guarded(handler: Any, guard: Guard) -> Any:
     )
 
 
+def behavior_of(handler: Any) -> Callable[..., Any]:
+    """What a handler runs for each call."""
+    behavior: Callable[..., Any] = _kind(handler)[1]
+    return behavior
+
+
 def _around_call(behavior: Callable[..., Any], guard: Guard) -> Callable[..., Any]:
-    async def call(request: Any, context: Any) -> Any:
+    async def call(request: Any, context: Context) -> Any:
         async with guard(context):
             return await behavior(request, context)
 
@@ -42,7 +50,7 @@ def _around_call(behavior: Callable[..., Any], guard: Guard) -> Callable[..., An
 
 
 def _around_iterator(behavior: Callable[..., AsyncIterator[Any]], guard: Guard) -> Callable[..., AsyncIterator[Any]]:
-    async def call(request: Any, context: Any) -> AsyncIterator[Any]:
+    async def call(request: Any, context: Context) -> AsyncIterator[Any]:
         async with guard(context):
             responses: Any = behavior(request, context)
             async with contextlib.aclosing(responses):

@@ -10,11 +10,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import grpc
-from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret, SecretInterceptor
 from stampede_rt_runtime.capacity import CapacityInterceptor
+from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
 from stampede_rt_runtime.tls import ServiceTls
@@ -43,8 +43,8 @@ class ServiceServer:
         )
         self.address = ""
         self.stopping = asyncio.Event()
-        self._health = health.aio.HealthServicer()
-        health_pb2_grpc.add_HealthServicer_to_server(self._health, self.grpc)
+        self._health = Health()
+        self._health.add_to(self.grpc)
 
     def bind(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
         """Take the port at `listen`, once, and return the address with the port that was bound. Raises CannotListen.
@@ -73,8 +73,7 @@ class ServiceServer:
 
     async def set_serving(self, serving: bool) -> None:
         """What the standard health service says from now on."""
-        status = health_pb2.HealthCheckResponse.SERVING if serving else health_pb2.HealthCheckResponse.NOT_SERVING
-        await self._health.set(health.OVERALL_HEALTH, status)
+        await self._health.set_serving(serving)
 
     async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
         """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal cuts it short."""
@@ -97,7 +96,7 @@ class ServiceServer:
         Takes 2 * DRAIN_SECONDS at most. Idempotent.
         """
         self.stopping.set()
-        await self._health.enter_graceful_shutdown()
+        await self._health.end()
         if end_streams is not None:
             await _bounded(end_streams())
         await self.grpc.stop(DRAIN_SECONDS)

@@ -19,6 +19,7 @@ from stampede_rt.v1 import directory_service_pb2_grpc, membership_service_pb2_gr
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
@@ -30,6 +31,7 @@ from stampede_rt_supernode.joining.volunteering import volunteer
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
+    ReleaseTooOld,
     ReplicatedLog,
     StoreDamaged,
     StoreRefused,
@@ -39,6 +41,7 @@ from stampede_rt_supernode.replication import (
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.level_keeper import LevelKeeper
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 from stampede_rt_supernode.servicers.membership_servicer import MembershipServicer
 from stampede_rt_supernode.servicers.record_services import register_record_services
@@ -56,7 +59,7 @@ async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
     gc.disable()
     credentials = settings.load_credentials(Role.SUPERNODE)
-    server = ServiceServer(secret=credentials.secret, tls=credentials.tls)
+    server = ServiceServer(secret=credentials.secret, tls=credentials.tls, limits=CONTROL_LIMITS)
     # Bound before anything else: the log must know the address, and others hear of it.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
@@ -67,6 +70,7 @@ async def serve(settings: SupernodeSettings) -> None:
         await server.start()
         work = [
             parts.leases.run(),
+            parts.levels.run(),
             parts.probe.run(),
             _follow_leader(server, parts.members),
             _watch_state(server, parts),
@@ -103,6 +107,7 @@ class _Parts:
     clock: SystemClock
     submission: Submission
     leases: LeaseKeeper
+    levels: LevelKeeper
     watches: Watches
     probe: Probe
     members: Members
@@ -121,7 +126,7 @@ def _assemble(
     settings: SupernodeSettings, founding: Founding, log: ReplicatedLog, replica: DirectoryReplica, credentials: Dialer
 ) -> _Parts:
     clock = SystemClock()
-    submission = Submission(log, time_unix_nano=clock.time_unix_nano)
+    submission = Submission(log, replica, time_unix_nano=clock.time_unix_nano)
     leases = LeaseKeeper(log, replica, submission, clock=clock, founding_ttl_nanos=settings.lease_ttl_nanos)
     leases.founding_cluster_id = "" if founding.listed or founding.joining else founding.log_cluster_id
     leases.takes_over, leases.in_memory = founding.takes_over, settings.data_dir is None
@@ -133,6 +138,7 @@ def _assemble(
         clock=clock,
         submission=submission,
         leases=leases,
+        levels=LevelKeeper(log, replica, submission),
         watches=Watches(replica, log),
         probe=probe,
         members=members,
@@ -161,7 +167,7 @@ async def _open_log(
     replication = founding.replication_settings(settings.data_dir)
     try:
         log = await open_replicated_log(replication, replica, credentials, server.grpc)
-    except (StoreDamaged, StoreRefused, LibraryMismatch) as error:
+    except (StoreDamaged, StoreRefused, LibraryMismatch, ReleaseTooOld) as error:
         raise StampedeError(str(error)) from error
     if settings.data_dir is not None and read_founding(settings.data_dir) is not None:
         note_started(settings.data_dir, founding)
@@ -178,7 +184,8 @@ async def _enter(volunteering: Coroutine[Any, Any, None]) -> None:
 
 
 async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bool) -> None:
-    """End the service when this supernode is told that it was removed, or that its folder is not the one it had.
+    """End the service when this supernode is told that it was removed, that its folder is not the one it had, or that
+    its release is too old.
 
     `keeps`: whether it was started with a folder.
     """
@@ -195,6 +202,11 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
             raise StampedeError(
                 f"supernode {status.self_id} was here before with {here}; that folder holds what it promised: start it "
                 f"with --data-dir and that one, or, if it is lost, {anew}"
+            )
+        if status.too_old:
+            raise StampedeError(
+                f"supernode {status.self_id} is of a release that is too old: {status.too_old}; start it with the "
+                "release of the others and the same data folder, and it goes on"
             )
         if status.has_old_store:
             raise StampedeError(

@@ -10,17 +10,25 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from stampede_rt.errors import StampedeError
-from stampede_rt_supernode.codecs.command_codec import decode_command, encode_result
+from stampede_rt.errors import StampedeError, VersionMismatch
+from stampede_rt_supernode.codecs.command_codec import decode_command, encode_result, kind_in, level_needed
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL, may_be_used
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.replication.interface import ReleaseTooOld
 
 T = TypeVar("T")
 
 
 class DirectoryReplica:
     """A `replication.interface.StateMachine`. `restored` counts how often the state was replaced as a whole."""
+
+    # What this release knows; tests of several releases in one process have others.
+    highest_level = HIGHEST_LEVEL
+    level_needed = staticmethod(level_needed)
+    kind_in = staticmethod(kind_in)
+    decode_command = staticmethod(decode_command)
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -34,18 +42,42 @@ class DirectoryReplica:
         self._listener = listener
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """Apply the command at log position `index`; what cannot be read is refused, alike on every replica."""
+        """Apply the command at log position `index`; what cannot be read is refused, alike on every replica.
+
+        So is what needs a feature level above the cluster's: members of older releases cannot read it. Raises
+        ReleaseTooOld.
+        """
         with self._lock:
             try:
-                result = self._directory.apply(index, decode_command(command))
+                decoded = self.decode_command(command)
+                self._check_level(command)
+                result = self._directory.apply(index, decoded)
             except StampedeError as error:
                 self._directory.skip(index)
                 result = Refused.because(error)
+            self._check_release(self._directory)
             encoded = encode_result(result)
             if not isinstance(result, Refused):
                 self._directory.note_done(index, encoded)
         self._listener()
         return encoded
+
+    @property
+    def feature_level(self) -> int:
+        """The cluster's, at the last applied command; from any thread."""
+        return self._directory.feature_level
+
+    def takes(self, command: bytes) -> bool:
+        """Whether the command may enter the log, from any thread. It stays so: the cluster's level never falls."""
+        return may_be_used(self.level_needed(self.kind_in(command)), self.feature_level)
+
+    def _check_level(self, command: bytes) -> None:
+        if not self.takes(command):
+            raise VersionMismatch(f"the command is not known at feature level {self.feature_level} of the cluster")
+
+    def _check_release(self, directory: Directory) -> None:
+        if directory.feature_level > self.highest_level:
+            raise ReleaseTooOld(self.highest_level, directory.feature_level)
 
     def digest(self) -> tuple[int, bytes]:
         """The last log position applied, and a digest of all that was done up to there; on the log's thread."""
@@ -61,9 +93,10 @@ class DirectoryReplica:
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
         """Decode it, on any thread, and return what replaces the whole state.
 
-        Raises for a damaged snapshot: going on without it would answer wrongly.
+        Raises for a damaged snapshot, and ReleaseTooOld: going on without it would answer wrongly.
         """
         directory = decode_snapshot(snapshot)
+        self._check_release(directory)
 
         def restore() -> None:
             outdated = self._directory  # freed when this returns: not while readers wait for the lock

@@ -11,7 +11,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.grouping import (
     MEMBERS_MAX,
     ByChannel,
-    GroupView,
+    SeenCut,
     parse_group_bound,
     parse_members,
     parse_reference,
@@ -60,7 +60,7 @@ def test_a_channel_without_a_value_is_not_there_and_neither_is_what_is_no_channe
 
 
 def test_a_reader_never_forgets_the_highest_cut_that_it_saw() -> None:
-    view = GroupView(b"group")
+    view = SeenCut(b"group")
     for cut in (None, 5, 9, 7, None):
         view.saw(cut)
     assert view.cut_floor == 9

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from typing import Any
 
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
@@ -13,8 +12,16 @@ from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.store import MemoryStore, Store
 from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
-from stampede_rt_supernode.replication.wire.codec import Message, decode_message
+from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Received
+from stampede_rt_supernode.replication.wire.messages import (
+    AppendEntries,
+    AppendReply,
+    InstallSnapshot,
+    Message,
+    SnapshotChunk,
+    VoteReply,
+)
 from tests.robustness.replication.machine import ListMachine
 
 LIBRARY_COMMAND = b"\x00"
@@ -65,7 +72,7 @@ class LoneNode:
 
     def said(self) -> list[tuple[str, Message]]:
         """What the node has said since the last look."""
-        return [(to, decode_message(message)) for to, message in self.node.mailroom.take_outbox()]
+        return [(to, decode_message(encode_message(message))) for to, message in self.node.mailroom.take_outbox()]
 
     def open_snapshot(self) -> None:
         """Let the node go on with a snapshot that came in, as the steps of a replica do."""
@@ -95,37 +102,25 @@ class LoneNode:
         return [(entry.log_index, entry.term) for entry in self.journal[:]]
 
 
-def append(
-    term: int, previous: tuple[int, int], entries: list[tuple[int, int]], *, commit: int = 1, **more: Any
-) -> Message:
+def append(term: int, previous: tuple[int, int], entries: list[tuple[int, int]], *, commit: int = 1) -> AppendEntries:
     """A leader's entries: `previous` and `entries` are (position, term)."""
-    return {
-        "type": "append_entries",
-        "term": term,
-        "commit_index": commit,
-        "round": 0,
-        "prevLogIdx": previous[0],
-        "prevLogTerm": previous[1],
-        "entries": [Entry(command(f"{index}/{of}"), index, of) for index, of in entries],
-        **more,
-    }
+    return AppendEntries(
+        term=term,
+        commit_index=commit,
+        previous_index=previous[0],
+        previous_term=previous[1],
+        entries=[Entry(command(f"{index}/{of}"), index, of) for index, of in entries],
+    )
 
 
-def piece(term: int, chunk: Any, *, commit: int) -> Message:
+def piece(term: int, chunk: SnapshotChunk, *, commit: int) -> InstallSnapshot:
     """A piece of a leader's snapshot."""
-    return {"type": "append_entries", "term": term, "commit_index": commit, "round": 0, "serialized": chunk}
+    return InstallSnapshot(term=term, commit_index=commit, chunk=chunk)
 
 
-def vote(term: int) -> Message:
-    return {"type": "response_vote", "term": term, "trial": False, "voter_term": 0}
+def vote(term: int) -> VoteReply:
+    return VoteReply(term=term)
 
 
-def acknowledgement(term: int, next_index: int) -> Message:
-    return {
-        "type": "next_node_idx",
-        "term": term,
-        "round": 0,
-        "next_node_idx": next_index,
-        "reset": False,
-        "success": True,
-    }
+def acknowledgement(term: int, next_index: int, *, success: bool = True) -> AppendReply:
+    return AppendReply(term=term, next_index=next_index, reset=False, success=success)

@@ -4,12 +4,9 @@ came and sent as it is; the others use the generated messages."""
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Any
 
 import grpc
 
-from stampede_rt.errors import StampedeError
-from stampede_rt.status import abort
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.get_stream import GetStream
@@ -19,6 +16,7 @@ from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.subscription import Subscription
+from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.ChannelService"
 
@@ -37,63 +35,49 @@ class ChannelServicer:
             "Put": grpc.stream_stream_rpc_method_handler(self.put),
             "Get": grpc.stream_stream_rpc_method_handler(self.get),
             "Subscribe": grpc.stream_stream_rpc_method_handler(self.subscribe),
-            "Advance": _unary(self.advance, pb.AdvanceRequest, pb.AdvanceResponse),
-            "Consume": _unary(self.consume, pb.ConsumeRequest, pb.ConsumeResponse),
-            "GetChannelStatus": _unary(
-                self.get_channel_status, pb.GetChannelStatusRequest, pb.GetChannelStatusResponse
-            ),
+            "Advance": unary(self.advance, pb.AdvanceRequest, pb.AdvanceResponse),
+            "Consume": unary(self.consume, pb.ConsumeRequest, pb.ConsumeResponse),
+            "GetChannelStatus": unary(self.get_channel_status, pb.GetChannelStatusRequest, pb.GetChannelStatusResponse),
         }
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         server.add_registered_method_handlers(SERVICE, handlers)
 
-    async def put(self, requests: AsyncIterator[bytes], context: Any) -> None:
+    async def put(self, requests: AsyncIterator[bytes], context: Context) -> None:
         """ChannelService.Put."""
         async with self._streams.serve(context) as stream:
             await PutStream(self._store, context, stream).run()
 
-    async def get(self, requests: AsyncIterator[bytes], context: Any) -> None:
+    async def get(self, requests: AsyncIterator[bytes], context: Context) -> None:
         """ChannelService.Get."""
         async with self._streams.serve(context) as stream:
             await GetStream(self._store, self._groups, context, stream).run()
 
-    async def subscribe(self, requests: AsyncIterator[bytes], context: Any) -> None:
+    async def subscribe(self, requests: AsyncIterator[bytes], context: Context) -> None:
         """ChannelService.Subscribe."""
         async with self._streams.serve(context) as stream:
             request: pb.SubscribeRequest = opening_of(await context.read(), pb.SubscribeRequest, "SubscribeRequest")
             hosted = self._store.find(request.open.channel_id, request.open.epoch)
             await Subscription(hosted, self._store, self._groups, context, stream).run(request)
 
-    async def advance(self, request: pb.AdvanceRequest, context: Any) -> pb.AdvanceResponse:
+    @errors_as_status
+    async def advance(self, request: pb.AdvanceRequest, context: Context) -> pb.AdvanceResponse:
         """ChannelService.Advance."""
-        try:
-            hosted = self._store.find(request.channel_id, request.epoch)
-            return pb.AdvanceResponse(advance_unix_nano=hosted.advance(request.time_unix_nano))
-        except StampedeError as error:
-            await abort(context, error)
+        hosted = self._store.find(request.channel_id, request.epoch)
+        return pb.AdvanceResponse(advance_unix_nano=hosted.advance(request.time_unix_nano))
 
-    async def consume(self, request: pb.ConsumeRequest, context: Any) -> pb.ConsumeResponse:
+    @errors_as_status
+    async def consume(self, request: pb.ConsumeRequest, context: Context) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
-        try:
-            return await self._store.turns.do(consuming(self._store, request))
-        except StampedeError as error:
-            await abort(context, error)
+        return await self._store.turns.do(consuming(self._store, request))
 
+    @errors_as_status
     async def get_channel_status(
-        self, request: pb.GetChannelStatusRequest, context: Any
+        self, request: pb.GetChannelStatusRequest, context: Context
     ) -> pb.GetChannelStatusResponse:
         """ChannelService.GetChannelStatus."""
-        try:
-            if request.epoch:
-                hosted = self._store.find(request.channel_id, request.epoch)
-            else:
-                hosted = self._store.find_any_epoch(request.channel_id)
-        except StampedeError as error:
-            await abort(context, error)
+        if request.epoch:
+            hosted = self._store.find(request.channel_id, request.epoch)
+        else:
+            hosted = self._store.find_any_epoch(request.channel_id)
         status = await self._store.turns.do(self._store.status(hosted))
         return pb.GetChannelStatusResponse(status=status)
-
-
-def _unary(method: Any, request: Any, response: Any) -> grpc.RpcMethodHandler[Any, Any]:
-    return grpc.unary_unary_rpc_method_handler(
-        method, request_deserializer=request.FromString, response_serializer=response.SerializeToString
-    )

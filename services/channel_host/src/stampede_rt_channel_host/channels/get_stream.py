@@ -30,6 +30,7 @@ from stampede_rt_channel_host.core.channel import (
     emptying,
     first_of,
 )
+from stampede_rt_runtime.rpc import Context
 
 CALLS_MAX = 1024
 
@@ -55,7 +56,7 @@ class _Begun:
 class GetStream:
     """Serves one stream. A call is under way until its last message is written or it is cancelled."""
 
-    def __init__(self, store: ChannelStore, groups: GroupAccess, context: Any, stream: OpenStream) -> None:
+    def __init__(self, store: ChannelStore, groups: GroupAccess, context: Context, stream: OpenStream) -> None:
         self._store = store
         self._groups = groups
         self._context = context

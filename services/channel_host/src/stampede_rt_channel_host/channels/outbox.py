@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from stampede_rt_channel_host.channels.frames import Message
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice, at_once, emptying
+from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
 QUEUED_BYTES_MAX = 8 * 2**20
@@ -41,7 +42,7 @@ class Outbox:
 
     def __init__(
         self,
-        context: Any,
+        context: Context,
         stream: OpenStream,
         on_end: Callable[[int], None],
         on_room: Callable[[], None] = lambda: None,

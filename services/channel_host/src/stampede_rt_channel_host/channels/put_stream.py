@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
 
 from grpc.aio import EOF
 
@@ -16,6 +15,7 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_runtime.rpc import Context
 
 ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
 REQUEST_BYTES_MAX = 4 * 2**20
@@ -25,7 +25,7 @@ _FRAMING_BYTES_MAX = 4096
 class PutStream:
     """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
 
-    def __init__(self, store: ChannelStore, context: Any, stream: OpenStream) -> None:
+    def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
         self._store = store
         self._context = context
         self._stream = stream

@@ -12,6 +12,7 @@ from grpc.aio import InternalError
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
+from stampede_rt_runtime.rpc import Context
 
 logger = logging.getLogger(__name__)
 
@@ -56,7 +57,7 @@ class OpenStreams:
         self._changed = asyncio.Event()
 
     @asynccontextmanager
-    async def serve(self, context: Any) -> AsyncIterator[OpenStream]:
+    async def serve(self, context: Context) -> AsyncIterator[OpenStream]:
         """Run a handler's body: what `end` or the body raises as a StampedeError becomes the RPC's status."""
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
@@ -90,7 +91,7 @@ class OpenStreams:
             await self._changed.wait()
 
 
-async def _end(context: Any, error: StampedeError) -> None:
+async def _end(context: Context, error: StampedeError) -> None:
     """End the RPC with `error`. Does not wait until the caller has read so far: gRPC keeps the status for it."""
     try:
         await abort(context, error)

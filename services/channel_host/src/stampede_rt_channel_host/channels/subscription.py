@@ -4,7 +4,6 @@ flight (paper, section 4.1: push), so an idle stream adds no delay and a busy on
 from __future__ import annotations
 
 import asyncio
-from typing import Any
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -17,6 +16,7 @@ from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, 
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, Pieces, SavedCursor
+from stampede_rt_runtime.rpc import Context
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
 WRITE_SECONDS_MAX = 30.0
@@ -69,7 +69,7 @@ class Subscription:
     """Serves one subscription. A `Listener` of its channel: everything happens on the event loop."""
 
     def __init__(
-        self, hosted: HostedChannel, store: ChannelStore, groups: GroupAccess, context: Any, stream: OpenStream
+        self, hosted: HostedChannel, store: ChannelStore, groups: GroupAccess, context: Context, stream: OpenStream
     ) -> None:
         self._hosted = hosted
         self._store = store

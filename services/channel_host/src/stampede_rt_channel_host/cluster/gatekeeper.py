@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import re
 from fnmatch import translate
-from typing import Any
 
 from stampede_rt.cluster.request_age import age_clock_s, request_age_nanos
-from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.status import abort
+from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.listing import page_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import software_version
 
 PAGE_SIZE_MAX = 1000
@@ -29,7 +28,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self.target = ""  # where data travels; known once the server listens, before which no lease is held
 
     async def Ping(  # noqa: N802
-        self, request: pb.GatekeeperServicePingRequest, context: Any
+        self, request: pb.GatekeeperServicePingRequest, context: Context
     ) -> pb.GatekeeperServicePingResponse:
         """The clock that stamps items, and who answers."""
         memory = self._store.memory
@@ -45,49 +44,41 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
             memory_bytes_max=memory.bytes_max,
         )
 
-    async def BindChannel(self, request: pb.BindChannelRequest, context: Any) -> pb.BindChannelResponse:  # noqa: N802
+    @errors_as_status
+    async def BindChannel(self, request: pb.BindChannelRequest, context: Context) -> pb.BindChannelResponse:  # noqa: N802
         """Where the channel's data travels. Asks the directory about what is new here."""
-        try:
-            _check_id(request.channel_id)
-            hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
-        except StampedeError as error:
-            await abort(context, error)
+        _check_id(request.channel_id)
+        hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
         endpoint = pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target)
         return pb.BindChannelResponse(endpoints=[endpoint], channel=hosted.record)
 
-    async def DropChannel(self, request: pb.DropChannelRequest, context: Any) -> pb.DropChannelResponse:  # noqa: N802
+    @errors_as_status
+    async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802
         """Delete the channel in the directory, then here. Readers are told."""
-        try:
-            _check_id(request.channel_id)
-            _check_request_id(request.request_id)
-            since_s = _first_sent_s(context)
-            await self._store.drop(request.channel_id, request.epoch, request.request_id, since_s)
-        except StampedeError as error:
-            await abort(context, error)
+        _check_id(request.channel_id)
+        _check_request_id(request.request_id)
+        since_s = _first_sent_s(context)
+        await self._store.drop(request.channel_id, request.epoch, request.request_id, since_s)
         return pb.DropChannelResponse()
 
+    @errors_as_status
     async def ConfigureChannel(  # noqa: N802
-        self, request: pb.ConfigureChannelRequest, context: Any
+        self, request: pb.ConfigureChannelRequest, context: Context
     ) -> pb.ConfigureChannelResponse:
         """Change the set-up in the directory, then here; it holds when this returns."""
-        try:
-            _check_id(request.channel_id)
-            _check_request_id(request.request_id)
-            hosted = await self._store.configure(
-                request.channel_id, request.epoch, request.spec, request.request_id, _first_sent_s(context)
-            )
-        except StampedeError as error:
-            await abort(context, error)
+        _check_id(request.channel_id)
+        _check_request_id(request.request_id)
+        hosted = await self._store.configure(
+            request.channel_id, request.epoch, request.spec, request.request_id, _first_sent_s(context)
+        )
         return pb.ConfigureChannelResponse(channel=hosted.record)
 
+    @errors_as_status
     async def ListHostedChannels(  # noqa: N802
-        self, request: pb.ListHostedChannelsRequest, context: Any
+        self, request: pb.ListHostedChannelsRequest, context: Context
     ) -> pb.ListHostedChannelsResponse:
         """A page of the channels that were bound here, in the order of names; a page token is the last page's end."""
-        try:
-            pattern = _glob(request.name_glob)
-        except StampedeError as error:
-            await abort(context, error)
+        pattern = _glob(request.name_glob)
         size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
         listing = page_of(self._store, pattern.match, request.page_token, size)
         page = await self._store.turns.do(listing)
@@ -101,7 +92,7 @@ def _check_id(channel_id: bytes) -> None:
         raise InvalidArgument(f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} that the directory told")
 
 
-def _first_sent_s(context: Any) -> float:
+def _first_sent_s(context: Context) -> float:
     """When the caller made the request, by `age_clock_s`. Raises InvalidArgument."""
     return age_clock_s() - request_age_nanos(context.invocation_metadata()) / 1e9
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import Any
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
@@ -24,6 +23,7 @@ from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
+from stampede_rt_runtime.rpc import Context
 
 BOUNDARIES_MAX = 256
 _TIMER_SECONDS_MIN = 0.0001
@@ -46,7 +46,7 @@ class _Followed:
 class CutEvents:
     """Serves one stream."""
 
-    def __init__(self, groups: GroupStore, context: Any, stream: OpenStream) -> None:
+    def __init__(self, groups: GroupStore, context: Context, stream: OpenStream) -> None:
         self._groups = groups
         self._context = context
         self._stream = stream

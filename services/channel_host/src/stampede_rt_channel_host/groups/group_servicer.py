@@ -7,8 +7,6 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import StampedeError
-from stampede_rt.status import abort
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.groups.cut_events import CutEvents
@@ -16,6 +14,7 @@ from stampede_rt_channel_host.groups.group_status import group_status
 from stampede_rt_channel_host.groups.match_stream import MatchStream
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
 SETTLE_SECONDS = 1.0  # a status is asked for in trouble, too: then it tells which hosts are silent
@@ -37,58 +36,46 @@ class GroupServicer:
                 request_deserializer=pb.ExchangeTimesRequest.FromString,
                 response_serializer=pb.ExchangeTimesResponse.SerializeToString,
             ),
-            "GetCut": grpc.unary_unary_rpc_method_handler(
-                self.get_cut,
-                request_deserializer=pb.GetCutRequest.FromString,
-                response_serializer=pb.GetCutResponse.SerializeToString,
-            ),
+            "GetCut": unary(self.get_cut, pb.GetCutRequest, pb.GetCutResponse),
             "SubscribeCuts": grpc.stream_stream_rpc_method_handler(
                 self.subscribe_cuts, request_deserializer=pb.SubscribeCutsRequest.FromString
             ),
             "SubscribeMatches": grpc.stream_stream_rpc_method_handler(
                 self.subscribe_matches, request_deserializer=pb.SubscribeMatchesRequest.FromString
             ),
-            "GetGroupStatus": grpc.unary_unary_rpc_method_handler(
-                self.get_group_status,
-                request_deserializer=pb.GetGroupStatusRequest.FromString,
-                response_serializer=pb.GetGroupStatusResponse.SerializeToString,
-            ),
+            "GetGroupStatus": unary(self.get_group_status, pb.GetGroupStatusRequest, pb.GetGroupStatusResponse),
         }
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         server.add_registered_method_handlers(SERVICE, handlers)
 
-    async def exchange_times(self, requests: AsyncIterator[pb.ExchangeTimesRequest], context: Any) -> None:
+    async def exchange_times(self, requests: AsyncIterator[pb.ExchangeTimesRequest], context: Context) -> None:
         """GroupService.ExchangeTimes: between hosts only."""
         async with self._streams.serve(context):
             await self._groups.exchange.peers.accept(context)
 
-    async def subscribe_cuts(self, requests: AsyncIterator[pb.SubscribeCutsRequest], context: Any) -> None:
+    async def subscribe_cuts(self, requests: AsyncIterator[pb.SubscribeCutsRequest], context: Context) -> None:
         """GroupService.SubscribeCuts."""
         async with self._streams.serve(context) as stream:
             await CutEvents(self._groups, context, stream).run()
 
-    async def subscribe_matches(self, requests: AsyncIterator[pb.SubscribeMatchesRequest], context: Any) -> None:
+    async def subscribe_matches(self, requests: AsyncIterator[pb.SubscribeMatchesRequest], context: Context) -> None:
         """GroupService.SubscribeMatches."""
         async with self._streams.serve(context) as stream:
             await MatchStream(self._groups, self._dial, context, stream).run()
 
-    async def get_cut(self, request: pb.GetCutRequest, context: Any) -> pb.GetCutResponse:
+    @errors_as_status
+    async def get_cut(self, request: pb.GetCutRequest, context: Context) -> pb.GetCutResponse:
         """GroupService.GetCut: the cut once it is as far as the caller has seen it, or that it is stalled."""
-        try:
-            self._groups.check_serving()
-            group = await self._groups.find(request.group_id)
-            floor = request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None
-            reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
-        except StampedeError as error:
-            await abort(context, error)
+        self._groups.check_serving()
+        group = await self._groups.find(request.group_id)
+        floor = request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None
+        reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
         waiting_on = group.waiting_on()
         return pb.GetCutResponse(floor=group.floor(), stalled=not reached, waiting_on_channel_ids=waiting_on)
 
-    async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Any) -> pb.GetGroupStatusResponse:
+    @errors_as_status
+    async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Context) -> pb.GetGroupStatusResponse:
         """GroupService.GetGroupStatus: the cut, what holds it back, and each member's place."""
-        try:
-            group = await self._groups.find(request.group_id)
-            await group.reach(None, SETTLE_SECONDS)
-        except StampedeError as error:
-            await abort(context, error)
+        group = await self._groups.find(request.group_id)
+        await group.reach(None, SETTLE_SECONDS)
         return pb.GetGroupStatusResponse(status=group_status(group, self._groups))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
@@ -22,6 +21,7 @@ from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX, member_o
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
+from stampede_rt_runtime.rpc import Context
 
 MATCHES_PER_MESSAGE_MAX = 64
 UNIQUE_PER_MESSAGE_MAX = 8
@@ -31,7 +31,7 @@ UNIQUE_PER_MESSAGE_MAX = 8
 class MatchStream:
     """Serves one stream."""
 
-    def __init__(self, groups: GroupStore, dial: Dial, context: Any, stream: OpenStream) -> None:
+    def __init__(self, groups: GroupStore, dial: Dial, context: Context, stream: OpenStream) -> None:
         self._groups = groups
         self._dial = dial
         self._stream = stream

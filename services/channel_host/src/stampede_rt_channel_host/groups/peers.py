@@ -21,6 +21,7 @@ from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.groups.link import INTEREST_MAX, Knowledge, Link
 from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_runtime.rpc import Context
 
 logger = logging.getLogger(__name__)
 
@@ -107,7 +108,7 @@ class Peers:
         for group_id in sorted(peer.groups):
             link.tell_floor(group_id)
 
-    async def accept(self, context: Any) -> None:
+    async def accept(self, context: Context) -> None:
         """Serve a stream that another host opened, until it ends."""
         self._knowledge.check_lease()
         caller = caller_identity(context)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
+from stampede_rt_runtime.rpc import Context
 
 LIFE_SECONDS = 4.0  # the contract says after 5 s
 
@@ -14,7 +14,7 @@ LIFE_SECONDS = 4.0  # the contract says after 5 s
 class EventWriter:
     """Of one stream. `what`: what its reader takes, for people."""
 
-    def __init__(self, context: Any, what: str) -> None:
+    def __init__(self, context: Context, what: str) -> None:
         self._context = context
         self._what = what
         self._written_s = _now_s()

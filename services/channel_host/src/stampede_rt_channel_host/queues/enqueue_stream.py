@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
 
 from grpc.aio import EOF
 
@@ -19,6 +18,7 @@ from stampede_rt_channel_host.queues.incoming import answer, check_forwards, che
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_runtime.rpc import Context
 
 ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
 REQUEST_BYTES_MAX = 4 * 2**20
@@ -29,7 +29,7 @@ _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # what ends the stream, beside what i
 class EnqueueStream:
     """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
 
-    def __init__(self, store: QueueStore, context: Any, stream: OpenStream) -> None:
+    def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
         self._store = store
         self._context = context
         self._stream = stream

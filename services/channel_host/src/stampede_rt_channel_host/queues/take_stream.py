@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
 
 from grpc.aio import EOF
 
@@ -24,6 +23,7 @@ from stampede_rt_channel_host.queues.requests import (
     settlements_of,
     taker_of,
 )
+from stampede_rt_runtime.rpc import Context
 
 SIGN_OF_LIFE_SECONDS = 4.0  # the contract says after 5 s
 WRITE_SECONDS_MAX = 30.0
@@ -36,7 +36,7 @@ class TakeStream:
     close, and read to the end.
     """
 
-    def __init__(self, store: QueueStore, context: Any, stream: OpenStream) -> None:
+    def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
         self._store = store
         self._context = context
         self._stream = stream

@@ -6,7 +6,14 @@ from typing import Any
 
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
-from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.commands import (
+    BeginTenure,
+    FeatureLevelRaised,
+    MarkTime,
+    RaiseFeatureLevel,
+    TenureBegun,
+    TimeMarked,
+)
 
 
 def _tenure_message(operation: BeginTenure) -> pb.BeginTenureCommand:
@@ -17,6 +24,7 @@ def _tenure_message(operation: BeginTenure) -> pb.BeginTenureCommand:
         new_lease_ttl_nanos=operation.new_lease_ttl_nanos,
         founded_anew=operation.founded_anew,
         takes_over=operation.takes_over,
+        new_feature_level=operation.new_feature_level,
         new_join_key=operation.new_join_key,
     )
 
@@ -29,6 +37,7 @@ def _read_tenure(message: pb.BeginTenureCommand) -> BeginTenure:
         new_lease_ttl_nanos=message.new_lease_ttl_nanos,
         founded_anew=message.founded_anew,
         takes_over=message.takes_over,
+        new_feature_level=message.new_feature_level,
         new_join_key=message.new_join_key,
     )
 
@@ -69,5 +78,15 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
         read=_read_mark,
         write_result=lambda one: pb.TimeMarkedResult(marked=one.marked),
         read_result=lambda message: TimeMarked(marked=message.marked),
+    ),
+    KindCodec(
+        kind="raise_feature_level",
+        outcome="feature_level_raised",
+        operation=RaiseFeatureLevel,
+        result=FeatureLevelRaised,
+        write=lambda one: pb.RaiseFeatureLevelCommand(feature_level=one.feature_level),
+        read=lambda message: RaiseFeatureLevel(feature_level=message.feature_level),
+        write_result=lambda one: pb.FeatureLevelRaisedResult(feature_level=one.feature_level),
+        read_result=lambda message: FeatureLevelRaised(feature_level=message.feature_level),
     ),
 )

@@ -20,6 +20,8 @@ from stampede_rt_supernode.codecs import (
     replica_kinds,
 )
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
+from stampede_rt_supernode.core.command_table import FEATURE_LEVELS
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 
 CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
@@ -48,6 +50,20 @@ def encode_command(command: Command) -> bytes:
     return pb.DirectoryCommand(
         op_id=command.op_id, time_unix_nano=command.time_unix_nano, as_of_index=command.as_of_index, **kind
     ).SerializeToString()
+
+
+def kind_in(encoded: bytes) -> str:
+    """Which kind of command that is, as the contract names it; empty for one that this release does not know."""
+    try:
+        return pb.DirectoryCommand.FromString(encoded).WhichOneof("kind") or ""
+    except DecodeError:
+        return ""
+
+
+def level_needed(kind: str) -> int:
+    """The feature level that a kind of command needs; for one that is not known here, a level above all known ones."""
+    codec = _BY_KIND.get(kind)
+    return HIGHEST_LEVEL + 1 if codec is None else FEATURE_LEVELS[codec.operation]
 
 
 def decode_command(encoded: bytes) -> Command:

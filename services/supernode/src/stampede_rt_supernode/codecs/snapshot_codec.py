@@ -136,6 +136,7 @@ def _head(directory: Directory) -> bytes:
         former_cluster_ids=directory.former_cluster_ids,
         join_key=directory.join_key,
         digest=directory.digest,
+        feature_level=directory.feature_level,
     ).SerializeToString()
 
 
@@ -181,6 +182,7 @@ def decode_snapshot(encoded: bytes) -> Directory:
         former_cluster_ids=message.former_cluster_ids,
         join_key=message.join_key,
         digest=message.digest,
+        feature_level=message.feature_level,
     )
 
 

@@ -32,6 +32,8 @@ class CommandKind(Generic[Op, Done]):
 
     operation: type[Op]
     result: type[Done]
+    # The level that the cluster must have reached before the command may be used, see `cluster.feature_levels`.
+    feature_level: int
     # The thing that it is about: a request id that comes back with another one is a mistake.
     subject: Callable[[Op], str]
     # What can be said without any state. A command that passes fits into a log entry. Raises InvalidName or

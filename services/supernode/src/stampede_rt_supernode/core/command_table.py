@@ -30,6 +30,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     *replica_kinds.KINDS,
 )
 _BY_OPERATION: Mapping[type[Operation], CommandKind[Any, Any]] = MappingProxyType({one.operation: one for one in KINDS})
+FEATURE_LEVELS: Mapping[type[Operation], int] = MappingProxyType({one.operation: one.feature_level for one in KINDS})
 
 
 def kind_of(operation: Operation) -> CommandKind[Any, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.answered import Answer, Answered
+from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.records import Channel, Group, Host, Peer, Queue, Replica
 from stampede_rt_supernode.core.tables import Tables
 
@@ -15,6 +16,7 @@ DIGEST_BYTES = 16
 class DirectoryState:
     """The tables, and what concerns the cluster as a whole. `tenure` never falls. The first tenure sets the cluster's
     id and the TTL of its leases (0 until then) for good: a host and every later leader must mean the same by a lease.
+    The feature level never falls, either.
     """
 
     def __init__(
@@ -35,8 +37,10 @@ class DirectoryState:
         former_cluster_ids: Iterable[str] = (),
         join_key: bytes = b"",
         digest: bytes = b"",
+        feature_level: int = FIRST_LEVEL,
     ) -> None:
         self.tenure = tenure
+        self.feature_level = max(feature_level, FIRST_LEVEL)
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
         # Of everything that was done: replicas that differ in it differ in their states. Empty: not known, as after a

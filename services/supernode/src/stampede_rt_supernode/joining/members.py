@@ -69,4 +69,5 @@ class Members:
             is_leader=member.member_id == status.leader_id,
             healthy=self.ready() if is_self else finding is not None and finding.healthy,
             round_trip_nanos=finding.round_trip_nanos if finding is not None else None,
+            highest_feature_level=status.highest_levels.get(member.member_id, 0),
         )

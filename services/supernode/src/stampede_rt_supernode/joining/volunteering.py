@@ -16,6 +16,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_pb2, membership_service_pb2_grpc
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt_runtime.version import software_version
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.joining.founding import Founding, write_founding
 from stampede_rt_supernode.replication import ReplicatedLog
 
@@ -69,6 +70,7 @@ async def _ask(address: str, founding: Founding, dial: Callable[[str], grpc.aio.
         token=founding.token,
         protocol_version=1,
         version=software_version(),
+        highest_feature_level=HIGHEST_LEVEL,
     )
     channel = dial(address)
     try:

@@ -13,12 +13,27 @@ from typing import Protocol
 
 class StateMachine(Protocol):
     """What the log drives. Methods are called on the log's own thread, if nothing else is said; they neither raise nor
-    block."""
+    block.
+
+    Releases know commands up to a highest feature level. The state has a level, up to which all members know them.
+    """
+
+    @property
+    def highest_level(self) -> int:
+        """The highest feature level that this release knows, 1 or more. From any thread."""
+
+    @property
+    def feature_level(self) -> int:
+        """The state's, 1 or more; it never falls. From any thread."""
+
+    def takes(self, command: bytes) -> bool:
+        """Whether the state's level allows the command in the log. From any thread."""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
 
-        Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal.
+        Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal. Raises
+        ReleaseTooOld if the state comes to a feature level that this release does not know: nothing goes on then.
         """
 
     def digest(self) -> tuple[int, bytes]:
@@ -58,7 +73,9 @@ class ReplicationStatus:
     what it has promised. `refused_by`: which members say one of these, and their words; it does not vote meanwhile.
     `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
     take the store with which another member came last. `diverged_at`:
-    where this one's state was found to differ from the leader's; 0: nowhere.
+    where this one's state was found to differ from the leader's; 0: nowhere. `feature_level` is the state's,
+    `highest_levels` what each member has told of its release, this one included. `too_old`: what another member has
+    said of this one's release, which does not know the cluster's level.
     """
 
     self_id: str
@@ -74,7 +91,15 @@ class ReplicationStatus:
     other_cluster: str = ""
     diverged_at: int = 0
     refused: Mapping[str, str] = field(default_factory=dict)
+    feature_level: int = 1
+    highest_levels: Mapping[str, int] = field(default_factory=dict)
+    too_old: str = ""
     refused_by: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def level_of_members(self) -> int:
+        """The highest feature level that all members have told that they know; 0 as long as one has not told."""
+        return min((self.highest_levels.get(member.member_id, 0) for member in self.members), default=0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -83,6 +108,16 @@ class TakenSnapshot:
 
     log_index: int
     record: bytes
+
+
+class ReleaseTooOld(Exception):
+    """The cluster is at a feature level that this release does not know: the member goes no further."""
+
+    def __init__(self, highest_level: int, cluster_level: int) -> None:
+        super().__init__(
+            f"this release knows feature level {highest_level}, and the cluster is at level {cluster_level}; start "
+            "this supernode with the release of the others and the same data folder, and it goes on"
+        )
 
 
 class Unavailable(Exception):
@@ -103,6 +138,10 @@ class ChangeRefused(Exception):
 
 class TicketSpent(ChangeRefused):
     """The ticket has let another member in."""
+
+
+class ReleaseOutdated(ChangeRefused):
+    """The newcomer's release does not know the cluster's feature level."""
 
 
 class Ambiguous(Exception):

@@ -129,6 +129,7 @@ class Replica:
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._journal = Journal(store, kept_bytes_max=settings.kept_log_bytes_max)
+        self._state_machine = state_machine
         self._node = self._open_node(state_machine, random_source, rules, run_aside)
         self._proposals = Proposals(self._node.propose, self._completions.append, handed_max=settings.proposals_max)
         self._changes = self._make_changes()
@@ -225,6 +226,16 @@ class Replica:
     def status(self) -> ReplicationStatus:
         """The view after the last step."""
         return self._status
+
+    @property
+    def highest_level(self) -> int:
+        """The highest feature level that this release knows."""
+        return self._state_machine.highest_level
+
+    @property
+    def feature_level(self) -> int:
+        """The state's."""
+        return self._state_machine.feature_level
 
     # -- tick thread ---------------------------------------------------------------------------------------------
 
@@ -344,6 +355,8 @@ class Replica:
             applied_index=node.last_applied,
             members=members,
             diverged_at=node.digests.diverged_at,
+            feature_level=self._state_machine.feature_level,
+            highest_levels=node.known_levels(),
         )
 
     def _publish_roster(self) -> None:

@@ -69,7 +69,14 @@ class PySyncObjLog:
         self._servicer.add_to_server(server)
 
         def introduce(to: str) -> RaftHello:
-            return introduction(settings, to, store_id=stores.own, standing=replica.standing, roster=replica.roster)
+            return introduction(
+                settings,
+                to,
+                store_id=stores.own,
+                standing=replica.standing,
+                roster=replica.roster,
+                highest_level=replica.highest_level,
+            )
 
         def see() -> tuple[set[str], str | None]:
             others = {member.member_id for member in replica.roster.members} - {settings.self_member.member_id}
@@ -116,7 +123,8 @@ class PySyncObjLog:
             # What the last step saw is long past: whoever led then has been replaced, as others tell.
             status = replace(status, leader_id=None, is_leader=False, tenure=0)
         refused = self._servicer.refused() if self._servicer is not None else {}
-        if not (links.refusals.by or links.refusals.confirmed or links.other_cluster or refused):
+        doubted = links.refusals.by or links.refusals.confirmed or links.other_cluster or links.too_old
+        if not (doubted or refused):
             return status
         confirmed = links.refusals.confirmed
         return replace(
@@ -125,6 +133,7 @@ class PySyncObjLog:
             has_lost_store=confirmed in (Grounds.ANOTHER_STORE, Grounds.NO_STORE),
             has_old_store=confirmed is Grounds.OLDER_STORE,
             other_cluster=links.other_cluster,
+            too_old=links.too_old,
             refused=refused,
             refused_by=dict(links.refusals.by),
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 from stampede_rt_supernode.replication.interface import Member
 
 COMMAND_BYTES_MAX = 64 * 1024
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 SNAPSHOT_PIECE_BYTES_MAX = 1 << 20
 
 _POSITIVE = (

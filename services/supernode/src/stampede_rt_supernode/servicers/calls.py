@@ -1,15 +1,14 @@
-"""What the servicers of this port have in common: errors as statuses, the caller's time, reads and updates."""
+"""What the servicers of this port have in common: the caller's time, reads and updates."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import TypeVar
 
 from stampede_rt.cluster.request_age import request_age_nanos
-from stampede_rt.errors import InvalidArgument, StampedeError
-from stampede_rt.status import abort
+from stampede_rt.errors import InvalidArgument
 from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.core import commands
 from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
@@ -24,23 +23,9 @@ ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears t
 
 T = TypeVar("T")
 S = TypeVar("S", bound=commands.Success)
-Method = TypeVar("Method", bound=Callable[..., Awaitable[Any]])
 
 
-def refusing(method: Method) -> Method:
-    """Turns a StampedeError into the RPC's status; every other exception is a defect and stays one."""
-
-    @functools.wraps(method)
-    async def call(self: Any, request: Any, context: Any) -> Any:
-        try:
-            return await method(self, request, context)
-        except StampedeError as error:
-            await abort(context, error)
-
-    return call  # type: ignore[return-value]
-
-
-def seconds_left(context: Any) -> float:
+def seconds_left(context: Context) -> float:
     """How long this call may wait for the other supernodes."""
     left = context.time_remaining()
     if left is None:
@@ -48,7 +33,7 @@ def seconds_left(context: Any) -> float:
     return float(min(WAIT_SECONDS_MAX, max(left - ANSWER_SECONDS, left / 2)))
 
 
-def check_age(context: Any) -> None:
+def check_age(context: Context) -> None:
     """Raises InvalidArgument for a request that was first sent longer ago than its answer is remembered."""
     age_nanos = request_age_nanos(context.invocation_metadata())
     if age_nanos >= REPEAT_NANOS_MAX:
@@ -66,7 +51,7 @@ class DirectoryCalls:
         self._replica = replica
         self._submission = submission
 
-    async def read(self, context: Any, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
+    async def read(self, context: Context, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
         """The answer of `question`, as in `DirectoryReplica.read`. Raises Unavailable with reason NO_QUORUM."""
         self._submission.check_state()
         if not stale_ok:
@@ -74,7 +59,12 @@ class DirectoryCalls:
         return self._replica.read(question)
 
     async def submit(
-        self, context: Any, operation: commands.Operation, kind: type[S], op_id: bytes, as_of_index: int | None = None
+        self,
+        context: Context,
+        operation: commands.Operation,
+        kind: type[S],
+        op_id: bytes,
+        as_of_index: int | None = None,
     ) -> S:
         """What came of `operation`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant.
 
@@ -88,7 +78,7 @@ class DirectoryCalls:
             operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
         )
 
-    async def confirm(self, context: Any) -> None:
+    async def confirm(self, context: Context) -> None:
         """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
         await self._submission.confirm(seconds=seconds_left(context))
 
@@ -96,7 +86,7 @@ class DirectoryCalls:
         """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.answered`."""
         return max(1, self._replica.read(lambda directory: directory.applied_index))
 
-    def check_host(self, context: Any, host_id: bytes, name: str | None = None) -> None:
+    def check_host(self, context: Context, host_id: bytes, name: str | None = None) -> None:
         """Raises PermissionDenied if the caller's certificate is that of another host. `name`: the one it wants."""
         caller = caller_identity(context)
         known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))

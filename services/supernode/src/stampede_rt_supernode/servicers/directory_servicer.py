@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import AsyncIterator
-from typing import Any
 
-from stampede_rt.errors import StampedeError
-from stampede_rt.status import abort
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 from stampede_rt_supernode.codecs.host_codec import endpoints_from, host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record
@@ -41,7 +39,7 @@ from stampede_rt_supernode.core.records import ID_BYTES, Channel, Host, Queue
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing, seconds_left
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
@@ -69,7 +67,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._members = members
         self._clock = clock
 
-    async def Ping(self, request: pb.DirectoryServicePingRequest, context: Any) -> pb.DirectoryServicePingResponse:
+    async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
         """See the contract."""
         return pb.DirectoryServicePingResponse(
             time_unix_nano=self._clock.time_unix_nano(),
@@ -79,11 +77,13 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
             version=software_version(),
             refused_supernodes=self._members.refused(),
+            feature_level=self._replica.feature_level,
+            highest_feature_level=self._replica.highest_level,
         )
 
-    @refusing
-    async def OpenChannel(self, request: pb.OpenChannelRequest, context: Any) -> pb.OpenChannelResponse:
-        """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
+    @errors_as_status
+    async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
+        """What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
         operation = OpenChannel(
             name=request.name,
@@ -103,9 +103,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
         )
 
-    @refusing
-    async def ResolveChannel(self, request: pb.ResolveChannelRequest, context: Any) -> pb.ResolveChannelResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ResolveChannel(self, request: pb.ResolveChannelRequest, context: Context) -> pb.ResolveChannelResponse:
 
         def find(directory: Directory) -> tuple[Channel, Host, int]:
             tables = directory.tables
@@ -116,9 +115,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         channel, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ResolveChannelResponse(channel=channel_record(channel), host=host_record(host), applied_index=index)
 
-    @refusing
-    async def ListChannels(self, request: pb.ListChannelsRequest, context: Any) -> pb.ListChannelsResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ListChannels(self, request: pb.ListChannelsRequest, context: Context) -> pb.ListChannelsResponse:
         after = page_tokens.read_name(request.page_token)
 
         def find(directory: Directory) -> tuple[ChannelPage, int]:
@@ -133,23 +131,21 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             applied_index=index,
         )
 
-    @refusing
-    async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Any) -> pb.UpdateChannelResponse:
-        """See the contract."""
+    @errors_as_status
+    async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Context) -> pb.UpdateChannelResponse:
         operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec))
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 
-    @refusing
-    async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Any) -> pb.DeleteChannelResponse:
-        """See the contract."""
+    @errors_as_status
+    async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Context) -> pb.DeleteChannelResponse:
         operation = DeleteChannel(channel_id=request.channel_id)
         await self._calls.submit(context, operation, ChannelDeleted, request.request_id)
         return pb.DeleteChannelResponse()
 
-    @refusing
-    async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:
-        """See the contract. The lease begins when the leader sees the registration, later than it was sent."""
+    @errors_as_status
+    async def RegisterHost(self, request: pb.RegisterHostRequest, context: Context) -> pb.RegisterHostResponse:
+        """The lease begins when the leader sees the registration, later than it was sent."""
         check_protocol(request.protocol_version, request.version)
         await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id, request.name)
@@ -172,9 +168,9 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             queues=[queue_record(queue) for queue in queues],
         )
 
-    @refusing
-    async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Any) -> pb.RenewHostLeaseResponse:
-        """See the contract. Leaves no entry in the log."""
+    @errors_as_status
+    async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Context) -> pb.RenewHostLeaseResponse:
+        """Leaves no entry in the log."""
         await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
@@ -182,17 +178,15 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         )
         return pb.RenewHostLeaseResponse(lease_ttl_nanos=ttl_nanos, tenure=tenure)
 
-    @refusing
-    async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Any) -> pb.DeregisterHostResponse:
-        """See the contract."""
+    @errors_as_status
+    async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Context) -> pb.DeregisterHostResponse:
         self._calls.check_host(context, request.host_id)
         operation = DeregisterHost(host_id=request.host_id, boot_incarnation=request.boot_incarnation)
         await self._calls.submit(context, operation, HostDeregistered, request.request_id)
         return pb.DeregisterHostResponse()
 
-    @refusing
-    async def ResolveHost(self, request: pb.ResolveHostRequest, context: Any) -> pb.ResolveHostResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ResolveHost(self, request: pb.ResolveHostRequest, context: Context) -> pb.ResolveHostResponse:
 
         def find(directory: Directory) -> tuple[Host, int]:
             by_id = request.WhichOneof("key") == "host_id"
@@ -203,9 +197,8 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ResolveHostResponse(host=host_record(host), applied_index=index)
 
-    @refusing
-    async def ListHosts(self, request: pb.ListHostsRequest, context: Any) -> pb.ListHostsResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ListHosts(self, request: pb.ListHostsRequest, context: Context) -> pb.ListHostsResponse:
         after = page_tokens.read_host(request.page_token)
         since, with_dead = self._clock.time_unix_nano() - LOST_SHOWN_NANOS, request.include_dead
 
@@ -220,29 +213,28 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             applied_index=index,
         )
 
-    async def ListSupernodes(self, request: pb.ListSupernodesRequest, context: Any) -> pb.ListSupernodesResponse:
-        """See the contract. Local knowledge, since it must be had when there is no majority, too."""
+    async def ListSupernodes(self, request: pb.ListSupernodesRequest, context: Context) -> pb.ListSupernodesResponse:
+        """Local knowledge, since it must be had when there is no majority, too."""
         records, term = self._members.records()
         index = self._replica.read(lambda directory: directory.applied_index)
-        return pb.ListSupernodesResponse(supernodes=records, term=term, applied_index=index)
+        return pb.ListSupernodesResponse(
+            supernodes=records, term=term, applied_index=index, feature_level=self._replica.feature_level
+        )
 
-    async def Watch(self, request: pb.WatchRequest, context: Any) -> AsyncIterator[pb.WatchResponse]:
-        """See the contract."""
-        try:
-            await self._submission.confirm(seconds=seconds_left(context))
-            batches = self._watches.follow(
-                request.name_glob,
-                request.after_index,
-                include_hosts=request.include_hosts,
-                include_groups=request.include_groups,
-                include_queues=request.include_queues,
+    @errors_as_status
+    async def Watch(self, request: pb.WatchRequest, context: Context) -> AsyncIterator[pb.WatchResponse]:
+        await self._submission.confirm(seconds=seconds_left(context))
+        batches = self._watches.follow(
+            request.name_glob,
+            request.after_index,
+            include_hosts=request.include_hosts,
+            include_groups=request.include_groups,
+            include_queues=request.include_queues,
+        )
+        async for batch in batches:
+            yield pb.WatchResponse(
+                changes=[change_message(change) for change in batch.changes], applied_index=batch.applied_index
             )
-            async for batch in batches:
-                yield pb.WatchResponse(
-                    changes=[change_message(change) for change in batch.changes], applied_index=batch.applied_index
-                )
-        except StampedeError as error:
-            await abort(context, error)
 
 
 def _open_again(directory: Directory, op_id: bytes, operation: OpenChannel) -> ChannelOpened | None:

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import secrets
-from typing import Any
 
 from stampede_rt.v1 import group_directory_service_pb2 as pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_from
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.groups.transitions import open_group_unchanged
 from stampede_rt_supernode.core.lookups import group_by_id, group_by_name
 from stampede_rt_supernode.core.records import ID_BYTES
 from stampede_rt_supernode.core.validation import check_id
-from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing
+from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
 class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServiceServicer):
@@ -36,9 +36,9 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     def __init__(self, calls: DirectoryCalls) -> None:
         self._calls = calls
 
-    @refusing
-    async def OpenGroup(self, request: pb.OpenGroupRequest, context: Any) -> pb.OpenGroupResponse:
-        """See the contract. A group that is there is answered from a confirmed read, without an entry in the log."""
+    @errors_as_status
+    async def OpenGroup(self, request: pb.OpenGroupRequest, context: Context) -> pb.OpenGroupResponse:
+        """A group that is there is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
         operation = OpenGroup(
             name=request.name,
@@ -63,9 +63,8 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             created=opened.created,
         )
 
-    @refusing
-    async def ResolveGroup(self, request: pb.ResolveGroupRequest, context: Any) -> pb.ResolveGroupResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ResolveGroup(self, request: pb.ResolveGroupRequest, context: Context) -> pb.ResolveGroupResponse:
 
         def find(directory: Directory) -> tuple[GroupView, int]:
             tables = directory.tables
@@ -81,9 +80,8 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             applied_index=index,
         )
 
-    @refusing
-    async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Any) -> pb.UpdateGroupResponse:
-        """See the contract."""
+    @errors_as_status
+    async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Context) -> pb.UpdateGroupResponse:
         operation = UpdateGroup(
             group_id=request.group_id,
             add_channel_ids=tuple(request.add_channel_ids),
@@ -93,15 +91,13 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         updated = await self._calls.submit(context, operation, GroupUpdated, request.request_id)
         return pb.UpdateGroupResponse(group=group_record(updated.group))
 
-    @refusing
-    async def DeleteGroup(self, request: pb.DeleteGroupRequest, context: Any) -> pb.DeleteGroupResponse:
-        """See the contract."""
+    @errors_as_status
+    async def DeleteGroup(self, request: pb.DeleteGroupRequest, context: Context) -> pb.DeleteGroupResponse:
         await self._calls.submit(context, DeleteGroup(group_id=request.group_id), GroupDeleted, request.request_id)
         return pb.DeleteGroupResponse()
 
-    @refusing
-    async def ListGroups(self, request: pb.ListGroupsRequest, context: Any) -> pb.ListGroupsResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ListGroups(self, request: pb.ListGroupsRequest, context: Context) -> pb.ListGroupsResponse:
         listing = f"groups\0{request.name_glob}\0{request.channel_id.hex()}"
         after = page_tokens.read_listing(request.page_token, listing)
 

@@ -16,6 +16,7 @@ from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.cluster_ids import may_go_over, new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import ExpireHost, HostExpired
 from stampede_rt_supernode.core.hosts.transitions import check_boot
@@ -114,6 +115,7 @@ class LeaseKeeper:
             # Front-ends tell clusters apart by it: they must not take one that comes back for the restored one.
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
             takes_over=self.takes_over,
+            new_feature_level=max(FIRST_LEVEL, status.level_of_members),
             new_join_key=secrets.token_bytes(KEY_BYTES),
         )
         begun = await self._submission.submit(operation, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)

@@ -5,20 +5,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable
-from typing import Any
 
 from stampede_rt.errors import (
     InvalidArgument,
     Overloaded,
     PermissionDenied,
-    StampedeError,
     Unavailable,
     VersionMismatch,
 )
-from stampede_rt.status import abort
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.values import parse_target
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.core.validation import check_id
@@ -55,51 +53,42 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         self._log_cluster_id = log_cluster_id
         self._snapshots_under_way = 0
 
-    async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Any) -> pb.CreateJoinTokenResponse:
-        """See the contract."""
-        try:
-            check_id(request.request_id, "request_id")
-            valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
-            until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
-            token = self._tokens().make(
-                request.request_id,
-                _member("supernode_id", request.supernode_id, "target", request.target),
-                valid_until_unix_nano=until,
-                log_cluster_id=self._log_cluster_id,
-            )
-        except StampedeError as error:
-            await abort(context, error)
+    @errors_as_status
+    async def CreateJoinToken(self, request: pb.CreateJoinTokenRequest, context: Context) -> pb.CreateJoinTokenResponse:
+        check_id(request.request_id, "request_id")
+        valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
+        until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
+        token = self._tokens().make(
+            request.request_id,
+            _member("supernode_id", request.supernode_id, "target", request.target),
+            valid_until_unix_nano=until,
+            log_cluster_id=self._log_cluster_id,
+        )
         return pb.CreateJoinTokenResponse(
             token=token, valid_until_unix_nano=until, cluster_id=cluster_id, log_cluster_id=self._log_cluster_id
         )
 
-    async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Any) -> pb.AddSupernodeResponse:
-        """See the contract."""
-        try:
-            member, ticket = self._newcomer(request)
-            index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
-        except StampedeError as error:
-            await abort(context, error)
+    @errors_as_status
+    async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Context) -> pb.AddSupernodeResponse:
+        member, ticket = self._newcomer(request)
+        index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
         records, _ = self._members.records()
         return pb.AddSupernodeResponse(supernodes=records, cluster_id=self._cluster_id(), index=index)
 
+    @errors_as_status
     async def TakeSnapshot(
-        self, request: pb.TakeSnapshotRequest, context: Any
+        self, request: pb.TakeSnapshotRequest, context: Context
     ) -> AsyncIterator[pb.TakeSnapshotResponse]:
-        """See the contract."""
+        if self._snapshots_under_way >= SNAPSHOTS_MAX:
+            raise Overloaded(f"{SNAPSHOTS_MAX} snapshots are asked for already; try again in a moment")
+        self._snapshots_under_way += 1
         try:
-            if self._snapshots_under_way >= SNAPSHOTS_MAX:
-                raise Overloaded(f"{SNAPSHOTS_MAX} snapshots are asked for already; try again in a moment")
-            self._snapshots_under_way += 1
-            try:
-                backup, facts = await self._taken(stale_ok=request.stale_ok, seconds=_seconds(context))
-                yield facts
-                for data in backup.parts() if request.include_data else ():
-                    yield pb.TakeSnapshotResponse(data=data)
-            finally:
-                self._snapshots_under_way -= 1
-        except StampedeError as error:
-            await abort(context, error)
+            backup, facts = await self._taken(stale_ok=request.stale_ok, seconds=_seconds(context))
+            yield facts
+            for data in backup.parts() if request.include_data else ():
+                yield pb.TakeSnapshotResponse(data=data)
+        finally:
+            self._snapshots_under_way -= 1
 
     async def _taken(self, *, stale_ok: bool, seconds: float) -> tuple[replication.Backup, pb.TakeSnapshotResponse]:
         """A snapshot as a file, and what is said of it. Raises Unavailable."""
@@ -132,14 +121,11 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             text = f"{error}; what this supernode holds by itself can be had with stale_ok (--stale-ok)"
             raise Unavailable(text, reason="NO_QUORUM") from error
 
-    async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Any) -> pb.RemoveSupernodeResponse:
-        """See the contract."""
-        try:
-            if not request.supernode_id:
-                raise InvalidArgument("supernode_id is empty; name the supernode to remove")
-            index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
-        except StampedeError as error:
-            await abort(context, error)
+    @errors_as_status
+    async def RemoveSupernode(self, request: pb.RemoveSupernodeRequest, context: Context) -> pb.RemoveSupernodeResponse:
+        if not request.supernode_id:
+            raise InvalidArgument("supernode_id is empty; name the supernode to remove")
+        index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
         records, _ = self._members.records()
         return pb.RemoveSupernodeResponse(supernodes=records, index=index)
 
@@ -147,6 +133,10 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         if request.protocol_version != PROTOCOL_VERSION:
             text = f"the supernode speaks version {request.protocol_version} of the wire contract, this one"
             raise VersionMismatch(f"{text} {PROTOCOL_VERSION}; install the same release on both")
+        highest, level = max(1, request.highest_feature_level), self._replica.feature_level
+        if highest < level:
+            text = f"the supernode's release knows feature level {highest}, and the cluster is at level {level}"
+            raise VersionMismatch(f"{text}; install the release of the other supernodes")
         member = _member("supernode_id", request.supernode_id, "endpoint.target", request.endpoint.target)
         ticket = self._tokens().check(request.token, member, now_unix_nano=self._clock.time_unix_nano())
         return member, ticket
@@ -166,6 +156,8 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise Overloaded(f"{error}; try again in a moment") from error
         except replication.TicketSpent as error:
             raise PermissionDenied(str(error), reason="UNAUTHENTICATED") from error
+        except replication.ReleaseOutdated as error:
+            raise VersionMismatch(str(error)) from error
         except replication.ChangeRefused as error:
             raise InvalidArgument(str(error)) from error
         except replication.Unavailable as error:
@@ -190,7 +182,7 @@ def _member(id_field: str, supernode_id: str, target_field: str, target: str) ->
         raise InvalidArgument(f"{target_field} is {target!r}; it must be {error}") from error
 
 
-def _seconds(context: Any) -> float:
+def _seconds(context: Context) -> float:
     """How long this call may wait for the newcomer and the other supernodes."""
     left = context.time_remaining()
     if left is None:

@@ -6,14 +6,12 @@ from __future__ import annotations
 import hashlib
 import secrets
 from collections.abc import AsyncIterator
-from typing import Any
 
-from stampede_rt.errors import StampedeError
-from stampede_rt.status import abort
 from stampede_rt.v1 import peer_pb2, peer_service_pb2_grpc
 from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_offset
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
@@ -25,7 +23,7 @@ from stampede_rt_supernode.core.peers.checks import check_clock, check_proof
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, PeerDeregistered, PeerRegistered, RegisterPeer
 from stampede_rt_supernode.core.peers.queries import PeerPage, peer_page
 from stampede_rt_supernode.core.records import ID_BYTES, Peer
-from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing, seconds_left
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.watch import Watches
 
@@ -38,9 +36,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         self._leases = leases
         self._watches = watches
 
-    @refusing
-    async def RegisterPeer(self, request: pb.RegisterPeerRequest, context: Any) -> pb.RegisterPeerResponse:
-        """See the contract. The lease begins when the leader sees the registration, later than it was sent.
+    @errors_as_status
+    async def RegisterPeer(self, request: pb.RegisterPeerRequest, context: Context) -> pb.RegisterPeerResponse:
+        """The lease begins when the leader sees the registration, later than it was sent.
 
         In a cluster with certificates only a host itself may register as the peer that it is.
         """
@@ -59,9 +57,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             cluster_id=entered.cluster_id,
         )
 
-    @refusing
-    async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Any) -> pb.RenewPeerLeaseResponse:
-        """See the contract. Leaves no entry in the log."""
+    @errors_as_status
+    async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Context) -> pb.RenewPeerLeaseResponse:
+        """Leaves no entry in the log."""
         renewed = await self._leases.renew_peer(
             request.peer_id, request.boot_incarnation, _clock_told(request), seconds=seconds_left(context)
         )
@@ -73,16 +71,14 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             held_nanos=renewed.held_nanos,
         )
 
-    @refusing
-    async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Any) -> pb.DeregisterPeerResponse:
-        """See the contract."""
+    @errors_as_status
+    async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Context) -> pb.DeregisterPeerResponse:
         operation = DeregisterPeer(peer_id=request.peer_id, boot_incarnation=request.boot_incarnation)
         await self._calls.submit(context, operation, PeerDeregistered, request.request_id)
         return pb.DeregisterPeerResponse()
 
-    @refusing
-    async def ResolvePeer(self, request: pb.ResolvePeerRequest, context: Any) -> pb.ResolvePeerResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ResolvePeer(self, request: pb.ResolvePeerRequest, context: Context) -> pb.ResolvePeerResponse:
 
         def find(directory: Directory) -> tuple[Peer, int]:
             by_name = request.WhichOneof("key") == "name"
@@ -98,9 +94,8 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     def _record(self, peer: Peer, with_clock: bool) -> peer_pb2.PeerRecord:
         return peer_record(peer, self._leases.clock_of(peer) if with_clock and peer.alive else None)
 
-    @refusing
-    async def ListPeers(self, request: pb.ListPeersRequest, context: Any) -> pb.ListPeersResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ListPeers(self, request: pb.ListPeersRequest, context: Context) -> pb.ListPeersResponse:
         listing = f"peers\0{request.name_glob}\0{request.include_dead}"
         after = page_tokens.read_peer(request.page_token, listing)
 
@@ -119,17 +114,14 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             applied_index=index,
         )
 
-    async def WatchPeers(self, request: pb.WatchPeersRequest, context: Any) -> AsyncIterator[pb.WatchPeersResponse]:
-        """See the contract."""
-        try:
-            await self._calls.confirm(context)
-            async for batch in self._watches.follow_peers(request.name_glob, request.after_index):
-                yield pb.WatchPeersResponse(
-                    changes=[peer_change_message(change) for change in batch.changes],
-                    applied_index=batch.applied_index,
-                )
-        except StampedeError as error:
-            await abort(context, error)
+    @errors_as_status
+    async def WatchPeers(self, request: pb.WatchPeersRequest, context: Context) -> AsyncIterator[pb.WatchPeersResponse]:
+        await self._calls.confirm(context)
+        async for batch in self._watches.follow_peers(request.name_glob, request.after_index):
+            yield pb.WatchPeersResponse(
+                changes=[peer_change_message(change) for change in batch.changes],
+                applied_index=batch.applied_index,
+            )
 
 
 def _clock_told(request: pb.RegisterPeerRequest | pb.RenewPeerLeaseRequest) -> ClockOffset | None:

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import secrets
-from typing import Any
 
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2_grpc
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
 from stampede_rt_supernode.core import page_tokens
@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
 from stampede_rt_supernode.core.records import ID_BYTES, Host, Queue
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
-from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing
+from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
 class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer):
@@ -36,9 +36,9 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     def __init__(self, calls: DirectoryCalls) -> None:
         self._calls = calls
 
-    @refusing
-    async def OpenQueue(self, request: pb.OpenQueueRequest, context: Any) -> pb.OpenQueueResponse:
-        """See the contract. What changes nothing is answered from a confirmed read, without an entry in the log."""
+    @errors_as_status
+    async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
+        """What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
         operation = OpenQueue(
             name=request.name,
@@ -58,9 +58,8 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             queue=queue_record(opened.queue), host=host_record(opened.host), created=opened.created
         )
 
-    @refusing
-    async def ResolveQueue(self, request: pb.ResolveQueueRequest, context: Any) -> pb.ResolveQueueResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ResolveQueue(self, request: pb.ResolveQueueRequest, context: Context) -> pb.ResolveQueueResponse:
 
         def find(directory: Directory) -> tuple[Queue, Host, int]:
             queue = _resolved(directory.tables, request)
@@ -69,22 +68,19 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         queue, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ResolveQueueResponse(queue=queue_record(queue), host=host_record(host), applied_index=index)
 
-    @refusing
-    async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Any) -> pb.UpdateQueueResponse:
-        """See the contract."""
+    @errors_as_status
+    async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Context) -> pb.UpdateQueueResponse:
         operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
         updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
 
-    @refusing
-    async def DeleteQueue(self, request: pb.DeleteQueueRequest, context: Any) -> pb.DeleteQueueResponse:
-        """See the contract."""
+    @errors_as_status
+    async def DeleteQueue(self, request: pb.DeleteQueueRequest, context: Context) -> pb.DeleteQueueResponse:
         await self._calls.submit(context, DeleteQueue(queue_id=request.queue_id), QueueDeleted, request.request_id)
         return pb.DeleteQueueResponse()
 
-    @refusing
-    async def ListQueues(self, request: pb.ListQueuesRequest, context: Any) -> pb.ListQueuesResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ListQueues(self, request: pb.ListQueuesRequest, context: Context) -> pb.ListQueuesResponse:
         listing = f"queues\0{request.name_glob}\0{request.include_mailboxes}"
         after = page_tokens.read_place(request.page_token, listing)
 

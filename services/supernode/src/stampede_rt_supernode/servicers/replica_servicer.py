@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from stampede_rt.v1 import replica_directory_service_pb2 as pb
 from stampede_rt.v1 import replica_directory_service_pb2_grpc
+from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.replica_codec import (
     channel_id_of,
@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.replicas.commands import (
     ReplicaRemoved,
     SetReplicaInSync,
 )
-from stampede_rt_supernode.servicers.calls import DirectoryCalls, refusing
+from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 
 
@@ -38,9 +38,8 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
         self._calls = calls
         self._loads = loads
 
-    @refusing
-    async def AddReplica(self, request: pb.AddReplicaRequest, context: Any) -> pb.AddReplicaResponse:
-        """See the contract."""
+    @errors_as_status
+    async def AddReplica(self, request: pb.AddReplicaRequest, context: Context) -> pb.AddReplicaResponse:
         operation = AddReplica(
             channel_id=channel_id_of(request.subject),
             epoch=request.epoch,
@@ -52,16 +51,17 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
         added = await self._calls.submit(context, operation, ReplicaAdded, request.request_id)
         return pb.AddReplicaResponse(replica=replica_record(added.replica), host=host_record(added.host))
 
-    @refusing
-    async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Any) -> pb.RemoveReplicaResponse:
-        """See the contract."""
+    @errors_as_status
+    async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Context) -> pb.RemoveReplicaResponse:
         operation = RemoveReplica(channel_id=channel_id_of(request.subject), host_id=request.host_id)
         await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
-    @refusing
-    async def SetReplicaInSync(self, request: pb.SetReplicaInSyncRequest, context: Any) -> pb.SetReplicaInSyncResponse:
-        """See the contract. In a cluster with certificates only the owner may say so."""
+    @errors_as_status
+    async def SetReplicaInSync(
+        self, request: pb.SetReplicaInSyncRequest, context: Context
+    ) -> pb.SetReplicaInSyncResponse:
+        """In a cluster with certificates only the owner may say so."""
         channel_id = channel_id_of(request.subject)
         owner = await self._calls.read(context, lambda directory: channel_by_id(directory.tables, channel_id).host_id)
         self._calls.check_host(context, owner)
@@ -75,18 +75,17 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
         done = await self._calls.submit(context, operation, ReplicaInSyncSet, request.request_id)
         return pb.SetReplicaInSyncResponse(replica=replica_record(done.replica))
 
-    @refusing
+    @errors_as_status
     async def ReportReplicaLoads(
-        self, request: pb.ReportReplicaLoadsRequest, context: Any
+        self, request: pb.ReportReplicaLoadsRequest, context: Context
     ) -> pb.ReportReplicaLoadsResponse:
-        """See the contract. Leaves no entry in the log."""
+        """Leaves no entry in the log."""
         self._calls.check_host(context, request.host_id)
         self._loads.report(request.host_id, request.boot_incarnation, [load_from(load) for load in request.loads])
         return pb.ReportReplicaLoadsResponse()
 
-    @refusing
-    async def ListReplicas(self, request: pb.ListReplicasRequest, context: Any) -> pb.ListReplicasResponse:
-        """See the contract."""
+    @errors_as_status
+    async def ListReplicas(self, request: pb.ListReplicasRequest, context: Context) -> pb.ListReplicasResponse:
         channel_id = channel_id_of(request.subject)
         found = await self._calls.read(context, lambda one: _find(one, channel_id), stale_ok=request.stale_ok)
         loads = self._loads.of(channel_id, [host.host_id for host in found.hosts])

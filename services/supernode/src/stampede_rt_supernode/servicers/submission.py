@@ -12,7 +12,8 @@ from stampede_rt import errors
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 from stampede_rt_supernode.joining.members import why_diverged
-from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, Unavailable
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, ReplicationStatus, Unavailable
 
 ATTEMPT_SECONDS_MAX = 2.0
 BACKOFF_SECONDS_MIN = 0.02
@@ -25,8 +26,9 @@ R = TypeVar("R", bound=Success)
 class Submission:
     """The way into the log. Every wait ends within the `seconds` that the caller gives."""
 
-    def __init__(self, log: ReplicatedLog, *, time_unix_nano: Callable[[], int]) -> None:
+    def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, time_unix_nano: Callable[[], int]) -> None:
         self._log = log
+        self._replica = replica
         self._time_unix_nano = time_unix_nano
         self._closed = False
 
@@ -41,17 +43,25 @@ class Submission:
 
         `as_of_index`: see Command.
 
-        Raises the error that the directory refuses it with; Unavailable with reason AMBIGUOUS if it may or may not be
-        done, NO_QUORUM if it certainly is not.
+        Raises the error that the directory refuses it with; VersionMismatch if not all supernodes know such a command;
+        Unavailable with reason AMBIGUOUS if it may or may not be done, NO_QUORUM if it certainly is not.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
+        if not self._replica.takes(encoded):
+            await self.confirm(seconds=seconds)  # the level may have risen, and this one lag behind
+            self._check_level(encoded)
         result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
         if isinstance(result, Refused):
             raise result.error()
         if not isinstance(result, kind):
             raise errors.StampedeError(f"a {type(operation).__name__} gave a {type(result).__name__}; report this")
         return result
+
+    def _check_level(self, encoded: bytes) -> None:
+        if not self._replica.takes(encoded):
+            kind = self._replica.kind_in(encoded)
+            raise above_level(kind, self._replica.level_needed(kind), self._log.status())
 
     async def _propose(self, encoded: bytes, timeout: float) -> Result:
         result = decode_result(await self._log.propose(encoded, timeout=timeout))
@@ -87,6 +97,24 @@ class Submission:
         if ambiguous:
             raise _unknown(seconds)
         raise _shutting_down() if self._closed else _no_quorum(seconds)
+
+
+def above_level(kind: str, needed: int, status: ReplicationStatus) -> errors.VersionMismatch:
+    """Why a command is not done that needs a feature level above the cluster's, and who holds that down."""
+    told = {member.member_id: status.highest_levels.get(member.member_id) for member in status.members}
+    behind = [name for name, level in sorted(told.items()) if level is None or level < needed]
+    named = ", ".join(f"{name} ({'not heard of' if told[name] is None else f'level {told[name]}'})" for name in behind)
+    way_out = f"upgrade {named} (runbook: upgrade)" if behind else "all supernodes know it by now: try again soon"
+    return errors.VersionMismatch(
+        f"{kind} needs feature level {needed}, the cluster is at level {status.feature_level}, and nothing was done; "
+        f"{way_out}; the level rises by itself when all supernodes run a release that knows it",
+        metadata={
+            "command": kind,
+            "feature_level_needed": str(needed),
+            "feature_level": str(status.feature_level),
+            "supernodes_behind": ",".join(behind),
+        },
+    )
 
 
 def _unknown(seconds: float) -> errors.Unavailable:

@@ -24,8 +24,8 @@ def test_every_reason_of_the_library_says_what_became_of_a_command(reason: str, 
 
 def test_a_reason_that_nothing_should_give_stops_the_replica() -> None:
     lone = LoneNode()
-    lone.node._applyCommand = lambda command, callback, kind: callback(None, FAIL_REASON.REQUEST_DENIED)
-    with pytest.raises(AssertionError, match="with reason 6"):
+    lone.node._applyCommand = lambda command, callback, kind: callback(None, FAIL_REASON.UNKNOWN_OUTCOME + 1)
+    with pytest.raises(AssertionError, match="with reason 8"):
         lone.node.propose(b"c", lambda answer: None)
 
 

@@ -22,6 +22,7 @@ from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
 from stampede_rt_supernode.replication.wire.codec import encode_message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, NetworkEvent, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 
 SELF, OTHER = (Member(member_id=name, address=f"{name}:1") for name in ("self", "other"))
 ROSTER = Roster((SELF, OTHER), {"other": OTHER}, frozenset())
@@ -34,18 +35,19 @@ def settings_of(member: Member, **more: Any) -> ReplicationSettings:
 
 
 def hello_to(to: str, settings: ReplicationSettings) -> pb.RaftHello:
-    return introduction(settings, to, store_id="", standing=(0, 0), roster=ROSTER)
+    return introduction(settings, to, store_id="", standing=(0, 0), roster=ROSTER, highest_level=1)
 
 
 def timeout_now(term: int) -> pb.RaftMessage:
     """A message that can be told from others by its term."""
-    return encode_message({"type": "timeout_now", "term": term})
+    return encode_message(TimeoutNow(term=term))
 
 
 class Inbox:
     """Stands for a replica: keeps what it is told."""
 
     roster = ROSTER
+    feature_level = 1
 
     def __init__(self) -> None:
         self.events: list[NetworkEvent] = []

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from typing import NoReturn
 
 import pytest
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LibraryNode
@@ -15,7 +15,8 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TrialElections
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoredSnapshot, StoredState
-from stampede_rt_supernode.replication.wire.codec import encode_snapshot
+from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, SnapshotChunk, VoteReply, VoteRequest
+from stampede_rt_supernode.replication.wire.records import encode_snapshot
 from tests.robustness.replication.machine import ListMachine
 from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement, append, command, piece, vote
 
@@ -30,7 +31,7 @@ ON_BOTH = pytest.mark.parametrize(
 )
 
 
-def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[pb.RaftSnapshotChunk]:
+def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[SnapshotChunk]:
     machine = ListMachine()
     for index in range(2, last + 1):
         machine.apply(index, f"{index}/{term}".encode())
@@ -41,7 +42,7 @@ def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[pb.RaftSna
         state=machine.snapshot(),
     )
     return [
-        pb.RaftSnapshotChunk(
+        SnapshotChunk(
             last_log_index=last,
             offset_bytes=offset,
             total_bytes=len(record),
@@ -50,6 +51,14 @@ def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[pb.RaftSna
         )
         for offset in range(0, len(record), size)
     ]
+
+
+def says_success(message: Message) -> bool:
+    return isinstance(message, AppendReply) and message.success
+
+
+def trials(said: list[tuple[str, Message]]) -> list[bool]:
+    return [message.trial for _, message in said if isinstance(message, VoteRequest)]
 
 
 @ON_BOTH
@@ -129,7 +138,7 @@ def test_a_snapshot_that_cannot_be_loaded_is_not_acknowledged(rules: type) -> No
         assert lone.held() == [(1, 0)]
     else:
         replies += lone.receive("b", piece(5, last, commit=9))
-    assert not any(message["success"] for _, message in replies + lone.said())
+    assert not any(says_success(message) for _, message in replies + lone.said())
 
 
 @ON_BOTH
@@ -154,8 +163,7 @@ def test_a_conflict_above_what_is_committed_replaces_the_tail() -> None:
     lone.receive("b", append(1, (1, 0), [(2, 1), (3, 1), (4, 1)], commit=2))
     replies = lone.receive("c", append(2, (2, 1), [(3, 2)], commit=2))
     assert lone.held() == [(1, 0), (2, 1), (3, 2)]
-    assert replies[0][1]["next_node_idx"] == 4
-    assert replies[0][1]["success"]
+    assert replies[0][1] == AppendReply(term=2, next_index=4, reset=False, success=True)
 
 
 def test_the_commit_index_does_not_pass_what_was_matched() -> None:
@@ -169,10 +177,10 @@ def test_a_leader_of_an_older_term_is_told_so_and_steps_down() -> None:
     lone = LoneNode()
     lone.receive("b", append(3, (1, 0), []))
     [(to, reply)] = lone.receive("c", append(2, (1, 0), []))
-    assert (to, reply["term"], reply["success"]) == ("c", 3, False)
+    assert (to, reply) == ("c", AppendReply(term=3, next_index=2, reset=False, success=False))
     leader = LoneNode()
     term = leader.lead()
-    leader.receive("b", {**acknowledgement(term + 5, 2), "success": False})
+    leader.receive("b", acknowledgement(term + 5, 2, success=False))
     assert not leader.node.is_leader
     assert leader.node.term == term + 5
 
@@ -184,8 +192,8 @@ def test_a_whole_snapshot_replaces_state_and_log_and_is_acknowledged() -> None:
         replies += lone.receive("b", piece(5, chunk, commit=12))
     lone.open_snapshot()
     replies += lone.receive("b", append(5, (9, 5), [], commit=12))
-    assert [message["success"] for _, message in replies] == [False] * (len(replies) - 1) + [True]
-    assert replies[-1][1]["next_node_idx"] == 10
+    assert [says_success(message) for _, message in replies] == [False] * (len(replies) - 1) + [True]
+    assert replies[-1][1] == AppendReply(term=5, next_index=10, reset=False, success=True)
     assert lone.held() == [(8, 5), (9, 5)]
     assert lone.machine.entries[-1] == (9, b"9/5")
     assert lone.node.last_applied == lone.node.commit_index == 9
@@ -227,22 +235,22 @@ def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
     chunks = snapshot_pieces(last=9, term=5, size=20)
     changed = bytearray(chunks[-1].data)
     changed[-1] ^= 1
-    chunks[-1].data = bytes(changed)
+    chunks[-1] = replace(chunks[-1], data=bytes(changed))
     replies = [lone.receive("b", piece(5, chunk, commit=9)) for chunk in chunks]
     assert not lone.node.keeper.is_opening
-    assert not any(message["success"] for reply in replies for _, message in reply)
+    assert not any(says_success(message) for reply in replies for _, message in reply)
     lone.open_snapshot()
     assert lone.machine.entries == []
 
 
 def test_a_member_that_hears_its_leader_gives_no_trial_vote() -> None:
     lone = LoneNode()
-    request = {"type": "request_vote", "term": 2, "last_log_index": 9, "last_log_term": 1, "trial": True}
+    request = VoteRequest(term=2, last_log_index=9, last_log_term=1, trial=True)
     lone.receive("b", append(1, (1, 0), []))
     assert lone.receive("c", request) == []
     lone.now += 5.0
     [(to, reply)] = lone.receive("c", request)
-    assert (to, reply["trial"], reply["voter_term"]) == ("c", True, 1)
+    assert (to, reply) == ("c", VoteReply(term=2, trial=True, voter_term=1))
     assert lone.node.term == 1
 
 
@@ -250,9 +258,9 @@ def test_an_election_begins_only_after_a_majority_would_vote() -> None:
     lone = LoneNode()
     lone.now += 10.0
     lone.node.before_tick()
-    assert [message["trial"] for _, message in lone.tick()] == [True, True]
+    assert trials(lone.tick()) == [True, True]
     assert lone.node.term == 0
-    lone.receive("b", {"type": "response_vote", "term": 1, "trial": True, "voter_term": 0})
+    lone.receive("b", VoteReply(term=1, trial=True))
     lone.node.before_tick()
-    assert [message["trial"] for _, message in lone.tick()] == [False, False]
+    assert trials(lone.tick()) == [False, False]
     assert lone.node.term == 1

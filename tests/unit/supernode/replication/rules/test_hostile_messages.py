@@ -9,22 +9,23 @@ from stampede_rt_supernode.replication.library.node import CANDIDATE, Fate
 from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import Promise
-from stampede_rt_supernode.replication.wire.codec import Message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Introduced, MembersTold, Received
+from stampede_rt_supernode.replication.wire.messages import (
+    AppendReply,
+    ForwardedCommandReply,
+    Message,
+    ReadIndexRequest,
+    TimeoutNow,
+    VoteReply,
+    VoteRequest,
+)
 from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement, append
 
 X = Member(member_id="x", address="x:1")
-REPLY = {"type": "next_node_idx", "round": 0, "next_node_idx": 2, "reset": False, "success": False}
 
 
 def vote_request(term: int, *, last: tuple[int, int] = (9, 9), trial: bool = False) -> Message:
-    return {
-        "type": "request_vote",
-        "term": term,
-        "last_log_index": last[0],
-        "last_log_term": last[1],
-        "trial": trial,
-    }
+    return VoteRequest(term=term, last_log_index=last[0], last_log_term=last[1], trial=trial)
 
 
 def locked_out(lone: LoneNode) -> None:
@@ -41,11 +42,11 @@ def locked_out(lone: LoneNode) -> None:
         vote_request(TERMS_AHEAD_MAX + 1),
         vote_request(2**62, trial=True),
         append(2**62, (1, 0), []),
-        {**REPLY, "term": 2**62},
-        {"type": "response_vote", "term": 0, "trial": True, "voter_term": 2**62},
-        {"type": "timeout_now", "term": 2**62},
+        AppendReply(term=2**62, next_index=2, reset=False, success=False),
+        VoteReply(term=0, trial=True, voter_term=2**62),
+        TimeoutNow(term=2**62),
     ],
-    ids=lambda message: str(message["type"]),
+    ids=lambda message: type(message).__name__,
 )
 def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) -> None:
     lone = LoneNode()
@@ -139,7 +140,7 @@ def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> N
     lone.tick()
     assert lone.node.role != CANDIDATE
     lone.node.on_disputed("b", "")
-    assert [message["type"] for _, message in lone.receive("c", vote_request(2))] == ["response_vote"]
+    assert [type(message) for _, message in lone.receive("c", vote_request(2))] == [VoteReply]
 
 
 def test_what_a_stranger_refuses_disputes_nothing() -> None:
@@ -154,11 +155,11 @@ def forwarded(lone: LoneNode, outcomes: list[bytes | Fate]) -> int:
     """Have the node forward a command to its leader; returns the id of the request."""
     lone.node.propose(b"command", outcomes.append)
     [(_, message)] = lone.tick()
-    return int(message["request_id"])
+    return int(message.request_id)
 
 
 def taken(request_id: int, log_index: int) -> Message:
-    return {"type": "apply_command_response", "request_id": request_id, "log_idx": log_index, "log_term": 1}
+    return ForwardedCommandReply(request_id=request_id, log_index=log_index, log_term=1)
 
 
 def test_only_the_leader_answers_what_was_asked_of_it() -> None:
@@ -184,6 +185,6 @@ def test_positions_that_a_leader_invents_keep_no_more_callers_than_may_wait() ->
 def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answer_only() -> None:
     lone = LoneNode()
     for number in range(1000):
-        lone.node.mailroom.deliver(Received("b", {"type": "read_index", "request_id": number}))
+        lone.node.mailroom.deliver(Received("b", ReadIndexRequest(request_id=number)))
     lone.node.reads.start_round()
-    assert [message["request_id"] for _, message in lone.said()] == [999]
+    assert [message.request_id for _, message in lone.said()] == [999]

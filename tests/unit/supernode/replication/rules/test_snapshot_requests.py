@@ -22,7 +22,7 @@ from stampede_rt_supernode.replication.storage.store import (
     StoredSnapshot,
     StoredState,
 )
-from stampede_rt_supernode.replication.wire.codec import decode_snapshot
+from stampede_rt_supernode.replication.wire.records import decode_snapshot
 from tests.robustness.replication.machine import ListMachine
 
 

@@ -11,6 +11,7 @@ import pytest
 from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoreChanges
 from stampede_rt_supernode.replication.threads.aside import Result
+from stampede_rt_supernode.replication.wire.messages import AppendReply, Message
 from tests.unit.supernode.replication.lone_node import LoneNode, append, piece
 from tests.unit.supernode.replication.rules.test_closed_faults import snapshot_pieces
 
@@ -33,6 +34,13 @@ class Aside:
             self._work.pop(0)()
 
 
+def answers(said: list[tuple[str, Message]]) -> list[AppendReply]:
+    """What was said, all of it answers to a leader."""
+    replies = [message for _, message in said if isinstance(message, AppendReply)]
+    assert len(replies) == len(said)
+    return replies
+
+
 class Slow:
     """A node that is being sent the snapshot up to entry 9 of term 5, and another thread that decodes it."""
 
@@ -42,8 +50,8 @@ class Slow:
 
     def receive_all(self, *, last: int = 9) -> None:
         for chunk in snapshot_pieces(last=last, term=5):
-            replies = self.lone.receive("b", piece(5, chunk, commit=12))
-            assert [(message["success"], message["reset"]) for _, message in replies] == [(False, False)]
+            replies = answers(self.lone.receive("b", piece(5, chunk, commit=12)))
+            assert [(reply.success, reply.reset) for reply in replies] == [(False, False)]
 
     def open_it(self) -> None:
         self.aside.do_it()
@@ -55,12 +63,12 @@ def test_while_it_is_decoded_the_leader_is_answered_and_need_not_send_it_again()
     slow.receive_all()
     for _ in range(3):
         slow.lone.open_snapshot()
-        [(_, reply)] = slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
-        assert (reply["success"], reply["reset"], reply["term"]) == (False, False, 5)
+        [reply] = answers(slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12)))
+        assert (reply.success, reply.reset, reply.term) == (False, False, 5)
     assert slow.lone.machine.entries == []
     slow.open_it()
-    [(_, reply)] = slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
-    assert (reply["success"], reply["next_node_idx"]) == (True, 11)
+    [reply] = answers(slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12)))
+    assert (reply.success, reply.next_index) == (True, 11)
 
 
 def test_what_the_leader_has_sent_meanwhile_it_sends_again() -> None:
@@ -68,8 +76,8 @@ def test_what_the_leader_has_sent_meanwhile_it_sends_again() -> None:
     slow.receive_all()
     slow.lone.receive("b", append(5, (9, 5), [(10, 5)], commit=12))
     slow.open_it()
-    [(_, reply)] = slow.lone.receive("b", append(5, (10, 5), [(11, 5)], commit=12))
-    assert (reply["success"], reply["reset"], reply["next_node_idx"]) == (False, True, 10)
+    [reply] = answers(slow.lone.receive("b", append(5, (10, 5), [(11, 5)], commit=12)))
+    assert (reply.success, reply.reset, reply.next_index) == (False, True, 10)
 
 
 def test_entries_that_overtake_it_are_kept() -> None:

@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.backups import BackupHeader, make_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoreChanges, StoreDamaged, StoredSnapshot
-from stampede_rt_supernode.replication.wire.codec import decode_configuration, encode_snapshot
+from stampede_rt_supernode.replication.wire.records import decode_configuration, encode_snapshot
 from tests.robustness.replication.live_cluster import QUICK, LiveCluster, LiveMember, dial, running
 from tests.robustness.replication.machine import ListMachine
 

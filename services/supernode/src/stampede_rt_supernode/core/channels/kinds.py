@@ -39,6 +39,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=OpenChannel,
         result=ChannelOpened,
+        feature_level=1,
         subject=lambda one: one.name,
         check=check_open,
         check_in_time=_check_open_in_time,
@@ -47,6 +48,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=UpdateChannel,
         result=ChannelUpdated,
+        feature_level=1,
         subject=lambda one: one.channel_id.hex(),
         check=check_update,
         apply=on_tables(update_channel),
@@ -54,6 +56,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=DeleteChannel,
         result=ChannelDeleted,
+        feature_level=1,
         subject=lambda one: one.channel_id.hex(),
         check=lambda one: check_id(one.channel_id, "channel_id"),
         apply=on_tables(delete_channel),

@@ -12,7 +12,7 @@ class BeginTenure(Operation):
     """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
 
     `founded_anew`: by restoring, so that the id is to replace that of the former cluster; `takes_over`: whose hosts may
-    go over to this one.
+    go over to this one. `new_feature_level`: where a new cluster begins.
     """
 
     tenure: int
@@ -21,6 +21,7 @@ class BeginTenure(Operation):
     new_lease_ttl_nanos: int
     founded_anew: bool = False
     takes_over: bool = False
+    new_feature_level: int = 1
     new_join_key: bytes = field(default=b"", repr=False)
 
 
@@ -31,6 +32,13 @@ class MarkTime(Operation):
 
     tenure: int
     after_index: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RaiseFeatureLevel(Operation):
+    """All members know this feature level, says a leader; see `feature_levels`."""
+
+    feature_level: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,3 +54,10 @@ class TimeMarked(Success):
     """Whether the mark counts; False: another leader's, or a repeated one."""
 
     marked: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class FeatureLevelRaised(Success):
+    """The feature level now in force."""
+
+    feature_level: int

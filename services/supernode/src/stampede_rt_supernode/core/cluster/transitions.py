@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.commands import (
+    BeginTenure,
+    FeatureLevelRaised,
+    MarkTime,
+    RaiseFeatureLevel,
+    TenureBegun,
+    TimeMarked,
+)
 from stampede_rt_supernode.core.state import DirectoryState
 
 FORMER_MAX = 16
@@ -11,6 +18,8 @@ FORMER_MAX = 16
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
     """A leader's first entry; one of a leader that was already replaced is without effect."""
     state.tenure = max(state.tenure, operation.tenure)
+    if not state.cluster_id:
+        state.feature_level = max(state.feature_level, operation.new_feature_level)
     if operation.founded_anew or not state.cluster_id:
         if state.cluster_id and operation.takes_over and state.cluster_id != operation.new_cluster_id:
             state.former_cluster_ids = (*state.former_cluster_ids, state.cluster_id)[-FORMER_MAX:]
@@ -26,3 +35,9 @@ def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -
     if marked:
         state.answered.mark(state.applied_index)
     return TimeMarked(marked=marked)
+
+
+def raise_feature_level(state: DirectoryState, operation: RaiseFeatureLevel, time_unix_nano: int) -> FeatureLevelRaised:
+    """It never falls."""
+    state.feature_level = max(state.feature_level, operation.feature_level)
+    return FeatureLevelRaised(feature_level=state.feature_level)

@@ -40,6 +40,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=OpenGroup,
         result=GroupOpened,
+        feature_level=1,
         subject=lambda one: one.name,
         check=check_open_group,
         check_in_time=_check_open_in_time,
@@ -48,6 +49,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=UpdateGroup,
         result=GroupUpdated,
+        feature_level=1,
         subject=lambda one: one.group_id.hex(),
         check=check_update_group,
         apply=on_tables(update_group),
@@ -55,6 +57,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=DeleteGroup,
         result=GroupDeleted,
+        feature_level=1,
         subject=lambda one: one.group_id.hex(),
         check=lambda one: check_id(one.group_id, "group_id"),
         apply=on_tables(delete_group),

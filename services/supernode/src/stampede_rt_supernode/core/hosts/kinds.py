@@ -41,6 +41,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=RegisterHost,
         result=HostRegistered,
+        feature_level=1,
         subject=lambda one: one.host_id.hex(),
         check=check_register,
         check_in_time=_check_register_in_time,
@@ -49,6 +50,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=DeregisterHost,
         result=HostDeregistered,
+        feature_level=1,
         subject=lambda one: one.host_id.hex(),
         check=lambda one: check_id(one.host_id, "host_id"),
         apply=_deregister,
@@ -56,6 +58,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=ExpireHost,
         result=HostExpired,
+        feature_level=1,
         subject=lambda one: one.host_id.hex(),
         apply=_expire,
         needs_room=False,

@@ -44,6 +44,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=RegisterPeer,
         result=PeerRegistered,
+        feature_level=1,
         subject=lambda one: one.peer_id.hex(),
         check=check_register_peer,
         check_in_time=_check_register_in_time,
@@ -52,6 +53,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=DeregisterPeer,
         result=PeerDeregistered,
+        feature_level=1,
         subject=lambda one: one.peer_id.hex(),
         check=lambda one: check_id(one.peer_id, "peer_id"),
         apply=_deregister,
@@ -59,6 +61,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=ExpirePeers,
         result=PeersExpired,
+        feature_level=1,
         subject=lambda one: f"{one.tenure} {len(one.leases)}",
         apply=_expire,
         needs_room=False,

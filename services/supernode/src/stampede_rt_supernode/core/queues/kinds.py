@@ -39,6 +39,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=OpenQueue,
         result=QueueOpened,
+        feature_level=1,
         subject=lambda one: one.name,
         check=check_open_queue,
         check_in_time=_check_open_in_time,
@@ -47,6 +48,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=UpdateQueue,
         result=QueueUpdated,
+        feature_level=1,
         subject=lambda one: one.queue_id.hex(),
         check=check_update_queue,
         apply=on_tables(update_queue),
@@ -54,6 +56,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=DeleteQueue,
         result=QueueDeleted,
+        feature_level=1,
         subject=lambda one: one.queue_id.hex(),
         check=lambda one: check_id(one.queue_id, "queue_id"),
         apply=on_tables(delete_queue),

@@ -31,6 +31,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=AddReplica,
         result=ReplicaAdded,
+        feature_level=1,
         subject=_channel_and_host,
         check=check_add_replica,
         apply=on_tables(add_replica),
@@ -38,6 +39,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=RemoveReplica,
         result=ReplicaRemoved,
+        feature_level=1,
         subject=_channel_and_host,
         check=check_remove_replica,
         apply=on_tables(remove_replica),
@@ -45,6 +47,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=SetReplicaInSync,
         result=ReplicaInSyncSet,
+        feature_level=1,
         subject=_channel_and_host,
         check=check_set_in_sync,
         apply=on_tables(set_in_sync),

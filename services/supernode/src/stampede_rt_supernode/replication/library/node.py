@@ -6,7 +6,7 @@ unchanged library does. pinned_copy.py proves that the library is the one with t
 """
 
 # The library's own names are in camelCase.
-# ruff: noqa: N802, N815
+# ruff: noqa: N802, N803, N815
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.library.seams import LibraryLog
+from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
 from stampede_rt_supernode.replication.storage.journal import Journal
-from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.messages import Message
 
 T = TypeVar("T")
 
@@ -44,9 +45,11 @@ class Fate(enum.Enum):
 ProposalDone = Callable[[bytes | Fate], None]
 
 # The library's FAIL_REASON numbers. A command was not taken when its queue was full, no leader was known, its entry was
-# discarded, or the leader refused. Nothing is known after a change of the leader, or when the library says so.
+# discarded, the leader refused, or the state does not take it yet. Nothing is known after a change of the leader, or
+# when the library says so.
 _SUCCESS = 0
-_REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4))
+_REASON_DENIED = 6
+_REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4, _REASON_DENIED))
 _REASON_UNKNOWN = 7
 _REASONS_UNKNOWN = frozenset((5, _REASON_UNKNOWN))
 
@@ -108,7 +111,7 @@ class LibraryNode:
     _SyncObj__onNodeConnected: Callable[[Any], None]
     _SyncObj__onNodeDisconnected: Callable[[Any], None]
     _SyncObj__generateRaftTimeout: Callable[[], float]
-    _applyCommand: Callable[[bytes, Callable[[Any, int], None], int], None]
+    _SyncObj__callErrCallback: Callable[[int, Any], None]
     doTick: Callable[[float], None]
     forceLogCompaction: Callable[[], None]
     conf: Any
@@ -200,7 +203,7 @@ class LibraryNode:
 
     def receive(self, node: Any, message: Message) -> None:
         """Handle a member's message."""
-        super()._SyncObj__onMessageReceived(node, message)  # type: ignore[misc]
+        super()._SyncObj__onMessageReceived(node, to_library(message))  # type: ignore[misc]
 
     def set_role(self, role: int) -> None:
         """Become FOLLOWER, CANDIDATE or LEADER."""
@@ -237,6 +240,13 @@ class LibraryNode:
     def apply(self, log_index: int, command: bytes) -> bytes:
         """Apply a committed command."""
         return self.state_machine.apply(log_index, command)
+
+    def _applyCommand(self, command: bytes, callback: Any, commandType: int | None = None) -> None:
+        # Of this member's callers, or forwarded to it; only the latter has the byte for its kind.
+        if self.state_machine.takes(command if commandType is not None else command[1:]):
+            super()._applyCommand(command, callback, commandType)  # type: ignore[misc]
+        else:
+            self._SyncObj__callErrCallback(_REASON_DENIED, callback)
 
     def _SyncObj__setState(self, role: int) -> None:
         self.set_role(role)

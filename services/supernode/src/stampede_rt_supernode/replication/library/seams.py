@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import Any, overload
 
+from stampede_rt_supernode.replication.library.translation import LibraryMessage, from_library
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.wire.codec import Message
 from stampede_rt_supernode.replication.wire.mailroom import Mailroom
 
 # The library's SERIALIZER_STATE numbers.
@@ -127,9 +127,9 @@ class LibraryTransport:
     def __init__(self, mailroom: Mailroom) -> None:
         self._mailroom = mailroom
 
-    def send(self, node: Any, message: Message) -> bool:
+    def send(self, node: Any, message: LibraryMessage) -> bool:
         """Queue a message; False when the member is not connected."""
-        return self._mailroom.send(node, message)
+        return self._mailroom.send(node, from_library(message))
 
     def _ignore(self, *callbacks: Any) -> None:
         """The library offers to be called; nobody will."""

@@ -12,7 +12,7 @@ from stampede_rt_supernode.replication.replica import Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import STORE_ID_BYTES_MAX, KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
-from stampede_rt_supernode.replication.wire.codec import ADDRESS_BYTES_MAX, MEMBER_ID_BYTES_MAX
+from stampede_rt_supernode.replication.wire.records import ADDRESS_BYTES_MAX, MEMBER_ID_BYTES_MAX
 
 # In the refusal of a member that was removed for good.
 REMOVED = "was removed from this cluster"
@@ -24,6 +24,8 @@ OLDER_STORE = "comes with an older copy of its store"
 NO_STORE = "keeps nothing, and the others do"
 # In the refusal of one that is of another cluster.
 OTHER_CLUSTER = "is of another cluster"
+# In the refusal of one whose release does not know the cluster's feature level: its folder is as good as before.
+TOO_OLD = "is of a release that is too old"
 # In the refusal of one that is not known, as who just joins is not for a moment.
 UNKNOWN = "is no other member of this cluster"
 
@@ -37,7 +39,13 @@ class Refusal(NamedTuple):
 
 
 def introduction(
-    settings: ReplicationSettings, to: str, *, store_id: str, standing: tuple[int, int], roster: Roster
+    settings: ReplicationSettings,
+    to: str,
+    *,
+    store_id: str,
+    standing: tuple[int, int],
+    roster: Roster,
+    highest_level: int,
 ) -> pb.RaftHello:
     """What this member says of itself to another one. `standing`: term and last index on its disk."""
     own = settings.self_member
@@ -51,11 +59,18 @@ def introduction(
         term=standing[0],
         last_log_index=standing[1],
         address=own.address if is_member else "",
+        highest_feature_level=highest_level,
     )
 
 
 def refusal_of(
-    hello: pb.RaftHello, settings: ReplicationSettings, *, roster: Roster, stores: KnownStores, promise: Promise
+    hello: pb.RaftHello,
+    settings: ReplicationSettings,
+    *,
+    roster: Roster,
+    stores: KnownStores,
+    promise: Promise,
+    feature_level: int,
 ) -> Refusal | None:
     """Why this member does not listen to the caller; None if it does. `promise`: what the caller said before."""
     failed, denied = grpc.StatusCode.FAILED_PRECONDITION, grpc.StatusCode.PERMISSION_DENIED
@@ -64,13 +79,16 @@ def refusal_of(
     if not caller or any(len(text.encode()) > limit for text, limit in sizes):
         return Refusal(grpc.StatusCode.INVALID_ARGUMENT, "a hello without an id, or with a text that is too long")
     if hello.protocol_version != PROTOCOL_VERSION:
-        return Refusal(failed, f"this member speaks protocol {PROTOCOL_VERSION}, not {hello.protocol_version}")
+        return Refusal(failed, other_protocol(own, hello.protocol_version))
     if hello.cluster_id != settings.cluster_id:
         return Refusal(failed, f"this member {OTHER_CLUSTER}, {settings.cluster_id!r} and not {hello.cluster_id!r}")
     if hello.peer_member_id != own:
         return Refusal(failed, f"this is member {own!r}, not {hello.peer_member_id!r}")
     if caller in roster.removed:
         return Refusal(denied, f"{caller!r} {REMOVED}")
+    if hello.highest_feature_level < feature_level:
+        known = f"it knows feature level {hello.highest_feature_level}, and the cluster is at level {feature_level}"
+        return Refusal(failed, f"{caller!r} {TOO_OLD}: {known}")
     if not stores.admits(caller, hello.store_id):
         return Refusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has none now'}")
     if stores.own and not hello.store_id:
@@ -81,6 +99,14 @@ def refusal_of(
     if caller not in roster.peers:
         return Refusal(denied, f"{caller!r} {UNKNOWN}", hears=True)
     return None
+
+
+def other_protocol(member_id: str, version: int) -> str:
+    """Why two members do not understand each other: one speaks PROTOCOL_VERSION, the other one `version`."""
+    return (
+        f"{member_id!r} speaks version {PROTOCOL_VERSION} of the log's protocol, not {version}: stop all supernodes, "
+        "and start them with one release and the same folders (runbook: upgrade)"
+    )
 
 
 def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:

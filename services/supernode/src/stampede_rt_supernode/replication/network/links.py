@@ -18,13 +18,13 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, UNKNOWN
+from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, TOO_OLD, UNKNOWN, other_protocol
 from stampede_rt_supernode.replication.network.refusals import Refusals, grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import Roster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_members
+from stampede_rt_supernode.replication.wire.codec import encode_message
 from stampede_rt_supernode.replication.wire.mailroom import (
     Connected,
     Disconnected,
@@ -33,6 +33,7 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     NetworkEvent,
     Outgoing,
 )
+from stampede_rt_supernode.replication.wire.records import MalformedMessage, decode_members
 
 logger = logging.getLogger(__name__)
 
@@ -148,7 +149,7 @@ class Link:
         if answer is grpc.aio.EOF:
             raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
         if answer.protocol_version != PROTOCOL_VERSION:
-            raise LinkBroken(f"speaks protocol {answer.protocol_version}, this member {PROTOCOL_VERSION}")
+            raise LinkBroken(other_protocol(self._settings.self_member.member_id, answer.protocol_version))
         self._told = ()
         self._take_members(answer)
         if answer.unknown_caller:
@@ -258,6 +259,8 @@ class Links:
         self.refusals = Refusals()
         # What a member has said that is of another cluster; empty if none has.
         self.other_cluster = ""
+        # What a member has said of this one's release, which does not know the cluster's feature level.
+        self.too_old = ""
         # Every other member by the log, and the leader whom it follows.
         self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
         # Told once why others refuse this member for good; blocks for one small file.
@@ -308,6 +311,8 @@ class Links:
     def _on_refused(self, member_id: str, why: str, deliver: Callable[[NetworkEvent], None]) -> None:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
+        if TOO_OLD in why:
+            self.too_old = why.partition(TOO_OLD)[2].removeprefix(": ")
         if grounds_of(why) is None:
             return
         why = _STATUS.sub("", why)
@@ -330,8 +335,9 @@ class Links:
         self._bridge.post(lambda: self.on_fault(member_id, why))
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Queue messages on their links; from the tick thread."""
-        self._bridge.post(lambda: self._enqueue(messages))
+        """Queue messages on their links; from the tick thread, which encodes them."""
+        encoded = [(member_id, encode_message(message)) for member_id, message in messages]
+        self._bridge.post(lambda: self._enqueue(encoded))
 
     def has_room(self, member_id: str) -> bool:
         """Whether little enough waits for this member; from the tick thread."""
@@ -348,7 +354,7 @@ class Links:
             if tasks:
                 _, tasks = await asyncio.wait(tasks, timeout=CANCEL_AGAIN_SECONDS)
 
-    def _enqueue(self, messages: Sequence[Outgoing]) -> None:
+    def _enqueue(self, messages: Sequence[tuple[str, pb.RaftMessage]]) -> None:
         for member_id, message in messages:
             link = self._links.get(member_id)
             if link is not None:  # else the member is gone, and so is its link

@@ -16,6 +16,7 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.replication.network.greetings import (
     ANOTHER_STORE,
     OLDER_STORE,
@@ -28,8 +29,9 @@ from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import InboxFull, Replica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
-from stampede_rt_supernode.replication.wire.codec import MalformedMessage, decode_message, encode_members
+from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.mailroom import Introduced, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
 HELLO_SECONDS = 5.0
 # For so long a member that breaks the rules is not heard.
@@ -63,13 +65,14 @@ class RaftServicer:
         """Register with a server that is not started yet."""
         _register(self, server)
 
-    async def Exchange(self, request_iterator: Any, context: Any) -> None:  # noqa: N802
+    async def Exchange(self, request_iterator: Any, context: Context) -> None:  # noqa: N802
         """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
-        member_id = await self._welcome(context)
+        hello = await self._welcome(context)
+        member_id = hello.member_id
         replaced = self._readers.pop(member_id, None)
         if replaced is not None:
             replaced.cancel()
-        self._replica.deliver(StreamOpened(member_id))
+        self._replica.deliver(StreamOpened(member_id, hello.highest_feature_level))
         reader = asyncio.get_running_loop().create_task(self._receive(member_id, context))
         self._readers[member_id] = reader
         try:
@@ -105,7 +108,7 @@ class RaftServicer:
         for reader in self._readers.values():
             reader.cancel()
 
-    async def _welcome(self, context: Any) -> str:
+    async def _welcome(self, context: Context) -> pb.RaftHello:
         try:
             async with asyncio.timeout(HELLO_SECONDS):
                 request = await context.read()
@@ -118,7 +121,8 @@ class RaftServicer:
         members = {member.member_id for member in self._replica.roster.members}
         await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id, members)
         await context.write(self._greeting(knows_caller=True))
-        return str(request.hello.member_id)
+        hello: pb.RaftHello = request.hello
+        return hello
 
     def _greeting(self, *, knows_caller: bool) -> pb.RaftServiceExchangeResponse:
         return pb.RaftServiceExchangeResponse(
@@ -127,7 +131,7 @@ class RaftServicer:
             unknown_caller=not knows_caller,
         )
 
-    async def _check(self, hello: pb.RaftHello, context: Any) -> None:
+    async def _check(self, hello: pb.RaftHello, context: Context) -> None:
         if self._closed:
             await context.abort(grpc.StatusCode.UNAVAILABLE, "this member is closing")
         caller = caller_identity(context)
@@ -139,7 +143,14 @@ class RaftServicer:
         if until > time.monotonic():
             await context.abort(grpc.StatusCode.UNAVAILABLE, f"not heard for a while: {why}")
         roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
-        refusal = refusal_of(hello, self._settings, roster=roster, stores=self._stores, promise=promise)
+        refusal = refusal_of(
+            hello,
+            self._settings,
+            roster=roster,
+            stores=self._stores,
+            promise=promise,
+            feature_level=self._replica.feature_level,
+        )
         self._note_outcome(hello, refusal)
         if refusal is None:
             return
@@ -159,7 +170,7 @@ class RaftServicer:
         if self._reports.is_due((hello.member_id, refusal.why), time.monotonic()):
             logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
 
-    async def _receive(self, member_id: str, context: Any) -> None:
+    async def _receive(self, member_id: str, context: Context) -> None:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
@@ -173,7 +184,7 @@ class RaftServicer:
                 answered_at = loop.time()
                 await context.write(self._greeting(knows_caller=True))
 
-    async def _explain(self, reader: asyncio.Task[None], context: Any) -> None:
+    async def _explain(self, reader: asyncio.Task[None], context: Context) -> None:
         if reader.cancelled():
             await context.abort(grpc.StatusCode.UNAVAILABLE, "closing, or replaced by a newer stream")
         error = reader.exception()

@@ -7,13 +7,25 @@ unseats a leader that serves well. The library has none.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, assert_never
 
 from stampede_rt_supernode.replication.library.node import CANDIDATE
 from stampede_rt_supernode.replication.rules.following import Following
 from stampede_rt_supernode.replication.rules.leading import Leading
-from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation, PeerAtFault
-from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
+from stampede_rt_supernode.replication.wire.messages import (
+    AppendEntries,
+    AppendReply,
+    ForwardedCommand,
+    ForwardedCommandReply,
+    InstallSnapshot,
+    Message,
+    ReadIndexReply,
+    ReadIndexRequest,
+    TimeoutNow,
+    VoteReply,
+    VoteRequest,
+)
 
 # Every leader begins with an entry, so no term is so many elections ahead of the log: at one a second without a pause,
 # they take twelve days.
@@ -32,32 +44,34 @@ class RaftRules(Following, Leading):
             return
         self._check_term(node.id, message)
         self._note_promise(node.id, message)
-        match message["type"]:
-            case "append_entries":
+        match message:
+            case AppendEntries() | InstallSnapshot():
                 self._on_append(node, message)
-            case "next_node_idx":
+            case AppendReply():
                 self._on_append_reply(node, message)
-            case "request_vote":
+            case VoteRequest():
                 self._on_vote_request(node, message)
-            case "response_vote":
+            case VoteReply():
                 self._on_vote(node, message)
-            case "apply_command":
+            case ForwardedCommand():
                 super().receive(node, message)
-            case "apply_command_response":
+            case ForwardedCommandReply():
                 self._on_command_answer(node, message)
-            case "read_index" | "read_index_response":
-                self.reads.on_message(node, message)
-            case "timeout_now":
+            case ReadIndexRequest():
+                self.reads.on_request(node, message)
+            case ReadIndexReply():
+                self.reads.on_reply(node.id, message)
+            case TimeoutNow():
                 self._on_timeout_now(node, message)
-            case kind:
-                raise InvariantViolation(f"a message of kind {kind!r} came through")
+            case _:
+                assert_never(message)
 
     def _check_term(self, member_id: str, message: Message) -> None:
         """A term that no elections explain is not taken over: it would leave none for the elections to come.
 
         Who is not in yet knows no term to measure it by.
         """
-        claimed, (last_term, _) = max(message.get("term", 0), message.get("voter_term", 0)), self.log_end()
+        claimed, (last_term, _) = _claimed_term(message), self.log_end()
         if claimed > last_term + TERMS_AHEAD_MAX and self.is_voter():
             raise PeerAtFault(member_id, f"speaks of term {claimed}, and the log ends in term {last_term}")
 
@@ -66,51 +80,52 @@ class RaftRules(Following, Leading):
 
         A leader holds all that it calls committed. What followers hold is noted when it is committed.
         """
-        match message["type"]:
-            case "append_entries":
-                self.log.note_promise(member_id, message["term"], message["commit_index"])
-            case "next_node_idx":
-                self.log.note_promise(member_id, message["term"], 0)
-            case "request_vote" | "response_vote":
-                term = message.get("voter_term", 0) if message["trial"] else message["term"]
-                self.log.note_promise(member_id, term, 0)
+        match message:
+            case AppendEntries() | InstallSnapshot():
+                self.log.note_promise(member_id, message.term, message.commit_index)
+            case AppendReply():
+                self.log.note_promise(member_id, message.term, 0)
+            case VoteRequest(trial=False) | VoteReply(trial=False):
+                self.log.note_promise(member_id, message.term, 0)
+            case VoteReply():
+                self.log.note_promise(member_id, message.voter_term, 0)
 
-    def _on_command_answer(self, node: Any, message: Message) -> None:
+    def _on_command_answer(self, node: Any, message: ForwardedCommandReply) -> None:
         """The leader has taken a command of this node's, or not. What it says of the log is waited for in bounds."""
         if node != self.leader:
             return
         if self.callers_waiting_count() >= self.conf.commandsQueueSize:
-            self.disown_forwarded(message["request_id"])
+            self.disown_forwarded(message.request_id)
         else:
             super().receive(node, message)
 
-    def _on_timeout_now(self, node: Any, message: Message) -> None:
+    def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
         """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
         may_lead = self.is_voter() and not self.stands_aside()
-        if message["term"] == self.term and node == self.leader and may_lead:
+        if message.term == self.term and node == self.leader and may_lead:
             self.election_deadline = float("-inf")
 
-    def _on_vote_request(self, node: Any, message: Message) -> None:
-        if message["term"] > self.term:
-            self.become_follower(message["term"])
-        if message["term"] < self.term or self.is_leader:
+    def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
+        if message.term > self.term:
+            self.become_follower(message.term)
+        if message.term < self.term or self.is_leader:
             return
-        if (message["last_log_term"], message["last_log_index"]) < self.log_end():
+        if (message.last_log_term, message.last_log_index) < self.log_end():
             return
         if self.voted_for not in (None, node.id) or self.disputed_by:
             return
         self.set_term(self.term, node.id)
         self.put_off_election()
-        self.mailroom.send(node, {"type": "response_vote", "term": message["term"]})
+        self.mailroom.send(node, VoteReply(term=message.term))
 
-    def _on_vote(self, node: Any, message: Message) -> None:
+    def _on_vote(self, node: Any, message: VoteReply) -> None:
         """Count a vote once per node and term. The library counts messages."""
-        if message["term"] != self.term or self.role != CANDIDATE:
+        if message.term != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:
             return  # no member, or no longer one
-        if self._votes[0] != message["term"]:
-            self._votes = (message["term"], set())
+        if self._votes[0] != message.term:
+            self._votes = (message.term, set())
         self._votes[1].add(node.id)
         self.votes_count = 1 + len(self._votes[1])
         if self.is_majority(self.votes_count):
@@ -149,17 +164,9 @@ class TrialElections(RaftRules):
         self.put_off_election()
         self._trial = (term, set())
         last_term, last_index = self.log_end()
+        request = VoteRequest(term=term, last_log_index=last_index, last_log_term=last_term, trial=True)
         for node in self.other_voters:
-            self.mailroom.send(
-                node,
-                {
-                    "type": "request_vote",
-                    "trial": True,
-                    "term": term,
-                    "last_log_index": last_index,
-                    "last_log_term": last_term,
-                },
-            )
+            self.mailroom.send(node, request)
 
     def _lose_leader(self) -> None:
         """Nothing was heard of the leader for an election timeout: nobody's commands or reads go to it any more."""
@@ -168,25 +175,24 @@ class TrialElections(RaftRules):
             self.give_up_forwarded()
             self.reads.on_leader_lost()
 
-    def _on_vote_request(self, node: Any, message: Message) -> None:
-        if not message["trial"]:
+    def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
+        if not message.trial:
             super()._on_vote_request(node, message)
             return
         leader_alive = self.clock() - self.last_leader_contact < self.leader_alive_seconds
-        complete = (message["last_log_term"], message["last_log_index"]) >= self.log_end()
+        complete = (message.last_log_term, message.last_log_index) >= self.log_end()
         if leader_alive or not complete or self.is_leader or self.disputed_by:
             return
-        reply = {"type": "response_vote", "trial": True, "term": message["term"]}
-        self.mailroom.send(node, {**reply, "voter_term": self.term})
+        self.mailroom.send(node, VoteReply(term=message.term, trial=True, voter_term=self.term))
 
-    def _on_vote(self, node: Any, message: Message) -> None:
-        if not message["trial"]:
+    def _on_vote(self, node: Any, message: VoteReply) -> None:
+        if not message.trial:
             super()._on_vote(node, message)
             return
-        if message["voter_term"] > self.term:
-            self.become_follower(message["voter_term"])
+        if message.voter_term > self.term:
+            self.become_follower(message.voter_term)
         term, voters = self._trial
-        if message["term"] != term or self.is_leader or node not in self.other_voters:
+        if message.term != term or self.is_leader or node not in self.other_voters:
             return
         voters.add(node.id)
         if self.is_majority(1 + len(voters)):
@@ -194,7 +200,7 @@ class TrialElections(RaftRules):
             self._trial_won_term = self.term + 1
             self.election_deadline = float("-inf")
 
-    def _on_timeout_now(self, node: Any, message: Message) -> None:
+    def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
         super()._on_timeout_now(node, message)
         if self.election_deadline == float("-inf"):
             # Those who hear the leader would refuse a trial; the leader itself has asked for this election.
@@ -204,3 +210,14 @@ class TrialElections(RaftRules):
         """Send to every member now, if this node leads."""
         if self.is_leader:
             self.send_append_entries()
+
+
+def _claimed_term(message: Message) -> int:
+    """The highest term that a message speaks of; 0: of none."""
+    match message:
+        case VoteReply():
+            return max(message.term, message.voter_term)
+        case AppendEntries() | InstallSnapshot() | AppendReply() | VoteRequest() | TimeoutNow():
+            return message.term
+        case _:
+            return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from stampede_rt_supernode.replication.library.node import FOLLOWER
@@ -9,7 +10,7 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.receiving import UnreadableSnapshot
-from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, FromLeader, InstallSnapshot
 
 
 class Following(Membership):
@@ -18,17 +19,16 @@ class Following(Membership):
     # Who has sent the snapshot that is being opened.
     _snapshot_from: str = ""
 
-    def _on_append(self, node: Any, message: Message) -> None:
-        if message["term"] < self.term:
+    def _on_append(self, node: Any, message: FromLeader) -> None:
+        if message.term < self.term:
             # Tells a leader of an older term that it is one; the library is silent.
             self._reply(node, message, next_index=self.log.last_index + 1)
             return
-        self._follow(node, message["term"])
-        self.leader_commit_index = message["commit_index"]
-        if "digest" in message:
-            self.digests.told(*message["digest"])
-        if "serialized" in message:
-            self._on_snapshot_piece(node, message)
+        self._follow(node, message.term)
+        self.leader_commit_index = message.commit_index
+        self.digests.told(*message.digest)
+        if isinstance(message, InstallSnapshot):
+            self._on_install_snapshot(node, message)
         else:
             self._on_entries(node, message)
 
@@ -45,9 +45,9 @@ class Following(Membership):
         self.last_leader_contact = self.clock()
         self.put_off_election()
 
-    def _on_entries(self, node: Any, message: Message) -> None:
+    def _on_entries(self, node: Any, message: AppendEntries) -> None:
         first = self.log[0]
-        previous, previous_term, entries = message["prevLogIdx"], message["prevLogTerm"], message["entries"]
+        previous, previous_term, entries = message.previous_index, message.previous_term, message.entries
         if previous < first.log_index:
             # All up to our first entry is committed, so it agrees; only what follows needs a look.
             entries = [entry for entry in entries if entry.log_index > first.log_index]
@@ -65,10 +65,10 @@ class Following(Membership):
             self._merge(entries)
             self.follow_log()
             matched = previous + len(entries)
-            self.raise_commit_index(min(message["commit_index"], matched))
+            self.raise_commit_index(min(message.commit_index, matched))
             self._reply(node, message, next_index=matched + 1, success=True)
 
-    def _merge(self, entries: list[Entry]) -> None:
+    def _merge(self, entries: Sequence[Entry]) -> None:
         """Add what is not held yet; cut off a tail only at a real conflict.
 
         The library cuts off everything past the previous entry, and with it entries already acknowledged when
@@ -90,14 +90,14 @@ class Following(Membership):
             )
         self.log.cut_from(log_index)
 
-    def _on_snapshot_piece(self, node: Any, message: Message) -> None:
+    def _on_install_snapshot(self, node: Any, message: InstallSnapshot) -> None:
         """Take in a piece. The message's commit index says nothing about this log, and is not used.
 
         The library takes it over, and so commits whatever the log happens to hold. It also acknowledges a
         snapshot that it failed to load; here nothing of it is taken over, and its sender is at fault.
         """
         # Of two at a time the second is not kept: if it is still needed then, the leader sends it again.
-        if not self.keeper.is_opening and (received := self.keeper.take_in(message["serialized"])) is not None:
+        if not self.keeper.is_opening and (received := self.keeper.take_in(message.chunk)) is not None:
             self._snapshot_from = node.id
             self.keeper.open(received)
         self._reply(node, message, next_index=self.log.last_index + 1)
@@ -116,16 +116,7 @@ class Following(Membership):
             self.give_up_waiting(last.log_index)
 
     def _reply(
-        self, node: Any, message: Message, *, next_index: int, reset: bool = False, success: bool = False
+        self, node: Any, message: FromLeader, *, next_index: int, reset: bool = False, success: bool = False
     ) -> None:
-        self.mailroom.send(
-            node,
-            {
-                "type": "next_node_idx",
-                "term": self.term,
-                "round": message["round"],
-                "next_node_idx": next_index,
-                "reset": reset,
-                "success": success,
-            },
-        )
+        reply = AppendReply(term=self.term, round=message.round, next_index=next_index, reset=reset, success=success)
+        self.mailroom.send(node, reply)

@@ -7,7 +7,7 @@ from typing import Any
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation, PeerAtFault
-from stampede_rt_supernode.replication.wire.codec import Message
+from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, InstallSnapshot, SnapshotChunk
 
 # How many batches of entries one member is sent at a time.
 BATCHES_PER_ROUND = 4
@@ -17,27 +17,27 @@ APPEND_BATCH_BYTES = 1 << 20
 class Leading(Membership):
     """Handles what followers answer, and sends to them. Tick thread only."""
 
-    def _on_append_reply(self, node: Any, message: Message) -> None:
+    def _on_append_reply(self, node: Any, message: AppendReply) -> None:
         """Take an acknowledgement of this very term. The library's carry no term."""
-        if message["term"] > self.term:
-            self.become_follower(message["term"])
-        if message["term"] != self.term or not self.is_leader:
+        if message.term > self.term:
+            self.become_follower(message.term)
+        if message.term != self.term or not self.is_leader:
             return
         if node not in self.match_index:
             return  # removed meanwhile
         end = self.log.last_index
-        next_index = min(message["next_node_idx"], end + 1)
-        if message["success"]:
-            if message["next_node_idx"] > end + 1:
-                raise PeerAtFault(node.id, f"acknowledged up to {message['next_node_idx'] - 1}, past {end}")
+        next_index = min(message.next_index, end + 1)
+        if message.success:
+            if message.next_index > end + 1:
+                raise PeerAtFault(node.id, f"acknowledged up to {message.next_index - 1}, past {end}")
             match = max(self.match_index[node], next_index - 1)
             self.match_index[node] = match
             # Never back: what is on its way need not be sent again.
             self.next_index[node] = max(self.next_index[node], match + 1)
-        elif message["reset"]:
+        elif message.reset:
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
         self.last_response_time[node] = self.clock()
-        self.reads.on_echo(node.id, message["round"])
+        self.reads.on_echo(node.id, message.round)
 
     def send_append_entries(self) -> None:
         """Send every connected member what it lacks, or a heartbeat.
@@ -54,19 +54,23 @@ class Leading(Membership):
 
     def _send_snapshot(self, node: Any) -> bool:
         """Send the next pieces; True when the last one is among them."""
-        header = {
-            "type": "append_entries",
-            "term": self.term,
-            "commit_index": self.commit_index,
-            "digest": self.state_machine.digest(),
-        }
         while (chunk := self.keeper.next_chunk(node.id)) is not None:
-            self.mailroom.send(node, {**header, "serialized": chunk})
-            if chunk.offset_bytes + len(chunk.data) == chunk.total_bytes:
+            self._send_chunk(node, chunk)
+            if chunk.is_last:
                 self.next_index[node] = chunk.last_log_index + 1
                 return True
-        self.mailroom.send(node, {**header, "serialized": None})
+        self._send_chunk(node, None)
         return False
+
+    def _send_chunk(self, node: Any, chunk: SnapshotChunk | None) -> None:
+        message = InstallSnapshot(
+            term=self.term,
+            commit_index=self.commit_index,
+            chunk=chunk,
+            round=self.reads.round,
+            digest=self.state_machine.digest(),
+        )
+        self.mailroom.send(node, message)
 
     def _send_entries(self, node: Any) -> None:
         end = self.log.last_index
@@ -78,15 +82,15 @@ class Leading(Membership):
             entries = self._entries_from(next_index) if self.has_room(node.id) else []
             self.mailroom.send(
                 node,
-                {
-                    "type": "append_entries",
-                    "term": self.term,
-                    "commit_index": self.commit_index,
-                    "digest": self.state_machine.digest(),
-                    "entries": entries,
-                    "prevLogIdx": next_index - 1,
-                    "prevLogTerm": previous.term,
-                },
+                AppendEntries(
+                    term=self.term,
+                    commit_index=self.commit_index,
+                    previous_index=next_index - 1,
+                    previous_term=previous.term,
+                    entries=entries,
+                    round=self.reads.round,
+                    digest=self.state_machine.digest(),
+                ),
             )
             self.next_index[node] = next_index + len(entries)
             if not entries or self.next_index[node] > end:

@@ -18,6 +18,7 @@ from stampede_rt_supernode.replication.interface import (
     ChangeUnderWay,
     Member,
     NotLeading,
+    ReleaseOutdated,
     TicketSpent,
     Unavailable,
 )
@@ -213,11 +214,28 @@ class MemberChanges:
             addition.round_end, addition.round_began = self._node.log.last_index, now
             return
         if self._node.may_change_members():
+            if self._is_too_old(addition):
+                return
             self._addition = None
             configuration = self._node.configuration().with_member(addition.member, addition.callers[0].ticket)
             # The learner first becomes a voter, and then ceases to be a learner: what it acknowledged stays known.
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
+
+    def _is_too_old(self, addition: _Addition) -> bool:
+        """Refuse a newcomer whose release does not know the level of the cluster."""
+        newcomer, needed = addition.member.member_id, self._node.level_to_join()
+        highest = self._node.known_levels().get(newcomer, 0)
+        if highest >= needed:
+            return False
+        text = (
+            f"{newcomer} is of a release that knows feature level {highest}, and the members know {needed}; install "
+            "their release there"
+        )
+        self._addition = None
+        self._node.set_learner(None)
+        self._finish(addition.callers, ReleaseOutdated(text))
+        return True
 
     def _gives_way(self, addition: _Addition) -> bool:
         """Whether a newcomer is stuck, so that another one may come first."""

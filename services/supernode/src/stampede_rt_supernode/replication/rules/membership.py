@@ -19,7 +19,8 @@ from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LEADER
 from stampede_rt_supernode.replication.rules.raft_node import NodeState
-from stampede_rt_supernode.replication.wire.codec import encode_configuration
+from stampede_rt_supernode.replication.wire.messages import TimeoutNow
+from stampede_rt_supernode.replication.wire.records import encode_configuration
 
 TOLD_MEMBERS_MAX = 64
 STRANGERS_MAX = 16
@@ -204,6 +205,16 @@ class Membership(NodeState):
         """
         return self.can_confirm_reads() and self.log.configurations.current_index <= self.commit_index
 
+    def known_levels(self) -> dict[str, int]:
+        """The highest feature level of each member that has told one, and of this one."""
+        return {**self.mailroom.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
+
+    def level_to_join(self) -> int:
+        """The level that a newcomer's release must know: the cluster's, or the one to which it is about to rise."""
+        known = self.known_levels()
+        told = [known.get(member.member_id, 0) for member in self.configuration().members]
+        return max(self.state_machine.feature_level, min(told))
+
     def configuration(self) -> Configuration:
         """The one that holds."""
         return self.log.configurations.current
@@ -240,7 +251,7 @@ class Membership(NodeState):
     def send_timeout_now(self, member_id: str) -> bool:
         """Ask a member to lead; False when the message cannot leave."""
         node = self.mailroom.node(member_id)
-        return node is not None and self.mailroom.send(node, {"type": "timeout_now", "term": self.term})
+        return node is not None and self.mailroom.send(node, TimeoutNow(term=self.term))
 
 
 def _remember(members: dict[str, Member], news: Iterable[Member], members_max: int) -> None:

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from stampede_rt_supernode.replication.wire.codec import Message
 from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, ReadIndexRequest
 
 
 @dataclass(slots=True)
@@ -65,6 +65,8 @@ class ConfirmedReads:
         self._clock = clock
         self._retry_seconds = retry_seconds
         self._next_request_id = first_request_id
+        # The newest round. The leader puts it on every append message, and the replies echo it.
+        self.round = 0
         self._new: list[Read] = []
         # Of each member the last one: whoever asks again has given up what it asked before.
         self._new_requests: dict[Any, int] = {}
@@ -77,14 +79,16 @@ class ConfirmedReads:
         """Begin a read."""
         self._new.append(read)
 
-    def on_message(self, node: Any, message: Message) -> None:
-        """A member asks for a position, or answers."""
-        if message["type"] == "read_index":
-            self._new_requests[node] = message["request_id"]
-        elif self._asked is not None and self._asked.is_answered_by(node.id, message["request_id"]):
+    def on_request(self, node: Any, message: ReadIndexRequest) -> None:
+        """A member asks for a position."""
+        self._new_requests[node] = message.request_id
+
+    def on_reply(self, member_id: str, message: ReadIndexReply) -> None:
+        """A member, the leader as a rule, answers."""
+        if self._asked is not None and self._asked.is_answered_by(member_id, message.request_id):
             asked, self._asked = self._asked, None
-            if message["read_index"] > 0:
-                self._confirmed.append((message["read_index"], asked.reads))
+            if message.read_index > 0:
+                self._confirmed.append((message.read_index, asked.reads))
             else:
                 self._new.extend(asked.reads)
 
@@ -115,9 +119,9 @@ class ConfirmedReads:
             return False
         if not self._new and not self._new_requests:
             return False
-        self._mailroom.round += 1
+        self.round += 1
         requests = list(self._new_requests.items())
-        self._rounds.append(_Round(self._mailroom.round, self._node.commit_index, reads=self._new, requests=requests))
+        self._rounds.append(_Round(self.round, self._node.commit_index, reads=self._new, requests=requests))
         self._new, self._new_requests = [], {}
         return True
 
@@ -155,7 +159,7 @@ class ConfirmedReads:
         if not self._mailroom.is_reachable(leader.id):
             return
         self._next_request_id += 1
-        self._mailroom.send(leader, {"type": "read_index", "request_id": self._next_request_id})
+        self._mailroom.send(leader, ReadIndexRequest(request_id=self._next_request_id))
         self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
         self._new = []
 
@@ -164,8 +168,7 @@ class ConfirmedReads:
             self._answer(node, request_id, 0)
 
     def _answer(self, node: Any, request_id: int, read_index: int) -> None:
-        reply = {"type": "read_index_response", "request_id": request_id, "read_index": read_index}
-        self._mailroom.send(node, reply)
+        self._mailroom.send(node, ReadIndexReply(request_id=request_id, read_index=read_index))
 
     def _expire(self) -> None:
         now = self._clock()

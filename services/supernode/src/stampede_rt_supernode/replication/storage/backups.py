@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoredSnapshot, StoredState
-from stampede_rt_supernode.replication.wire.codec import MalformedMessage, Snapshot, decode_snapshot
+from stampede_rt_supernode.replication.wire.records import MalformedMessage, Snapshot, decode_snapshot
 
 MAGIC = b"stampede-rt directory backup 1\n"
 PART_BYTES = 1 << 20

@@ -21,7 +21,7 @@ from stampede_rt_supernode.replication.storage.store import (
     StoreChanges,
     StoredSnapshot,
 )
-from stampede_rt_supernode.replication.wire.codec import decode_configuration
+from stampede_rt_supernode.replication.wire.records import decode_configuration
 
 # More than there can be members at any time; those of removed ones make room.
 PROMISES_MAX = 64

@@ -10,13 +10,13 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import Result, RunAside
-from stampede_rt_supernode.replication.wire import codec
+from stampede_rt_supernode.replication.wire import records
+from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
 
 @dataclass
@@ -34,7 +34,7 @@ class _Decoded:
     """A whole snapshot, and what lets the state machine go on from it."""
 
     stored: StoredSnapshot
-    snapshot: codec.Snapshot
+    snapshot: records.Snapshot
     restore: Callable[[], None]
 
 
@@ -65,7 +65,7 @@ class SnapshotReceiver:
         """Whether a whole snapshot is being decoded or written."""
         return self._opening is not None
 
-    def take_in(self, chunk: pb.RaftSnapshotChunk) -> StoredSnapshot | None:
+    def take_in(self, chunk: SnapshotChunk) -> StoredSnapshot | None:
         """Take in a piece; the snapshot when it is whole and its checksum holds.
 
         A piece that does not follow the last one drops what there is: the leader starts again when it sees
@@ -92,7 +92,7 @@ class SnapshotReceiver:
 
         def decode() -> _Decoded | UnreadableSnapshot:
             try:
-                snapshot = codec.decode_snapshot(received.record)
+                snapshot = records.decode_snapshot(received.record)
                 restore = self._state_machine.prepare_restore(snapshot.state)
             except Exception as error:  # noqa: BLE001 - a peer has made it, and whatever it holds must end nobody
                 return UnreadableSnapshot(f"it cannot be read: {error!r}")
@@ -132,7 +132,7 @@ class SnapshotReceiver:
         return snapshot.last
 
 
-def _continues(incoming: _Incoming, chunk: pb.RaftSnapshotChunk) -> bool:
+def _continues(incoming: _Incoming, chunk: SnapshotChunk) -> bool:
     return (
         chunk.offset_bytes == len(incoming.data)
         and chunk.last_log_index == incoming.last_log_index

@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.backups import read_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store, read_identity
 from stampede_rt_supernode.replication.storage.store import StoreChanges, StoredState, StoreRefused
-from stampede_rt_supernode.replication.wire.codec import decode_configuration, decode_snapshot, encode_configuration
+from stampede_rt_supernode.replication.wire.records import decode_configuration, decode_snapshot, encode_configuration
 
 
 def restore_from(source: Path, new_dir: Path, *, founder: Member, cluster_id: str) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
@@ -13,7 +12,8 @@ from stampede_rt_supernode.replication.storage.journal import Journal
 from stampede_rt_supernode.replication.storage.receiving import SnapshotReceiver
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 from stampede_rt_supernode.replication.threads.aside import Result, RunAside, run_at_once
-from stampede_rt_supernode.replication.wire import codec
+from stampede_rt_supernode.replication.wire import records
+from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
 
 @dataclass(slots=True)
@@ -103,14 +103,14 @@ class SnapshotKeeper:
 
         def encode() -> StoredSnapshot:
             state = encode_state()
-            record = codec.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
+            record = records.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
             return StoredSnapshot.of(last.log_index, record)
 
         self._taking = _Taking(self._run_aside(encode), previous, last, configuration)
 
-    def open_at_once(self, stored: StoredSnapshot) -> codec.Snapshot:
+    def open_at_once(self, stored: StoredSnapshot) -> records.Snapshot:
         """Open a snapshot into the state machine, whatever the log holds."""
-        snapshot = codec.decode_snapshot(stored.record)
+        snapshot = records.decode_snapshot(stored.record)
         self._state_machine.prepare_restore(snapshot.state)()
         return snapshot
 
@@ -121,7 +121,7 @@ class SnapshotKeeper:
         """
         if self._journal.snapshot is None:
             return None
-        snapshot = codec.decode_snapshot(self._journal.snapshot.record)
+        snapshot = records.decode_snapshot(self._journal.snapshot.record)
         if self._journal[0] != snapshot.previous or self._journal[1] != snapshot.last:
             raise AssertionError("the stored log does not begin where the stored snapshot ends")
         if snapshot.configuration is not None:
@@ -134,7 +134,7 @@ class SnapshotKeeper:
         """Whether a received snapshot is on its way into the state machine."""
         return self._receiver.is_opening
 
-    def take_in(self, chunk: pb.RaftSnapshotChunk | None) -> StoredSnapshot | None:
+    def take_in(self, chunk: SnapshotChunk | None) -> StoredSnapshot | None:
         """Take in a piece, if there is one; the snapshot when it is whole and its checksum holds."""
         return None if chunk is None else self._receiver.take_in(chunk)
 
@@ -153,7 +153,7 @@ class SnapshotKeeper:
         """Let go of all snapshots that are being sent: this member does not lead any more."""
         self._sending.clear()
 
-    def next_chunk(self, member_id: str) -> pb.RaftSnapshotChunk | None:
+    def next_chunk(self, member_id: str) -> SnapshotChunk | None:
         """The next piece for a member; None while its link or this step is full, or there is no snapshot."""
         if self._chunks_left == 0 or not self._has_room(member_id):
             return None
@@ -166,7 +166,7 @@ class SnapshotKeeper:
         sending.sent_bytes = offset + len(data)
         if sending.sent_bytes >= len(snapshot.record):
             del self._sending[member_id]
-        return pb.RaftSnapshotChunk(
+        return SnapshotChunk(
             last_log_index=snapshot.last_log_index,
             offset_bytes=offset,
             total_bytes=len(snapshot.record),

@@ -14,11 +14,14 @@ import traceback
 from collections.abc import Callable
 from typing import NoReturn
 
+from stampede_rt_supernode.replication.interface import ReleaseTooOld
 from stampede_rt_supernode.replication.replica import Replica
 
 logger = logging.getLogger(__name__)
 
 EXIT_CODE = 70
+# As of a service that cannot go on for a reason that its user can mend.
+EXIT_TOO_OLD = 1
 # A step that takes longer waits for a disk that hangs: the others have a new leader by then.
 STUCK_SECONDS = 3.0
 LOOK_SECONDS = 0.5
@@ -26,7 +29,9 @@ LOOK_SECONDS = 0.5
 
 def end_process(error: BaseException) -> NoReturn:
     """Say why and end the process at once: a replica that failed half-way must not answer anybody any more."""
-    if isinstance(error, sqlite3.OperationalError):  # of the disk, not of the program
+    if isinstance(error, ReleaseTooOld):
+        why = str(error)
+    elif isinstance(error, sqlite3.OperationalError):  # of the disk, not of the program
         why = (
             f"its data folder cannot be written ({error}), so it ends at once; make room there, or mend the disk, and "
             "start it again with that folder: nothing that was acknowledged is lost"
@@ -36,7 +41,7 @@ def end_process(error: BaseException) -> NoReturn:
         why = f"the replicated log failed and the process ends: {error!r}"
     print(f"stampede supernode: {why}", file=sys.stderr)  # noqa: T201
     sys.stderr.flush()
-    os._exit(EXIT_CODE)
+    os._exit(EXIT_TOO_OLD if isinstance(error, ReleaseTooOld) else EXIT_CODE)
 
 
 class TickThread:

@@ -10,9 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.wire.codec import Message, encode_message
+from stampede_rt_supernode.replication.wire.messages import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +30,13 @@ class Disconnected:
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """A member has opened a new stream to us: what it sent before and we have not received is lost."""
+    """A member has opened a new stream to us: what it sent before and we have not received is lost.
+
+    `highest_level`: the highest feature level that its release knows.
+    """
 
     member_id: str
+    highest_level: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +80,7 @@ class Disputed:
 
 
 NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced | Disputed
-Outgoing = tuple[str, pb.RaftMessage]
+Outgoing = tuple[str, Message]
 
 
 class Handler(Protocol):
@@ -115,10 +118,10 @@ class Mailroom:
         self._connected: set[str] = set()
         # Whose answers reach us at present, likewise.
         self._heard: set[str] = set()
+        # The highest feature levels of whoever has opened a stream to us and is still known.
+        self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
         self._handler: Handler | None = None
-        # Stamped on every append message; the replies echo it (see rules/reads.py).
-        self.round = 0
 
     def attach(self, handler: Handler) -> None:
         """Hand what comes in to this node; once."""
@@ -157,16 +160,20 @@ class Mailroom:
                 self._connected.discard(event.member_id)
             case StreamOpened():
                 self._heard.add(event.member_id)
+                self._note_level(event.member_id, event.highest_level)
             case StreamEnded():
                 self._heard.discard(event.member_id)
+
+    def _note_level(self, member_id: str, highest_level: int) -> None:
+        # A new dictionary: other threads read the one before.
+        known = {one: level for one, level in self.highest_levels.items() if one in self._nodes}
+        self.highest_levels = {**known, member_id: highest_level}
 
     def send(self, node: Any, message: Message) -> bool:
         """Queue a message for the next release; False when the member is not connected. Never blocks."""
         if node.id not in self._connected or node.id not in self._nodes:
             return False
-        if message["type"] == "append_entries":
-            message["round"] = self.round
-        self._outbox.append((node.id, encode_message(message)))
+        self._outbox.append((node.id, message))
         return True
 
     def is_reachable(self, member_id: str) -> bool:

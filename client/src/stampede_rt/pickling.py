@@ -16,7 +16,7 @@ from stampede_rt._sync.group import Group
 from stampede_rt._sync.group_channel import GroupChannel
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.queue import Queue
-from stampede_rt._sync.queue_place import open_queue, queue_state
+from stampede_rt._sync.queue_locator import open_queue, queue_state
 from stampede_rt._sync.session import Session
 from stampede_rt.cluster.connecting import Target, parse_target
 from stampede_rt.security.tls import TlsFiles
@@ -25,11 +25,11 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt.values.timeline import DurationLike
 
-_sessions: WeakValueDictionary[Address, Session] = WeakValueDictionary()  # of handles that came from elsewhere
+_sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary()  # of handles that came from elsewhere
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
+class ClusterReference:
     """How another process reaches the same cluster."""
 
     frontends: tuple[str, ...]
@@ -38,17 +38,17 @@ class Address:
     secret_is_an_argument: bool = False
 
     @classmethod
-    def of(cls, target: Target, secret: str | None) -> Address:
+    def of(cls, target: Target, secret: str | None) -> ClusterReference:
         """Of a connection; `secret` as its maker stated it."""
         return cls(target.frontends, target.zone, target.tls.files if target.tls else None, secret is not None)
 
-    def __reduce__(self) -> tuple[Callable[..., Address], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., ClusterReference], tuple[Any, ...]]:
         if self.secret_is_an_argument:
             raise TypeError(
                 "a connection whose secret was an argument of connect() cannot be pickled, nor what was opened with "
                 "it: the secret would be written down; name a file of it in $STAMPEDE_SECRET_FILE instead"
             )
-        return Address, (self.frontends, self.zone, self.tls)
+        return ClusterReference, (self.frontends, self.zone, self.tls)
 
     def connection(self) -> Connection:
         """A connection of the other process' own."""

@@ -1,6 +1,6 @@
 """Starts the cluster and the roles, and puts together what they report: the only part that knows all the others.
 
-The data never pass through here. The roles meet in the channels; to the conductor they only report.
+The data never pass through here. The roles meet in the channels; to the orchestrator they only report.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from stampede_rt_demos.tv_watcher.programme import (
     VIDEO,
 )
 from stampede_rt_demos.tv_watcher.report import RunReport
-from stampede_rt_demos.tv_watcher.statistics import Step, stream_figures
+from stampede_rt_demos.tv_watcher.statistics import StepFigures, stream_figures
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed
 
@@ -61,7 +61,7 @@ class _Collected:
     """What the roles have reported so far: results by role, the viewer's steps, the last item counts."""
 
     results: dict[str, messages.Message] = field(default_factory=dict)
-    steps: list[Step] = field(default_factory=list)  # one per caption of a run that is bounded in time
+    steps: list[StepFigures] = field(default_factory=list)  # one per caption of a run that is bounded in time
     items: dict[str, int] = field(default_factory=dict)
     picture: messages.Message = field(default_factory=lambda: {"spans": []})
 
@@ -102,7 +102,7 @@ def _run_programme(
     cluster: LocalCluster, seconds: int, progress: Progress
 ) -> tuple[_Collected, Mapping[str, int], Mapping[str, str]]:
     """Inside the running cluster: what was reported, what the hosts accepted, and where the streams were."""
-    with st.connect(cluster.address, name="conductor", secret=cluster.secret.text) as rt:
+    with st.connect(cluster.address, name="orchestrator", secret=cluster.secret.text) as rt:
         channels = _create_channels(rt)
         with RoleProcesses({"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}) as roles:
             for name, module in MODULES.items():

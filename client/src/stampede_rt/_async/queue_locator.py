@@ -66,7 +66,7 @@ def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory
     return queue_info(record, host)
 
 
-class QueuePlace:
+class QueueLocator:
     """Where a queue is, as far as a session knows."""
 
     def __init__(self, session: Session, state: QueueState) -> None:

@@ -8,7 +8,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class Dice:
+class RandomSource:
     """Each choice takes a digit off the number, in the base of its choices; a used-up number chooses the first."""
 
     def __init__(self, number: int) -> None:

@@ -1,7 +1,7 @@
-"""Runs a service so that it never outlives the process that started it: `python -m stampede_rt_local.leash MODULE ...`.
+"""Runs a service that ends with the process that started it: `python -m stampede_rt_local.parent_watch MODULE ...`.
 
-Standard input is the leash: a pipe whose other end only the parent holds. However the parent ends, SIGKILL included,
-the kernel closes it, and the service ends. (Linux's PR_SET_PDEATHSIG fires when the *thread* that forked ends, and
+Standard input is a pipe whose other end only the parent holds. The kernel closes it however the parent ends, SIGKILL
+included, and then the service ends. (Linux's PR_SET_PDEATHSIG fires when the *thread* that forked ends, and
 other systems have nothing like it.)
 """
 
@@ -28,7 +28,7 @@ def _end_with_parent() -> None:
 def main() -> None:
     """Become the module named first, with the other words as its arguments."""
     _, module, *arguments = sys.argv
-    threading.Thread(target=_end_with_parent, name="leash", daemon=True).start()
+    threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     sys.argv = [module, *arguments]
     runpy.run_module(module, run_name="__main__", alter_sys=True)
 

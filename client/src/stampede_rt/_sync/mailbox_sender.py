@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stampede_rt._sync.peer_place import PeerPlace
-from stampede_rt._sync.puts import Numbers, Puts, Single, enqueued
+from stampede_rt._sync.peer_locator import PeerLocator
+from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.session import Session
 from stampede_rt.transports.concurrency_sync import Mutex
-from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.values.codecs import CodecLike, Coding
 from stampede_rt.values.queueing import Enqueued
 from stampede_rt.values.reading import Wait
@@ -18,12 +18,12 @@ from stampede_rt.values.reading import Wait
 PEERS_MAX = 256
 
 
-class Sending:
+class MailboxSender:
     """Keeps the ways to the mailboxes that were sent to, the last 256 of them."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self._numbers = Numbers()
+        self._numbers = ProducerNumbers()
         self._ways: dict[str, Puts] = {}
         self._mutex = Mutex()
 
@@ -40,14 +40,14 @@ class Sending:
         """Put one message. See `Connection.send`."""
         self._session.check()
         coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
-        item = Single.parse(coding, payload, None, None, attributes, content_type, message_id)
+        item = SingleItem.parse(coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(self._way(peer).put(self._numbers, item, Wait.parse(timeout)))
 
     def _way(self, peer: str) -> Puts:
         with self._mutex:
             way = self._ways.pop(peer, None)
             if way is None:
-                way = Puts(self._session, PeerPlace(self._session, peer), Port.enqueues)
+                way = Puts(self._session, PeerLocator(self._session, peer), ServerEndpoint.enqueues)
             self._ways[peer] = way  # the last one used is the last to go
             if len(self._ways) > PEERS_MAX:
                 self._ways.pop(next(iter(self._ways)))  # its stream goes with its last user

@@ -1,4 +1,4 @@
-"""The conductor turns whatever keeps the demo from running into one sentence."""
+"""The orchestrator turns whatever keeps the demo from running into one sentence."""
 
 import io
 
@@ -7,8 +7,8 @@ import pytest
 import stampede_rt as st
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.tv_watcher import conductor
-from stampede_rt_demos.tv_watcher.conductor import conduct
+from stampede_rt_demos.tv_watcher import orchestrator
+from stampede_rt_demos.tv_watcher.orchestrator import conduct
 from stampede_rt_local.process import ServiceFailed
 
 STORY = "supernode s1 ended with exit code 1; its last lines:\n    starting\n    no space left on device"
@@ -52,7 +52,7 @@ class BrokenCluster:
 )
 def test_a_cluster_that_fails_is_told_in_one_sentence(monkeypatch, failure, sentence):
     monkeypatch.setattr(BrokenCluster, "failure", failure)
-    monkeypatch.setattr(conductor, "LocalCluster", BrokenCluster)
+    monkeypatch.setattr(orchestrator, "LocalCluster", BrokenCluster)
     with pytest.raises(DemoFailed) as told:
         conduct(2, Progress(io.StringIO()))
     assert str(told.value) == sentence
@@ -60,6 +60,6 @@ def test_a_cluster_that_fails_is_told_in_one_sentence(monkeypatch, failure, sent
 
 def test_a_missing_film_is_told_before_a_cluster_is_started(monkeypatch):
     monkeypatch.setattr("stampede_rt_demos.staging.film._FILM_PACKAGE", "no_such_package")
-    monkeypatch.setattr(conductor, "LocalCluster", BrokenCluster)
+    monkeypatch.setattr(orchestrator, "LocalCluster", BrokenCluster)
     with pytest.raises(DemoFailed, match="the film is not here"):
         conduct(2, Progress(io.StringIO()))

@@ -1,27 +1,28 @@
+# Generated from ../_async by tools/generate.py; do not edit.
 """Messages that came ahead of the gets that they are for, and the leases on them."""
 
 from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 
-from stampede_rt._async.message import Message, Settler
+from stampede_rt._sync.message import Message, Settler
 from stampede_rt.errors import StampedeError
-from stampede_rt.transports.concurrency_async import Background, Mutex, Signal
+from stampede_rt.transports.concurrency_sync import BackgroundTask, Mutex, Signal
 
 LEASE_PARTS = 3  # a lease is looked after when one of so many parts is left of it
 _log = logging.getLogger("stampede_rt")
 
 
-class Prefetched:
+class PrefetchBuffer:
     """Waiting messages of one taker, in their order. Their leases do not run out while they wait.
 
     As long as messages are taken, the leases of the others are extended. What nobody took for most of a lease goes
     back to the queue, where other takers get it.
     """
 
-    def __init__(self, settler: Settler, give_back: Callable[[list[Message]], Awaitable[None]], name: str) -> None:
+    def __init__(self, settler: Settler, give_back: Callable[[list[Message]], None], name: str) -> None:
         self._settler = settler
         self._give_back = give_back
         self._name = name
@@ -29,7 +30,7 @@ class Prefetched:
         self._waiting: deque[Message] = deque()
         self._untouched: set[Message] = set()  # nothing was taken since their leases began
         self._changed = Signal()
-        self._keeper: Background | None = None
+        self._keeper: BackgroundTask | None = None
 
     def __len__(self) -> int:
         """How many wait."""
@@ -41,7 +42,7 @@ class Prefetched:
             (self._waiting.appendleft if first else self._waiting.append)(message)
             self._untouched.add(message)
             if self._keeper is None:
-                self._keeper = Background(self._keep, f"leases of {self._name}")
+                self._keeper = BackgroundTask(self._keep, f"leases of {self._name}")
         self._changed.set()
 
     def take(self) -> Message | None:
@@ -63,17 +64,17 @@ class Prefetched:
         self._changed.set()
         return messages
 
-    async def _keep(self) -> None:
+    def _keep(self) -> None:
         """Look after the leases until no message waits."""
         while (wait_s := self._wait_s()) is not None:
             if wait_s > 0:
-                await self._changed.wait(wait_s)
+                self._changed.wait(wait_s)
                 continue
             idle, kept = self._due()
             if idle:
-                await self._give_back(idle)
+                self._give_back(idle)
             if kept:
-                await self._extend(kept)
+                self._extend(kept)
 
     def _wait_s(self) -> float | None:
         """When the next lease is to be looked after; None: the keeper is to end."""
@@ -94,11 +95,11 @@ class Prefetched:
         kept = [one for one in due if one not in idle and one.lease_left]
         return idle, kept
 
-    async def _extend(self, messages: list[Message]) -> None:
+    def _extend(self, messages: list[Message]) -> None:
         """For as long as they were leased at first. Those that cannot be extended are somebody else's soon."""
         extended: list[Message] = []
         try:
-            extended = await self._settler.extend(messages, min(message.lease_left for message in messages))
+            extended = self._settler.extend(messages, min(message.lease_left for message in messages))
         except StampedeError as error:
             _log.info("the leases of %d messages of %s were not extended: %s", len(messages), self._name, error)
         lost = [one for one in messages if one not in extended]

@@ -1,3 +1,4 @@
+# Generated from ../_async by tools/generate.py; do not edit.
 """The way to the directory: front-ends give the supernodes, the nearest one is asked, the next one takes over."""
 
 from __future__ import annotations
@@ -7,15 +8,15 @@ import random
 import time
 from typing import Any, NamedTuple
 
-from stampede_rt._async.ports import Ports
+from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.cluster.binding import order_by_round_trip
 from stampede_rt.cluster.majority import UNREACHED, why_unserved
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.security.tls_diagnosis import explain_refusal
-from stampede_rt.transports.concurrency_async import at_once, in_thread, sleep
-from stampede_rt.transports.grpc_async import Stream
+from stampede_rt.transports.concurrency_sync import in_thread, run_concurrently, sleep
+from stampede_rt.transports.grpc_sync import ServerStream
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.values.peering import ClockOffset
@@ -37,12 +38,12 @@ class _Call(NamedTuple):
     since_s: float
 
 
-class Supernodes:
+class DirectoryClient:
     """Calls the directory, through whichever supernode is nearest and alive (paper, section 4.3)."""
 
-    def __init__(self, frontends: tuple[str, ...], ports: Ports, *, peer_name: str, zone: str) -> None:
+    def __init__(self, frontends: tuple[str, ...], endpoints: EndpointPool, *, peer_name: str, zone: str) -> None:
         self._frontends = frontends
-        self._ports = ports
+        self._endpoints = endpoints
         self.peer_name = peer_name
         self._zone = zone
         self._targets: list[str] = []
@@ -52,7 +53,7 @@ class Supernodes:
         self.cluster_id = ""
         self.clock: ClockOffset | None = None  # this machine's, by the last call that told a supernode's time
 
-    async def bind(self, timeout_s: float) -> None:
+    def bind(self, timeout_s: float) -> None:
         """Ask the front-ends, one after the other, for the supernodes, and put the nearest first.
 
         Raises Unavailable, PermissionDenied or VersionMismatch if none of them helps within `timeout_s`.
@@ -62,7 +63,7 @@ class Supernodes:
         for position, target in enumerate(self._frontends):
             left_s = (deadline_s - time.monotonic()) / (len(self._frontends) - position)
             try:
-                response = await self._ask(target, max(left_s, 0.1))
+                response = self._ask(target, max(left_s, 0.1))
             except StampedeError as error:
                 failure = error
                 continue
@@ -70,16 +71,16 @@ class Supernodes:
             self._targets = [place.target for place in places]
             self._elsewhere = frozenset(place.target for place in places if self._zone and place.zone != self._zone)
             self.cluster_id = response.cluster_id
-            await self._measure()
+            self._measure()
             return
-        raise await self._unbound(failure)
+        raise self._unbound(failure)
 
-    async def _ask(self, target: str, timeout_s: float) -> frontend_pb.BindResponse:
-        port = self._ports.to(target)
+    def _ask(self, target: str, timeout_s: float) -> frontend_pb.BindResponse:
+        endpoint = self._endpoints.to(target)
         request = frontend_pb.BindRequest(
             peer_name=self.peer_name, zone=self._zone, protocol_version=PROTOCOL_VERSION, version=VERSION
         )
-        response: frontend_pb.BindResponse = await port.call(port.frontend.Bind, request, timeout_s)
+        response: frontend_pb.BindResponse = endpoint.call(endpoint.frontend.Bind, request, timeout_s)
         if response.protocol_version != PROTOCOL_VERSION:
             raise VersionMismatch(
                 f"the front-end {target} speaks protocol {response.protocol_version} (version {response.version}), "
@@ -87,9 +88,9 @@ class Supernodes:
             )
         return response
 
-    async def _unbound(self, failure: StampedeError | None) -> StampedeError:
+    def _unbound(self, failure: StampedeError | None) -> StampedeError:
         if isinstance(failure, Unavailable):
-            failure = await self._explain() or failure
+            failure = self._explain() or failure
         if failure is not None and not isinstance(failure, Unavailable | DeadlineExceeded):
             return failure
         addresses = ", ".join(self._frontends)
@@ -101,18 +102,18 @@ class Supernodes:
             reason=failure.reason if failure else "NO_QUORUM",
         )
 
-    async def _explain(self) -> StampedeError | None:
+    def _explain(self) -> StampedeError | None:
         """Whether it is for certificates that no front-end answers."""
         deadline_s = time.monotonic() + EXPLAIN_TIMEOUT_S
         for target in self._frontends:
             if time.monotonic() > deadline_s:
                 break
-            found = await in_thread(functools.partial(explain_refusal, target, self._ports.credentials.tls))
+            found = in_thread(functools.partial(explain_refusal, target, self._endpoints.credentials.tls))
             if found is not None:
                 return found
         return None
 
-    async def _measure(self) -> None:
+    def _measure(self) -> None:
         """Ping all supernodes at once and put the nearest first, those of our zone before others.
 
         What does not answer within PING_TIMEOUT_S goes last. The next time comes earlier or later than for others who
@@ -120,19 +121,19 @@ class Supernodes:
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
-        clocks = await at_once([functools.partial(self._ping, target) for target in targets])
+        clocks = run_concurrently([functools.partial(self._ping, target) for target in targets])
         answered = {target: clock for target, clock in zip(targets, clocks, strict=True) if clock is not None}
         round_trips_s = {target: 2e-9 * clock.uncertainty_nanos for target, clock in answered.items()}
         self._targets = order_by_round_trip(self._targets, round_trips_s, self._elsewhere)
         if self._targets:
             self.clock = answered.get(self._targets[0], self.clock)
 
-    async def _ping(self, target: str) -> ClockOffset | None:
+    def _ping(self, target: str) -> ClockOffset | None:
         """How far away a supernode is, and its clock; None if it cannot serve."""
         began, sent = time.monotonic_ns(), time.time_ns()  # a pause in between makes the round trip longer, not shorter
         try:
-            port = self._ports.to(target)
-            pong = await port.call(port.directory.Ping, directory_pb.DirectoryServicePingRequest(), PING_TIMEOUT_S)
+            endpoint = self._endpoints.to(target)
+            pong = endpoint.call(endpoint.directory.Ping, directory_pb.DirectoryServicePingRequest(), PING_TIMEOUT_S)
         except StampedeError:
             return None
         took = time.monotonic_ns() - began
@@ -142,7 +143,7 @@ class Supernodes:
             sent_unix_nano=sent, took_nanos=took, told_unix_nano=pong.time_unix_nano, supernode=pong.supernode_id
         )
 
-    async def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
+    def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
         """One call of the directory. Goes to the next supernode if one cannot serve, and to the front-ends after all.
 
         Updates are safe to repeat: they carry a request id, and say how long ago they were first sent: now, or at
@@ -153,31 +154,31 @@ class Supernodes:
         failures: dict[str, StampedeError] = {}
         while True:
             try:
-                return await self._call_each(call, backoff.deadline_s, failures)
+                return self._call_each(call, backoff.deadline_s, failures)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
-                if self._ports.closed:
+                if self._endpoints.closed:
                     raise
                 delay_s = backoff.next_delay_s(time.monotonic(), random.random())
                 if delay_s is None:
                     raise
-                await sleep(delay_s)
-            await self._rebind(backoff.deadline_s)
+                sleep(delay_s)
+            self._rebind(backoff.deadline_s)
 
-    async def _call_each(self, call: _Call, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
+    def _call_each(self, call: _Call, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
         """Ask one supernode after the other. Raises what `failures`, those of former rounds among them, come to."""
         if time.monotonic() > self._measure_again_s:
-            await self._measure()
+            self._measure()
         for target in list(self._targets):
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
                 break
             left_s = min(left_s, TRY_TIMEOUT_S) if len(self._targets) > 1 else left_s
-            port = self._ports.to(target)
+            endpoint = self._endpoints.to(target)
             try:
-                method = getattr(port.directory, call.method)
-                return await port.call(method, call.request, left_s, age_s=age_clock_s() - call.since_s)
+                method = getattr(endpoint.directory, call.method)
+                return endpoint.call(method, call.request, left_s, age_s=age_clock_s() - call.since_s)
             except StampedeError as error:
                 if not error.retryable and not isinstance(error, DeadlineExceeded):
                     raise
@@ -194,34 +195,34 @@ class Supernodes:
             self._targets.remove(target)
             self._targets.append(target)
 
-    async def _rebind(self, deadline_s: float) -> None:
+    def _rebind(self, deadline_s: float) -> None:
         """All supernodes failed: a front-end may know others. If none answers, the known ones stay."""
         left_s = deadline_s - time.monotonic()
         try:
-            await self.bind(max(min(left_s, CONNECT_TIMEOUT_S), 0.1))
+            self.bind(max(min(left_s, CONNECT_TIMEOUT_S), 0.1))
         except (Unavailable, DeadlineExceeded):
             self._measure_again_s = float("-inf")
 
-    async def present_cluster(self, deadline_s: float) -> str:
+    def present_cluster(self, deadline_s: float) -> str:
         """The id of the cluster whose supernode answers; another one than before if its directory began anew.
 
         Raises Unavailable.
         """
         timeout_s = max(min(deadline_s - time.monotonic(), CONNECT_TIMEOUT_S), 0.1)
-        pong = await self.call("Ping", directory_pb.DirectoryServicePingRequest(), timeout_s)
+        pong = self.call("Ping", directory_pb.DirectoryServicePingRequest(), timeout_s)
         if not pong.cluster_id:
             raise Unavailable("the directory is only just beginning")
         self.cluster_id = pong.cluster_id
         return self.cluster_id
 
-    async def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
+    def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
         """One call of the leader, who alone can answer it. Raises what it answers; Unavailable if nobody leads, for
         this is not tried again."""
         for _ in range(LEADERS_ASKED_MAX):
-            self._leader = target = self._leader or await self._find_leader(timeout_s)
-            port = self._ports.to(target)
+            self._leader = target = self._leader or self._find_leader(timeout_s)
+            endpoint = self._endpoints.to(target)
             try:
-                return await port.call(getattr(port.directory, method), request, timeout_s)
+                return endpoint.call(getattr(endpoint.directory, method), request, timeout_s)
             except NotLeader as error:
                 self._leader = error.metadata.get("leader_endpoint", "")
             except (Unavailable, DeadlineExceeded):
@@ -229,16 +230,16 @@ class Supernodes:
                 raise
         raise Unavailable("the supernodes have no leader at present")
 
-    async def _find_leader(self, timeout_s: float) -> str:
-        response = await self.call("ListSupernodes", directory_pb.ListSupernodesRequest(), timeout_s)
+    def _find_leader(self, timeout_s: float) -> str:
+        response = self.call("ListSupernodes", directory_pb.ListSupernodesRequest(), timeout_s)
         for record in response.supernodes:
             if record.is_leader:
                 return str(record.endpoint.target)
         raise Unavailable("the supernodes have no leader at present")
 
-    def stream(self, method: str, request: Any) -> Stream[Any]:
+    def stream(self, method: str, request: Any) -> ServerStream[Any]:
         """The responses of one streaming call, from the nearest supernode."""
         if not self._targets:
             raise Unavailable("no supernode is known; is a front-end running?")
-        port = self._ports.to(self._targets[0])
-        return port.stream(getattr(port.directory, method), request)
+        endpoint = self._endpoints.to(self._targets[0])
+        return endpoint.stream(getattr(endpoint.directory, method), request)

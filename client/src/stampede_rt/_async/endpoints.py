@@ -1,4 +1,3 @@
-# Generated from ../_async by tools/generate.py; do not edit.
 """The gRPC connections of one session, one for each address."""
 
 from __future__ import annotations
@@ -6,16 +5,16 @@ from __future__ import annotations
 from stampede_rt.errors import Unavailable
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_sync import Mutex
-from stampede_rt.transports.grpc_sync import Port
+from stampede_rt.transports.concurrency_async import Mutex
+from stampede_rt.transports.grpc_async import ServerEndpoint
 
-PORTS_MAX = 1024
+ENDPOINTS_MAX = 1024
 
 
-class Ports:
-    """Opens a port at its first use and keeps it; beyond a bound the longest unused one is let go.
+class EndpointPool:
+    """Opens an endpoint at its first use and keeps it; beyond a bound the pool lets the longest unused one go.
 
-    Certificates that change count for new ports: what is under way goes on where it began, what comes next does not.
+    Certificates that change count for new endpoints. A stream that is under way goes on with the certificates before.
     """
 
     def __init__(self, credentials: Credentials) -> None:
@@ -23,23 +22,25 @@ class Ports:
         self._forks = forking.forks()
         self.credentials = credentials
         self._material = credentials.material()
-        self._ports: dict[str, Port] = {}
-        self._former: list[Port] = []  # of the certificates before; their streams may still be read
+        self._endpoints: dict[str, ServerEndpoint] = {}
+        self._former: list[ServerEndpoint] = []  # of the certificates before; their streams may still be read
         self._mutex = Mutex()
         self.closed = False
 
-    def to(self, target: str) -> Port:
-        """The port to `target`. Raises Unavailable once these are closed."""
+    def to(self, target: str) -> ServerEndpoint:
+        """The endpoint to `target`. Raises Unavailable once these are closed."""
         self.check_process()
         with self._mutex:
             if self.closed:
                 raise Unavailable("this connection is closed; connect() again")
             self._look_at_certificates()
-            port = self._ports.pop(target, None) or Port(target, self.credentials.secret, self._material)
-            self._ports[target] = port
-            if len(self._ports) > PORTS_MAX:
-                self._ports.pop(next(iter(self._ports)))
-            return port
+            endpoint = self._endpoints.pop(target, None) or ServerEndpoint(
+                target, self.credentials.secret, self._material
+            )
+            self._endpoints[target] = endpoint
+            if len(self._endpoints) > ENDPOINTS_MAX:
+                self._endpoints.pop(next(iter(self._endpoints)))
+            return endpoint
 
     @property
     def inherited(self) -> bool:
@@ -54,18 +55,18 @@ class Ports:
         material = self.credentials.material()
         if material is not self._material:
             self._material = material
-            self._former = list(self._ports.values())
-            self._ports.clear()
+            self._former = list(self._endpoints.values())
+            self._endpoints.clear()
 
-    def close(self) -> None:
+    async def aclose(self) -> None:
         """End everything that is under way. Interrupted, it has ended all the same, and only was not waited for."""
         with self._mutex:
             self.closed = True
-            ports = [*self._former, *self._ports.values()]
+            endpoints = [*self._former, *self._endpoints.values()]
             self._former.clear()
-            self._ports.clear()
-        for port in ports:
-            port.close()
+            self._endpoints.clear()
+        for endpoint in endpoints:
+            await endpoint.aclose()
         forking.closed(self)
-        for port in ports:
-            port.ended()
+        for endpoint in endpoints:
+            await endpoint.ended()

@@ -1,9 +1,10 @@
+# Generated from ../_async by tools/generate.py; do not edit.
 """Where the mailbox of a peer is, for those who send to it."""
 
 from __future__ import annotations
 
-from stampede_rt._async.queue_place import QueuePlace, QueueState, learn_queue
-from stampede_rt._async.session import Session, left_s
+from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
+from stampede_rt._sync.session import Session, left_s
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import PeerNotFound, QueueNotFound, StampedeError, Unavailable
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
@@ -15,24 +16,24 @@ UNKNOWN = QueueInfo(
 )  # fmt: skip
 
 
-class PeerPlace(QueuePlace):
+class PeerLocator(QueueLocator):
     """Found by the peer's name; a peer that comes back may have another mailbox."""
 
     def __init__(self, session: Session, name: str) -> None:
         state = QueueState("peer", name, UNKNOWN, QueuePolicy(), create=False)
         super().__init__(session, state)
 
-    async def find(self, deadline_s: float) -> Binding:
+    def find(self, deadline_s: float) -> Binding:
         """The cached place, or one found anew. Raises PeerNotFound."""
         if self._session.cache.owner(self._state.info.queue_id) is None:
-            await self._resolve(deadline_s)
-        return await super().find(deadline_s)
+            self._resolve(deadline_s)
+        return super().find(deadline_s)
 
-    async def _resolve(self, deadline_s: float) -> None:
+    def _resolve(self, deadline_s: float) -> None:
         name = self._state.name
         request = queue_directory_pb.ResolveQueueRequest(peer_name=name)
         try:
-            response = await self._session.supernodes.call("ResolveQueue", request, left_s(deadline_s))
+            response = self._session.supernodes.call("ResolveQueue", request, left_s(deadline_s))
         except QueueNotFound as error:
             raise peer_not_found(name) from error
         if not response.host.alive:

@@ -1,0 +1,177 @@
+"""What Ctrl-C does to a command.
+
+Python's own handler raises KeyboardInterrupt wherever the main thread happens to be. Inside gRPC or `threading` that
+may be just after a lock was taken and before its `with` guards it. The lock is then never released, and the call that
+ends the stream waits for it for good. In a weakref callback the exception is dropped. So a command does its work on
+another thread. The main thread only waits, and its handler raises nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
+from typing import Any, NoReturn
+
+INTERRUPTED = 130
+CLOSE_S = 2.0  # how long a command may take to leave the cluster after Ctrl-C
+LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
+UNWIND_S = 20.0  # how long `unwinding` may take: it stops processes in order
+
+
+class Interruption:
+    """Whether Ctrl-C was pressed, and what is then to be closed."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._closes: list[Callable[[], object]] = []
+
+    def closes(self, close: Callable[[], object]) -> None:
+        """Call `close` when Ctrl-C is pressed, on a thread of its own."""
+        self._closes.append(close)
+
+    def close(self) -> None:
+        """Close what was named, the latest first."""
+        while self._closes:
+            with suppress(Exception):  # the process ends in any case
+                self._closes.pop()()
+
+    def begin(self) -> None:
+        """A new command begins."""
+        self.asked = False
+        self._closes.clear()
+
+
+interruption = Interruption()
+
+
+def run_interruptibly(work: Callable[[], int]) -> int:
+    """Run `work` on a thread of its own and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
+
+    Ctrl-C closes the command's connections and waits for the work to end, CLOSE_S at the most; a second one ends the
+    process at once. On another thread than the main one, which alone hears of signals, and where Ctrl-C is ignored,
+    `work` runs here.
+    """
+    deaf = threading.current_thread() is not threading.main_thread()
+    if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        return work()
+    interruption.begin()
+    events: SimpleQueue[Any] = SimpleQueue()  # `put` is safe inside a signal handler
+
+    def interrupt(number: int, frame: object) -> None:
+        if interruption.asked:
+            os._exit(INTERRUPTED)
+        interruption.asked = True
+        events.put(None)
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        _begin(work, events)
+        outcome = _next(events)
+        if outcome is None:
+            _close(events)
+        return int(outcome())
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _next(events: SimpleQueue[Any]) -> Any:
+    """The next event. The system may tell another thread of a signal, which does not wake this one: so it looks."""
+    while True:
+        with suppress(Empty):
+            return events.get(timeout=LOOK_S)
+
+
+def _begin(work: Callable[[], int], events: SimpleQueue[Any]) -> None:
+    """Start `work`; `events` gets what returns its status, or raises what it raised."""
+
+    def run() -> None:
+        try:
+            status = work()
+        except BaseException as error:  # noqa: BLE001  # SystemExit is the command's, too
+            events.put(_raising(error))
+        else:
+            events.put(lambda: status)
+
+    threading.Thread(target=run, name="stampede command", daemon=True).start()
+
+
+def _raising(error: BaseException) -> Callable[[], int]:
+    def fail() -> int:
+        raise error
+
+    return fail
+
+
+def _close(events: SimpleQueue[Any]) -> NoReturn:
+    """Close the connections, wait for the work's end and its output, all for CLOSE_S at the most, and end the process.
+
+    The interpreter's own end would wait for locks that threads of gRPC's hold, which do not go on then.
+    """
+    closed: SimpleQueue[None] = SimpleQueue()
+
+    def close() -> None:
+        interruption.close()
+        events.get()
+        with suppress(OSError):  # whoever read it has seen enough
+            sys.stdout.flush()
+        closed.put(None)
+
+    threading.Thread(target=close, name="stampede close", daemon=True).start()
+    with suppress(Empty):
+        closed.get(timeout=CLOSE_S)
+    os._exit(INTERRUPTED)
+
+
+@contextmanager
+def ended_at_once() -> Iterator[None]:
+    """Ctrl-C ends the process at once: for a service that is still loaded and sets up its own way to stop."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _exit)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGINT) is _exit:
+            signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[None]:
+    """The first of these signals raises KeyboardInterrupt, for what has processes to stop in order.
+
+    The process then has `limit_s` to end, wherever the exception was lost. A second signal ends it at once.
+    """
+    asked: list[int] = []
+
+    def interrupt(number: int, frame: object) -> None:
+        if asked:
+            os._exit(INTERRUPTED)
+        asked.append(number)
+        signal.signal(signal.SIGALRM, _exit)
+        signal.setitimer(signal.ITIMER_REAL, limit_s)  # a thread could not be started here: it needs locks
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in numbers}
+    overdue = signal.getsignal(signal.SIGALRM)
+    for number in numbers:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        if asked:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, overdue)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _exit(number: int, frame: object) -> None:
+    os._exit(INTERRUPTED)

@@ -1,0 +1,52 @@
+"""The standard health service (grpc.health.v1), safe for callers who bring no credential."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import grpc
+from grpc_health.v1 import health, health_pb2
+
+from stampede_rt_runtime.rpc import Context
+
+SERVICE = health.SERVICE_NAME
+STATUS = health_pb2.HealthCheckResponse
+
+
+class Health:
+    """What load balancers ask. `Check` is open to everybody, so it reads no request: nobody can make it wait or buffer.
+
+    It therefore tells the state of the whole server, whichever service its caller names.
+    """
+
+    def __init__(self) -> None:
+        self._known = health.aio.HealthServicer()
+        self._status = STATUS.NOT_SERVING
+        self._is_ending = False
+
+    def add_to(self, server: grpc.aio.Server) -> None:
+        """Serve on `server`."""
+        serializer = STATUS.SerializeToString
+        handlers: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
+            "Check": grpc.stream_unary_rpc_method_handler(self._check, response_serializer=serializer),
+            "Watch": grpc.unary_stream_rpc_method_handler(
+                self._known.Watch,
+                request_deserializer=health_pb2.HealthCheckRequest.FromString,
+                response_serializer=serializer,
+            ),
+        }
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
+
+    async def set_serving(self, serving: bool) -> None:
+        """What is answered from now on. After `end` nothing changes any more."""
+        if not self._is_ending:
+            self._status = STATUS.SERVING if serving else STATUS.NOT_SERVING
+            await self._known.set(health.OVERALL_HEALTH, self._status)
+
+    async def end(self) -> None:
+        """NOT_SERVING from now on, for good."""
+        self._is_ending, self._status = True, STATUS.NOT_SERVING
+        await self._known.enter_graceful_shutdown()
+
+    async def _check(self, _requests: Any, _context: Context) -> health_pb2.HealthCheckResponse:
+        return STATUS(status=self._status)

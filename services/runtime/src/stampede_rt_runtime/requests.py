@@ -1,0 +1,121 @@
+"""Reads the requests of a call once the caller is let in, within a time, and refuses those that cannot be parsed.
+
+gRPC itself reads and parses the one request of a unary call before it asks anybody whether the caller may call. So a
+caller without a credential could make it buffer large requests, hold its calls open by never finishing one, and fill
+its log with failed parses.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import inspect
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
+from stampede_rt.status import abort
+from stampede_rt_runtime.handlers import behavior_of
+from stampede_rt_runtime.rpc import Context
+
+REQUEST_SECONDS_MAX = 10.0
+
+Parse = Callable[[bytes], Any]
+
+
+def reading_late(method: str, handler: Any) -> Any:
+    """A handler for the same `method`, entered before a request is read. On the wire it is of the same kind."""
+    parse = _parser(method, handler.request_deserializer)
+    make = grpc.stream_stream_rpc_method_handler if handler.response_streaming else grpc.stream_unary_rpc_method_handler
+    behavior = behavior_of(handler)
+    if handler.request_streaming:
+        return make(_refusing(behavior), parse, handler.response_serializer)
+    return make(_refusing(_with_one_request(method, behavior, parse)), None, handler.response_serializer)
+
+
+def _parser(method: str, deserializer: Parse | None) -> Parse | None:
+    """`deserializer`, which raises InvalidArgument for bytes that are no request of the method."""
+    if deserializer is None:
+        return None
+
+    def parse(raw: bytes) -> Any:
+        try:
+            return deserializer(raw)
+        except Exception as error:  # whatever a generated parser raises, the bytes are the caller's
+            raise InvalidArgument(
+                f"the {len(raw)} bytes that were sent are no request of {method}; generate the caller's stubs from the "
+                "same proto/ files"
+            ) from error
+
+    return parse
+
+
+def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | None) -> Callable[..., Any]:
+    """`behavior`, which takes one request, for a call whose requests come as a stream."""
+
+    async def read(context: Context) -> Any:
+        try:
+            async with asyncio.timeout(REQUEST_SECONDS_MAX):
+                raw = await context.read()
+        except TimeoutError:
+            raise DeadlineExceeded(
+                f"no whole request of {method} came within {REQUEST_SECONDS_MAX:g} s; send it at once"
+            ) from None
+        if raw is grpc.aio.EOF:
+            raise InvalidArgument(f"{method} was called without a request; send one")
+        return raw if parse is None else parse(raw)
+
+    if inspect.isasyncgenfunction(behavior):
+
+        async def stream(_requests: Any, context: Context) -> AsyncIterator[Any]:
+            async with contextlib.aclosing(behavior(await read(context), context)) as responses:
+                async for response in responses:
+                    yield response
+
+        return stream
+
+    async def call(_requests: Any, context: Context) -> Any:
+        return await behavior(await read(context), context)
+
+    return call
+
+
+def _refusing(behavior: Callable[..., Any]) -> Callable[..., Any]:
+    """`behavior`; an error of the product's that rises out of it ends the call with that error."""
+    if inspect.isasyncgenfunction(behavior):
+
+        async def stream(requests: Any, context: Context) -> AsyncIterator[Any]:
+            async with _told(context), contextlib.aclosing(behavior(requests, context)) as responses:
+                async for response in responses:
+                    yield response
+
+        return stream
+
+    async def call(requests: Any, context: Context) -> Any:
+        async with _told(context):
+            return await behavior(requests, context)
+
+    return call
+
+
+@contextlib.asynccontextmanager
+async def _told(context: Context) -> AsyncIterator[None]:
+    try:
+        yield
+    except StampedeError as error:
+        await abort(context, error)
+    except BaseExceptionGroup as group:  # of the tasks in which a stream is served
+        errors = group.subgroup(StampedeError)
+        if errors is None:
+            raise
+        await abort(context, _first(errors))
+
+
+def _first(group: BaseExceptionGroup[Any]) -> StampedeError:
+    error: Any = group
+    while isinstance(error, BaseExceptionGroup):
+        error = error.exceptions[0]
+    assert isinstance(error, StampedeError), "the group holds nothing else"
+    return error

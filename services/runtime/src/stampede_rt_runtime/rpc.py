@@ -1,0 +1,57 @@
+"""What the servicers of all services share: the type of contexts, errors as statuses, and handlers of single calls."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing
+from typing import Any, TypeAlias, TypeVar
+
+import grpc
+from google.protobuf.message import Message
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import abort
+
+# What a method knows of its call. The types of requests and responses are those of the method.
+Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def errors_as_status(method: Method) -> Method:
+    """Ends the RPC with the status of a StampedeError that `method` raises. Any other exception is a defect, and gRPC
+    reports it as one. `method` takes (self, request, context), and returns a response or yields responses."""
+    call = _stream_of(method) if inspect.isasyncgenfunction(method) else _call_of(method)
+    return functools.wraps(method)(call)  # type: ignore[return-value]
+
+
+def _call_of(method: Callable[..., Any]) -> Callable[..., Any]:
+    async def call(self: Any, request: Any, context: Context) -> Any:
+        try:
+            return await method(self, request, context)
+        except StampedeError as error:
+            await abort(context, error)
+
+    return call
+
+
+def _stream_of(method: Callable[..., Any]) -> Callable[..., Any]:
+    async def stream(self: Any, request: Any, context: Context) -> AsyncIterator[Any]:
+        try:
+            async with aclosing(method(self, request, context)) as responses:
+                async for response in responses:
+                    yield response
+        except StampedeError as error:
+            await abort(context, error)
+
+    return stream
+
+
+def unary(
+    method: Callable[[Any, Context], Any], request: type[Message], response: type[Message]
+) -> grpc.RpcMethodHandler[Any, Any]:
+    """The handler of a call with one request and one response, for services that register their handlers themselves."""
+    return grpc.unary_unary_rpc_method_handler(
+        method, request_deserializer=request.FromString, response_serializer=response.SerializeToString
+    )

@@ -1,0 +1,149 @@
+"""What members say to each other, as values. Pure. `codec` gives them their form on the wire.
+
+The names are those of the Raft paper (Ongaro and Ousterhout 2014, figures 2 and 13), and of Ongaro's dissertation.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from stampede_rt_supernode.replication.log_entries import Entry
+
+# The position up to which a state was reached, and the digest of that state; empty: not known.
+StateDigest = tuple[int, bytes]
+
+NO_DIGEST: StateDigest = (0, b"")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AppendEntries:
+    """A leader's entries after `previous_index`, or a heartbeat. The reply echoes `round` (see rules/reads.py)."""
+
+    term: int
+    commit_index: int
+    previous_index: int
+    previous_term: int
+    entries: Sequence[Entry]
+    round: int = 0
+    digest: StateDigest = NO_DIGEST
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SnapshotChunk:
+    """A part of an encoded snapshot, whose last entry is at `last_log_index`. The checksum is that of the whole."""
+
+    last_log_index: int
+    offset_bytes: int
+    total_bytes: int
+    sha256: bytes
+    data: bytes
+
+    @property
+    def is_last(self) -> bool:
+        """Whether the snapshot ends with it."""
+        return self.offset_bytes + len(self.data) == self.total_bytes
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class InstallSnapshot:
+    """A part of a leader's snapshot for a member that lacks what the log no longer holds; without one, a heartbeat."""
+
+    term: int
+    commit_index: int
+    chunk: SnapshotChunk | None
+    round: int = 0
+    digest: StateDigest = NO_DIGEST
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AppendReply:
+    """What a member holds: everything before `next_index`, if `success`. `reset`: the leader is to go back to there."""
+
+    term: int
+    next_index: int
+    reset: bool
+    success: bool
+    round: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VoteRequest:
+    """A candidate asks for a vote in `term`; in a `trial`, whether it would get one."""
+
+    term: int
+    last_log_index: int
+    last_log_term: int
+    trial: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class VoteReply:
+    """A vote in `term`, or in a `trial` of it. `voter_term` is the voter's own, in a trial."""
+
+    term: int
+    trial: bool = False
+    voter_term: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TimeoutNow:
+    """The leader of `term` asks a member to stand for election at once."""
+
+    term: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ForwardedCommand:
+    """A command on its way from a follower to the leader."""
+
+    request_id: int
+    command: bytes
+
+
+class ForwardRefusal(enum.Enum):
+    """Why a command that was forwarded is certainly not in the log."""
+
+    QUEUE_FULL = enum.auto()
+    MISSING_LEADER = enum.auto()
+    NOT_LEADER = enum.auto()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ForwardedCommandReply:
+    """Where a forwarded command is in the leader's log, or why it is not there."""
+
+    request_id: int
+    log_index: int = 0
+    log_term: int = 0
+    refusal: ForwardRefusal | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReadIndexRequest:
+    """A follower asks the leader for a position that holds every acknowledged write."""
+
+    request_id: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ReadIndexReply:
+    """That position; 0: whoever was asked cannot tell."""
+
+    request_id: int
+    read_index: int
+
+
+FromLeader = AppendEntries | InstallSnapshot
+Message = (
+    FromLeader
+    | AppendReply
+    | VoteRequest
+    | VoteReply
+    | TimeoutNow
+    | ForwardedCommand
+    | ForwardedCommandReply
+    | ReadIndexRequest
+    | ReadIndexReply
+)

@@ -1,0 +1,51 @@
+"""What the leader does about the cluster's feature level: raises it once all members know a higher one."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import secrets
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_supernode.core.cluster.commands import FeatureLevelRaised, RaiseFeatureLevel
+from stampede_rt_supernode.core.records import ID_BYTES
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import ReplicatedLog
+from stampede_rt_supernode.servicers.submission import Submission
+
+logger = logging.getLogger(__name__)
+
+TICK_SECONDS = 0.5
+PROPOSAL_SECONDS = 5.0
+
+
+class LevelKeeper:
+    """`tick` is called again and again, on the event loop."""
+
+    def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, submission: Submission) -> None:
+        self._log = log
+        self._replica = replica
+        self._submission = submission
+
+    async def run(self) -> None:
+        """Tick until cancelled."""
+        while True:
+            await self.tick()
+            await asyncio.sleep(TICK_SECONDS)
+
+    async def tick(self) -> None:
+        """As the leader of a founded cluster, raise its level if all members know a higher one."""
+        status = self._log.status()
+        level = status.level_of_members
+        founded = self._replica.read(lambda directory: directory.tenure > 0)
+        if not (status.is_leader and founded and level > self._replica.feature_level):
+            return
+        operation = RaiseFeatureLevel(feature_level=level)
+        try:
+            raised = await self._submission.submit(
+                operation, FeatureLevelRaised, op_id=secrets.token_bytes(ID_BYTES), seconds=PROPOSAL_SECONDS
+            )
+        except StampedeError as error:
+            logger.warning("the feature level waits", extra={"reason": error.reason, "cause": error.message})
+        else:
+            logger.info("all supernodes know a higher feature level", extra={"feature_level": raised.feature_level})

@@ -1,0 +1,101 @@
+"""A caller that speaks HTTP/2 by hand (RFC 9113), so that it can break off anywhere and ignore what it is told."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Mapping
+
+PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+DATA, HEADERS, RST_STREAM, SETTINGS, GOAWAY, WINDOW_UPDATE = 0, 1, 3, 4, 7, 8
+ACK, END_HEADERS = 1, 4
+INITIAL_WINDOW_BYTES = 65_535
+
+
+class RawConnection:
+    """One connection to a gRPC server at `address`; it counts how many bytes of each stream the server has allowed."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.allowed_bytes: dict[int, int] = {}
+        self.ended: dict[int, asyncio.Event] = {}
+        self.greeted = asyncio.Event()  # the server has told its settings
+        self.streams_max = 0
+        self._initial_bytes = INITIAL_WINDOW_BYTES
+        self._reader, self._writer = reader, writer
+        self._next_stream = 1
+        self._reading = asyncio.create_task(self._read_all())
+
+    @classmethod
+    async def open(cls, address: str) -> RawConnection:
+        host, _, port = address.rpartition(":")
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(PREFACE + _frame(SETTINGS, 0, 0, b""))
+        return cls(reader, writer)
+
+    async def call(self, method: str, metadata: Mapping[str, str] | None = None) -> int:
+        """Begin a call with its headers alone; gives the stream's number."""
+        stream, self._next_stream = self._next_stream, self._next_stream + 2
+        self.allowed_bytes[stream] = self._initial_bytes
+        self.ended[stream] = asyncio.Event()
+        fields = {
+            ":method": "POST",
+            ":scheme": "http",
+            ":path": method,
+            ":authority": "test",
+            "te": "trailers",
+            "content-type": "application/grpc",
+            **(metadata or {}),
+        }
+        self._writer.write(_frame(HEADERS, END_HEADERS, stream, b"".join(map(_literal, fields, fields.values()))))
+        await self._writer.drain()
+        return stream
+
+    async def begin_message(self, stream: int, message_bytes: int, sent_bytes: int) -> None:
+        """Announce a message and send only a part of it."""
+        body = struct.pack("!BI", 0, message_bytes) + bytes(sent_bytes)
+        for begin in range(0, len(body), 16_384):
+            self._writer.write(_frame(DATA, 0, stream, body[begin : begin + 16_384]))
+        await self._writer.drain()
+
+    async def aclose(self) -> None:
+        self._reading.cancel()
+        self._writer.close()
+        await asyncio.gather(self._reading, self._writer.wait_closed(), return_exceptions=True)
+
+    async def _read_all(self) -> None:
+        while True:
+            head = await self._reader.readexactly(9)
+            length, kind, flags, stream = int.from_bytes(head[:3], "big"), head[3], head[4], int.from_bytes(head[5:])
+            body = await self._reader.readexactly(length)
+            if kind == SETTINGS and not flags & ACK:
+                self._adopt(body)
+                self.greeted.set()
+                self._writer.write(_frame(SETTINGS, ACK, 0, b""))
+            elif kind == WINDOW_UPDATE and stream:
+                self.allowed_bytes[stream] += int.from_bytes(body, "big")
+            elif stream and (kind == RST_STREAM or (kind == HEADERS and flags & 1)):
+                self.ended[stream].set()
+
+    def _adopt(self, settings: bytes) -> None:
+        for begin in range(0, len(settings), 6):
+            name, value = struct.unpack("!HI", settings[begin : begin + 6])
+            if name == 3:  # SETTINGS_MAX_CONCURRENT_STREAMS
+                self.streams_max = value
+            elif name == 4:  # SETTINGS_INITIAL_WINDOW_SIZE, also for streams that are open
+                grown, self._initial_bytes = value - self._initial_bytes, value
+                self.allowed_bytes = {stream: allowed + grown for stream, allowed in self.allowed_bytes.items()}
+
+
+def _frame(kind: int, flags: int, stream: int, body: bytes) -> bytes:
+    return len(body).to_bytes(3, "big") + bytes((kind, flags)) + stream.to_bytes(4, "big") + body
+
+
+def _literal(name: str, value: str) -> bytes:
+    """A header field that the other side does not index (RFC 7541, section 6.2.2)."""
+    return b"\x00" + _string(name) + _string(value)
+
+
+def _string(text: str) -> bytes:
+    raw = text.encode()
+    assert len(raw) < 127, "longer ones need a second byte"
+    return bytes((len(raw),)) + raw

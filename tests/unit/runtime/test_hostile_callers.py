@@ -1,0 +1,192 @@
+"""Callers who begin calls and do not go on, or who send what is no request."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import resource
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+from grpc_health.v1 import health_pb2
+
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime import open_files
+from stampede_rt_runtime.auth import Secret
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.limits import CONTROL_LIMITS, Limits
+from stampede_rt_runtime.server import serving
+from tests.support.raw_http2 import RawConnection
+
+CHECK = "/grpc.health.v1.Health/Check"
+LIST = "/stampede_rt.v1.DirectoryService/ListChannels"
+WATCH = "/stampede_rt.v1.DirectoryService/Watch"
+FOLLOW = "/stampede_rt.v1.DirectoryService/Follow"
+SECRET = Secret(text="right", path=Path("secret"))
+NO_REQUEST = b"\xff\xff\xff"
+
+
+class Directory(grpc.GenericRpcHandler):
+    """One method of each kind of call; it keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+
+    def service(self, details: grpc.HandlerCallDetails) -> Any:
+        kinds: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+            LIST: (grpc.unary_unary_rpc_method_handler, self.list),
+            WATCH: (grpc.unary_stream_rpc_method_handler, self.watch),
+            FOLLOW: (grpc.stream_stream_rpc_method_handler, self.follow),
+        }
+        if details.method not in kinds:
+            return None
+        make, behavior = kinds[details.method]
+        return make(behavior, pb.ListChannelsRequest.FromString, pb.ListChannelsResponse.SerializeToString)
+
+    async def list(self, request: pb.ListChannelsRequest, _context: Any) -> pb.ListChannelsResponse:
+        self.asked.append(request)
+        return pb.ListChannelsResponse(next_page_token=request.name_glob)
+
+    async def watch(self, request: pb.ListChannelsRequest, _context: Any) -> AsyncIterator[pb.ListChannelsResponse]:
+        self.asked.append(request)
+        yield pb.ListChannelsResponse(next_page_token=request.name_glob)
+
+    async def follow(self, requests: Any, context: Any) -> None:
+        async with asyncio.TaskGroup() as tasks:
+            tasks.create_task(self._echo_all(context))
+
+    async def _echo_all(self, context: Any) -> None:
+        while (request := await context.read()) is not grpc.aio.EOF:
+            await context.write(pb.ListChannelsResponse(next_page_token=request.name_glob))
+
+
+class Port:
+    """A server, its directory, and a channel of a caller to it."""
+
+    def __init__(self, directory: Directory, address: str, channel: grpc.aio.Channel) -> None:
+        self.directory, self.address, self.channel = directory, address, channel
+
+    async def list(self, glob: str) -> str:
+        call = self.channel.unary_unary(
+            LIST, pb.ListChannelsRequest.SerializeToString, pb.ListChannelsResponse.FromString
+        )
+        response: pb.ListChannelsResponse = await call(pb.ListChannelsRequest(name_glob=glob), timeout=20)
+        return response.next_page_token
+
+    async def sent(self, method: str, *messages: bytes) -> tuple[grpc.StatusCode, str]:
+        """What a call is answered that brings these bytes and then ends."""
+        call: Any = self.channel.stream_stream(method)(iter(messages), timeout=20)  # type: ignore[arg-type]
+        return await call.code(), await call.details()
+
+
+@asynccontextmanager
+async def port(
+    secret: Secret | None = None, limits: Limits | None = None, *, brings: bool = True
+) -> AsyncIterator[Port]:
+    directory = Directory()
+
+    def register(server: grpc.aio.Server) -> None:
+        server.add_generic_rpc_handlers((directory,))
+
+    async with (
+        serving(register, secret=secret, limits=limits) as server,
+        dial(server.address, secret=secret if brings else None) as channel,
+    ):
+        yield Port(directory, server.address, channel)
+
+
+@pytest.mark.parametrize("method", [LIST, WATCH])
+async def test_a_call_without_its_request_ends_and_gives_its_slot_back(
+    method: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt_runtime.requests.REQUEST_SECONDS_MAX", 0.05)
+    async with port(limits=Limits(concurrent_rpcs_max=2, streams_max=2)) as one:
+        silent: list[Any] = [one.channel.stream_stream(method)(timeout=20) for _ in range(2)]
+        for call in silent:
+            assert await call.code() is grpc.StatusCode.DEADLINE_EXCEEDED
+            assert f"no whole request of {method} came within 0.05 s" in await call.details()
+        assert await one.list("cam/*") == "cam/*"
+        assert await one.sent(method) == (
+            grpc.StatusCode.INVALID_ARGUMENT,
+            f"{method} was called without a request; send one",
+        )
+
+
+@pytest.mark.parametrize("method", [LIST, WATCH, FOLLOW])
+async def test_what_is_no_request_is_refused_without_a_traceback(method: str, caplog: pytest.LogCaptureFixture) -> None:
+    async with port() as one:
+        with caplog.at_level(logging.DEBUG):
+            code, details = await one.sent(method, NO_REQUEST)
+    assert code is grpc.StatusCode.INVALID_ARGUMENT
+    assert f"the 3 bytes that were sent are no request of {method}" in details
+    assert one.directory.asked == []
+    assert [record.levelname for record in caplog.records if record.levelno > logging.DEBUG] == []
+
+
+@pytest.mark.parametrize("method", [LIST, WATCH, FOLLOW])
+async def test_who_brings_no_secret_is_refused_before_anything_is_read(method: str) -> None:
+    async with port(SECRET, brings=False) as one:
+        code, _ = await one.sent(method, NO_REQUEST)
+        assert code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED)
+        raw = await RawConnection.open(one.address)
+        stream = await raw.call(method)
+        await raw.begin_message(stream, 20 * 2**20, 1000)
+        async with asyncio.timeout(20):
+            await raw.ended[stream].wait()
+        await raw.aclose()
+
+
+async def test_everybody_may_check_the_health_and_nobody_can_make_it_read_or_wait() -> None:
+    async with port(SECRET, brings=False, limits=Limits(concurrent_rpcs_max=4, refusals_max=4)) as one:
+        raw = await RawConnection.open(one.address)
+        streams = [await raw.call(CHECK) for _ in range(500)]
+        for stream in streams[:50]:
+            await raw.begin_message(stream, 20 * 2**20, 500)
+        async with asyncio.timeout(20):
+            for stream in streams:
+                await raw.ended[stream].wait()
+        assert max(raw.allowed_bytes.values()) < 20 * 2**20  # the server never asked for the rest
+        await raw.aclose()
+        check = one.channel.unary_unary(
+            CHECK, health_pb2.HealthCheckRequest.SerializeToString, health_pb2.HealthCheckResponse.FromString
+        )
+        for service in ("", "stampede_rt.v1.DirectoryService"):
+            answer = await check(health_pb2.HealthCheckRequest(service=service), timeout=20)
+            assert answer.status == health_pb2.HealthCheckResponse.SERVING
+
+
+async def test_a_connection_has_a_limited_number_of_calls_and_a_caller_with_more_of_them_opens_another() -> None:
+    async with port(limits=Limits(calls_per_connection_max=8)) as one:
+        raw = await RawConnection.open(one.address)
+        await raw.greeted.wait()
+        assert raw.streams_max == 8
+        await raw.aclose()
+        held: list[Any] = [one.channel.stream_stream(FOLLOW)(timeout=20) for _ in range(30)]
+        for call in held:
+            await call.write(pb.ListChannelsRequest(name_glob="x").SerializeToString())
+            await call.read()
+        assert await one.list("beside") == "beside"
+        for call in held:
+            call.cancel()
+
+
+async def test_servers_of_the_directory_take_no_message_of_an_items_size() -> None:
+    async with port(limits=CONTROL_LIMITS) as one:
+        code, _ = await one.sent(LIST, bytes(5 * 2**20))
+        assert code is grpc.StatusCode.RESOURCE_EXHAUSTED
+        assert await one.list("a") == "a"
+
+
+def test_a_server_accepts_no_more_connections_than_leave_it_files_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    def allow(files: int) -> int:
+        monkeypatch.setattr(resource, "getrlimit", lambda _: (files, files))
+        return open_files.connections_max()
+
+    assert allow(1024) == 768
+    assert allow(100) == 50
+    assert allow(1_000_000) == open_files.CONNECTIONS_MAX
+    assert allow(resource.RLIM_INFINITY) == open_files.CONNECTIONS_MAX

@@ -1,0 +1,81 @@
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.errors import ChannelNotFound
+from stampede_rt_runtime.rpc import Context, errors_as_status
+
+
+class Aborted(Exception):
+    pass
+
+
+class Call:
+    """The context of a call: it remembers the status that the call ended with."""
+
+    status: tuple[grpc.StatusCode, str] | None = None
+
+    async def abort(self, code: grpc.StatusCode, details: str, trailing_metadata: Any) -> None:
+        self.status = code, details
+        raise Aborted
+
+
+class Servicer:
+    closed = False
+
+    @errors_as_status
+    async def answer(self, request: Exception | str, context: Context) -> str:
+        return _said(request)
+
+    @errors_as_status
+    async def stream(self, request: Exception | str, context: Context) -> AsyncIterator[str]:
+        try:
+            yield "first"
+            yield _said(request)
+        finally:
+            self.closed = True
+
+
+def _said(request: Exception | str) -> str:
+    if isinstance(request, Exception):
+        raise request
+    return request
+
+
+async def all_of(servicer: Servicer, request: Exception | str, call: Any) -> list[str]:
+    return [one async for one in servicer.stream(request, call)]
+
+
+async def test_answers_and_streams_pass_as_they_are() -> None:
+    call: Any = Call()
+    assert await Servicer().answer("hello", call) == "hello"
+    assert await all_of(Servicer(), "hello", call) == ["first", "hello"]
+    assert call.status is None
+
+
+@pytest.mark.parametrize("method", [Servicer.answer, all_of])
+async def test_an_error_of_the_product_ends_the_call_with_its_status(method: Any) -> None:
+    call: Any = Call()
+    with pytest.raises(Aborted):
+        await method(Servicer(), ChannelNotFound("there is no channel cam"), call)
+    assert call.status == (grpc.StatusCode.NOT_FOUND, "there is no channel cam")
+
+
+@pytest.mark.parametrize("method", [Servicer.answer, all_of])
+async def test_a_defect_stays_one(method: Any) -> None:
+    call: Any = Call()
+    with pytest.raises(KeyError):
+        await method(Servicer(), KeyError("a defect"), call)
+    assert call.status is None
+
+
+async def test_a_stream_whose_caller_goes_is_closed_at_once() -> None:
+    servicer, call = Servicer(), Call()
+    stream: Any = servicer.stream("hello", call)  # type: ignore[arg-type]
+    assert await anext(stream) == "first"
+    await stream.aclose()
+    assert servicer.closed
