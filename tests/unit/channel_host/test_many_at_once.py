@@ -16,7 +16,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.hosted_channels import LISTENERS_PER_PIECE, HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
-from stampede_rt_channel_host.channels.puts import PUTS_PER_PIECE, IncomingRun
+from stampede_rt_channel_host.channels.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE, IncomingRun
 from stampede_rt_channel_host.channels.store import CHANNELS_PER_PIECE
 from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
@@ -143,6 +143,17 @@ async def test_room_that_comes_while_the_lease_is_lost_is_given_to_nobody(rig: R
     hosted.puts._may_serve = lambda: True
     hosted.puts.changed(rig.now())
     assert run.ack is not None
+
+
+async def test_room_for_many_puts_that_wait_is_given_to_some_at_a_time_in_their_order(rig: Rig) -> None:
+    hosted, runs = await full(rig, 3 * ITEMS_OFFERED_MAX)
+    hosted.channel.configure(Policy(max_items=10**6, on_full="block", max_age_nanos=3600 * 10**9), rig.now())
+    hosted.puts.changed(rig.now())
+    assert [run.ack is not None for run in runs] == [True] * ITEMS_OFFERED_MAX + [False] * 2 * ITEMS_OFFERED_MAX
+    async with asyncio.timeout(10):
+        while len(hosted.puts):
+            await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+    assert [run.ack.first_seq for run in runs if run.ack is not None] == [*range(2, len(runs) + 2)]
 
 
 async def test_subscriptions_are_ended_in_pieces(rig: Rig) -> None:

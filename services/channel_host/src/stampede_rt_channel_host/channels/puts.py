@@ -17,6 +17,8 @@ from stampede_rt_channel_host.core.judging import Judged, Judging
 
 WAITING_PUTS_MAX = 10_000
 PUTS_PER_PIECE = 128
+ITEMS_OFFERED_MAX = 128
+"""So many items of runs in line one call offers; the last of these runs is offered as a whole."""
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 
 
@@ -190,8 +192,16 @@ class ChannelPuts:
             self._channel.reject_malformed(1)
 
     def changed(self, now: int) -> None:
-        """Room may have been made: offer those in line again, the first one first."""
-        while self._line and self._may_offer and self._offer_waiting(self._line[0], now):
+        """Room may have been made: offer those in line again, the first one first; of very many, the others in a
+        moment."""
+        offered = 0
+        while self._line and self._may_offer:
+            if offered >= ITEMS_OFFERED_MAX:
+                self._arm(now, now)
+                break
+            offered += self._line[0].unsettled
+            if not self._offer_waiting(self._line[0], now):
+                break
             self._leave_line(self._line[0])
         self._on_touched()
 
