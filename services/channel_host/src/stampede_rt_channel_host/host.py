@@ -18,7 +18,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
-from stampede_rt_channel_host.cluster.gatekeeper import GatekeeperServicer
+from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
