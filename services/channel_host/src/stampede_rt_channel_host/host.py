@@ -13,12 +13,12 @@ import grpc
 from stampede_rt.v1 import directory_service_pb2, gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_servicer import ChannelServicer
+from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.cluster.directory import Directory
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
-from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory

@@ -13,11 +13,12 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import NoReturn
 
+from stampede_rt.cluster.directory_call import may_pass
 from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_keeper import RENEWALS_PER_TTL, LeaseKeeper
-from stampede_rt_channel_host.cluster.supernodes import Supernodes, may_pass
+from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 

@@ -6,15 +6,20 @@ import asyncio
 import logging
 import random
 import time
-from collections import deque
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from typing import Any, NamedTuple
 
 import grpc
 
-from stampede_rt.cluster.majority import why_unserved
+from stampede_rt.cluster.directory_call import (
+    SUPERNODES_MAX,
+    DirectoryCall,
+    check_frontend,
+    frontend_timeout_s,
+    may_pass,
+)
 from stampede_rt.cluster.request_age import age_clock_s, age_metadata
-from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2_grpc, frontend_service_pb2, frontend_service_pb2_grpc
@@ -24,7 +29,6 @@ logger = logging.getLogger(__name__)
 
 TRY_SECONDS_MAX = 1.5  # for one supernode; a hanging one must not use up the time of all
 BIND_SECONDS_MAX = 3.0
-SUPERNODES_MAX = 64
 
 Dial = Callable[[str], grpc.aio.Channel]
 Explain = Callable[[str], Awaitable[StampedeError | None]]
@@ -77,12 +81,12 @@ class Supernodes:
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, service, age_clock_s() if since_s is None else since_s)
-        failures: dict[str, StampedeError] = {}
+        rounds = DirectoryCall(backoff.deadline_s)
         while True:  # ends with the backoff's deadline
             try:
                 if not self._targets:
                     await self.bind(backoff.deadline_s)
-                return await self._call_each(call, backoff.deadline_s, failures)
+                return await self._call_each(call, rounds)
             except StampedeError as error:
                 if not may_pass(error):
                     raise
@@ -126,9 +130,9 @@ class Supernodes:
         """Ask the front-ends, one after the other, for the supernodes. Raises Unavailable, VersionMismatch, ..."""
         failure: StampedeError = Unavailable("no front-end was asked in time")
         for position, target in enumerate(self._frontends):
-            left_s = (deadline_s - time.monotonic()) / (len(self._frontends) - position)
+            timeout_s = frontend_timeout_s(deadline_s - time.monotonic(), len(self._frontends) - position)
             try:
-                response = await self._ask_frontend(target, max(0.1, min(left_s, BIND_SECONDS_MAX)))
+                response = await self._ask_frontend(target, min(timeout_s, BIND_SECONDS_MAX))
             except StampedeError as error:
                 if not may_pass(error):
                     raise
@@ -154,11 +158,8 @@ class Supernodes:
         )
         stub = frontend_service_pb2_grpc.FrontendServiceStub(self._channel(target))
         response: frontend_service_pb2.BindResponse = await _call(stub.Bind, request, timeout_s, target)
-        if response.protocol_version != PROTOCOL_VERSION:
-            raise VersionMismatch(
-                f"the front-end {target} speaks protocol {response.protocol_version} (version {response.version}), "
-                f"this host {PROTOCOL_VERSION} (version {software_version()}); install the same release on both"
-            )
+        spoken = response.protocol_version
+        check_frontend(target, spoken, response.version, caller="host", caller_version=software_version())
         return response
 
     async def _learn(self, response: frontend_service_pb2.BindResponse) -> None:
@@ -179,29 +180,17 @@ class Supernodes:
                 raise
             logger.debug("no front-end answers", extra={"why": str(error)})
 
-    async def _call_each(self, call: _Call, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
-        waiting, tried = deque(self._targets), set[str]()
-        while waiting and len(tried) < SUPERNODES_MAX:
-            target = waiting.popleft()
-            left_s = deadline_s - time.monotonic()
-            if target in tried or left_s <= 0:
-                continue
-            tried.add(target)
+    async def _call_each(self, call: _Call, rounds: DirectoryCall) -> Any:
+        rounds.begin_round(self._targets, TRY_SECONDS_MAX)
+        while (attempt := rounds.next_attempt(time.monotonic())) is not None:
             try:
-                answer = await self._call_one(target, call, min(left_s, TRY_SECONDS_MAX))
+                answer = await self._call_one(attempt.target, call, attempt.timeout_s)
             except StampedeError as error:
-                if not may_pass(error):
-                    raise
-                failures.pop(target, None)
-                failures[target] = error
-                waiting.extendleft(_leader_named_by(error))
+                rounds.failed(attempt.target, error)
                 continue
-            self._prefer(target)
+            self._prefer(attempt.target)
             return answer
-        known = {target: error for target, error in failures.items() if target in self._targets}
-        if not known:
-            raise [Unavailable("the front-ends name no supernode"), *failures.values()][-1]
-        raise why_unserved(known, len(self._targets))
+        raise rounds.failure(self._targets)
 
     async def _call_one(self, target: str, call: _Call, timeout_s: float) -> Any:
         stub = call.service(self._channel(target))
@@ -222,16 +211,6 @@ class Supernodes:
         channels, self._channels = list(self._channels.values()), {}
         for channel in channels:
             await channel.close(None)
-
-
-def may_pass(error: StampedeError) -> bool:
-    """Whether the same call may succeed later, or at another supernode."""
-    return error.retryable or isinstance(error, DeadlineExceeded)
-
-
-def _leader_named_by(error: StampedeError) -> tuple[str, ...]:
-    endpoint = error.metadata.get("leader_endpoint", "") if isinstance(error, NotLeader) else ""
-    return (endpoint,) if endpoint else ()
 
 
 async def _call(

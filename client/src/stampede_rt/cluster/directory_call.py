@@ -1,0 +1,96 @@
+"""One call of the directory over several supernodes: whom to ask next, for how long, and what failures mean. Pure.
+
+The client and the channel host share it. Their shells make the calls, wait between two rounds, and ask the front-ends.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from stampede_rt.cluster.majority import why_unserved
+from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.version import PROTOCOL_VERSION
+
+SUPERNODES_MAX = 64
+FRONTEND_TIMEOUT_S_MIN = 0.1
+
+
+class Attempt(NamedTuple):
+    """Ask the supernode at `target`, and wait for `timeout_s` at most."""
+
+    target: str
+    timeout_s: float
+
+
+class DirectoryCall:
+    """One call, from its first attempt to its end. A round asks each supernode at most once.
+
+    All times are seconds of one monotonic clock. Failures of former rounds count until a supernode answers.
+    """
+
+    def __init__(self, deadline_s: float) -> None:
+        self._deadline_s = deadline_s
+        self._failures: dict[str, StampedeError] = {}  # by target, the last one last
+        self._waiting: deque[str] = deque()
+        self._tried: set[str] = set()
+        self._attempt_s_max = 0.0
+
+    def begin_round(self, targets: Sequence[str], attempt_s_max: float) -> None:
+        """Ask the supernodes at `targets` in their order, each for `attempt_s_max` at most."""
+        self._waiting, self._tried, self._attempt_s_max = deque(targets), set(), attempt_s_max
+
+    def next_attempt(self, now_s: float) -> Attempt | None:
+        """Whom to ask now. None: the round, or the time of the call, is over."""
+        left_s = self._deadline_s - now_s
+        while self._waiting and left_s > 0 and len(self._tried) < SUPERNODES_MAX:
+            target = self._waiting.popleft()
+            if target not in self._tried:
+                self._tried.add(target)
+                return Attempt(target, min(left_s, self._attempt_s_max))
+        return None
+
+    def failed(self, target: str, error: StampedeError) -> None:
+        """The supernode at `target` has not served the call. A leader that it names is asked next.
+
+        Raises `error` if no other attempt could end otherwise.
+        """
+        if not may_pass(error):
+            raise error
+        self._failures.pop(target, None)
+        self._failures[target] = error
+        hint = leader_hint(error)
+        if hint:
+            self._waiting.appendleft(hint)
+
+    def failure(self, targets: Sequence[str]) -> StampedeError:
+        """What the failures of the supernodes at `targets` come to, once a round is over."""
+        known = {target: error for target, error in self._failures.items() if target in targets}
+        if known:
+            return why_unserved(known, len(targets))
+        return [Unavailable("no supernode is known; is a front-end running?"), *self._failures.values()][-1]
+
+
+def may_pass(error: StampedeError) -> bool:
+    """Whether the same call may succeed later, or at another supernode."""
+    return error.retryable or isinstance(error, DeadlineExceeded)
+
+
+def leader_hint(error: StampedeError) -> str:
+    """The address of the leader that a supernode named when it refused a call; empty if it named none."""
+    return error.metadata.get("leader_endpoint", "") if isinstance(error, NotLeader) else ""
+
+
+def frontend_timeout_s(left_s: float, frontends: int) -> float:
+    """How long to wait for one front-end, if `frontends` of them are still to be asked within `left_s`."""
+    return max(left_s / frontends, FRONTEND_TIMEOUT_S_MIN)
+
+
+def check_frontend(target: str, spoken: int, version: str, *, caller: str, caller_version: str) -> None:
+    """The front-end at `target` speaks protocol `spoken`. Raises VersionMismatch if the caller speaks another one."""
+    if spoken != PROTOCOL_VERSION:
+        raise VersionMismatch(
+            f"the front-end {target} speaks protocol {spoken} (version {version}), this {caller} {PROTOCOL_VERSION} "
+            f"(version {caller_version}); install the same release on both"
+        )

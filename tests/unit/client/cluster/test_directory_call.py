@@ -1,0 +1,117 @@
+"""Whom a call of the directory asks, in which order and for how long."""
+
+import pytest
+
+from stampede_rt.cluster.directory_call import (
+    SUPERNODES_MAX,
+    DirectoryCall,
+    check_frontend,
+    frontend_timeout_s,
+    leader_hint,
+    may_pass,
+)
+from stampede_rt.cluster.majority import UNREACHED
+from stampede_rt.errors import (
+    ChannelNotFound,
+    DeadlineExceeded,
+    NotLeader,
+    StampedeError,
+    Unavailable,
+    VersionMismatch,
+)
+from stampede_rt.version import PROTOCOL_VERSION
+
+
+def unreached() -> StampedeError:
+    return Unavailable("cannot be reached", metadata={UNREACHED: "refused"})
+
+
+def asked(call: DirectoryCall, failures: dict[str, StampedeError], now_s: float = 0.0) -> list[str]:
+    """The targets that one round asks if each fails so."""
+    order: list[str] = []
+    while (attempt := call.next_attempt(now_s)) is not None:
+        order.append(attempt.target)
+        call.failed(attempt.target, failures[attempt.target])
+    return order
+
+
+def test_a_round_asks_each_supernode_once_in_order() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["a", "b", "a", "c"], 2.5)
+    assert asked(call, dict.fromkeys("abc", unreached())) == ["a", "b", "c"]
+
+
+def test_the_leader_that_a_supernode_names_is_asked_next_and_once() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["a", "b", "c"], 2.5)
+    names_c = NotLeader("c leads", metadata={"leader_endpoint": "c"})
+    names_a = NotLeader("a leads", metadata={"leader_endpoint": "a"})
+    assert asked(call, {"a": names_c, "b": names_c, "c": names_a}) == ["a", "c", "b"]
+
+
+def test_hints_that_lead_from_one_to_the_next_come_to_an_end() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["0"], 2.5)
+    names = {str(one): NotLeader("not me", metadata={"leader_endpoint": str(one + 1)}) for one in range(200)}
+    assert len(asked(call, dict(names))) == SUPERNODES_MAX
+
+
+def test_an_attempt_has_its_share_of_the_time_that_is_left() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["a", "b", "c"], 2.5)
+    assert call.next_attempt(0.0) == ("a", 2.5)
+    assert call.next_attempt(9.0) == ("b", 1.0)
+    assert call.next_attempt(10.0) is None
+
+
+def test_an_answer_that_no_supernode_would_change_ends_the_call() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["a", "b"], 2.5)
+    call.next_attempt(0.0)
+    with pytest.raises(ChannelNotFound):
+        call.failed("a", ChannelNotFound("there is no channel cam"))
+
+
+def test_the_failures_of_all_rounds_tell_whether_a_majority_is_missing() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    for target in "ab":
+        call.begin_round([target], 2.5)
+        asked(call, {target: unreached()})
+    failure = call.failure(["a", "b", "c"])
+    assert failure.reason == "NO_QUORUM"
+    assert "1 of 3 supernodes answer" in failure.message
+
+
+def test_without_a_supernode_the_failure_says_what_to_look_at() -> None:
+    assert "is a front-end running?" in DirectoryCall(deadline_s=1.0).failure([]).message
+
+
+def test_a_supernode_that_is_known_no_more_tells_why_if_no_other_does() -> None:
+    call = DirectoryCall(deadline_s=10.0)
+    call.begin_round(["gone"], 2.5)
+    asked(call, {"gone": unreached()})
+    assert call.failure([]).metadata == {UNREACHED: "refused"}
+
+
+@pytest.mark.parametrize(
+    ("error", "passes"),
+    [(unreached(), True), (DeadlineExceeded("late"), True), (ChannelNotFound("none"), False)],
+)
+def test_what_may_pass_is_tried_again(error: StampedeError, passes: bool) -> None:
+    assert may_pass(error) is passes
+
+
+def test_only_a_supernode_that_does_not_lead_names_the_leader() -> None:
+    assert leader_hint(NotLeader("no", metadata={"leader_endpoint": "a:1"})) == "a:1"
+    assert leader_hint(NotLeader("no")) == leader_hint(unreached()) == ""
+
+
+def test_front_ends_share_the_time() -> None:
+    assert [frontend_timeout_s(6.0, left) for left in (3, 2, 1)] == [2.0, 3.0, 6.0]
+    assert frontend_timeout_s(-1.0, 2) == 0.1
+
+
+def test_a_front_end_of_another_protocol_is_refused() -> None:
+    check_frontend("f:1", PROTOCOL_VERSION, "9.9", caller="client", caller_version="1.0")
+    with pytest.raises(VersionMismatch, match="the front-end f:1 speaks protocol 99"):
+        check_frontend("f:1", 99, "9.9", caller="client", caller_version="1.0")
