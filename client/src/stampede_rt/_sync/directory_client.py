@@ -10,9 +10,16 @@ from typing import Any, NamedTuple
 
 from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.cluster.binding import order_by_round_trip
-from stampede_rt.cluster.majority import UNREACHED, why_unserved
+from stampede_rt.cluster.directory_call import (
+    DirectoryCall,
+    check_frontend,
+    frontend_timeout_s,
+    leader_hint,
+    may_pass,
+)
+from stampede_rt.cluster.majority import UNREACHED
 from stampede_rt.cluster.request_age import age_clock_s
-from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.concurrency_sync import in_thread, run_concurrently, sleep
@@ -61,9 +68,9 @@ class DirectoryClient:
         deadline_s = time.monotonic() + timeout_s
         failure: StampedeError | None = None
         for position, target in enumerate(self._frontends):
-            left_s = (deadline_s - time.monotonic()) / (len(self._frontends) - position)
+            timeout_s = frontend_timeout_s(deadline_s - time.monotonic(), len(self._frontends) - position)
             try:
-                response = self._ask(target, max(left_s, 0.1))
+                response = self._ask(target, timeout_s)
             except StampedeError as error:
                 failure = error
                 continue
@@ -81,11 +88,7 @@ class DirectoryClient:
             peer_name=self.peer_name, zone=self._zone, protocol_version=PROTOCOL_VERSION, version=VERSION
         )
         response: frontend_pb.BindResponse = endpoint.call(endpoint.frontend.Bind, request, timeout_s)
-        if response.protocol_version != PROTOCOL_VERSION:
-            raise VersionMismatch(
-                f"the front-end {target} speaks protocol {response.protocol_version} (version {response.version}), "
-                f"this client {PROTOCOL_VERSION} (version {VERSION}); install versions that go together"
-            )
+        check_frontend(target, response.protocol_version, response.version, caller="client", caller_version=VERSION)
         return response
 
     def _unbound(self, failure: StampedeError | None) -> StampedeError:
@@ -151,12 +154,12 @@ class DirectoryClient:
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, age_clock_s() if since_s is None else since_s)
-        failures: dict[str, StampedeError] = {}
+        rounds = DirectoryCall(backoff.deadline_s)
         while True:
             try:
-                return self._call_each(call, backoff.deadline_s, failures)
+                return self._call_each(call, rounds)
             except StampedeError as error:
-                if not error.retryable and not isinstance(error, DeadlineExceeded):
+                if not may_pass(error):
                     raise
                 if self._endpoints.closed:
                     raise
@@ -166,29 +169,20 @@ class DirectoryClient:
                 sleep(delay_s)
             self._rebind(backoff.deadline_s)
 
-    def _call_each(self, call: _Call, deadline_s: float, failures: dict[str, StampedeError]) -> Any:
-        """Ask one supernode after the other. Raises what `failures`, those of former rounds among them, come to."""
+    def _call_each(self, call: _Call, rounds: DirectoryCall) -> Any:
+        """Ask one supernode after the other. Raises what the failures of this round and of former ones come to."""
         if time.monotonic() > self._measure_again_s:
             self._measure()
-        for target in list(self._targets):
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
-                break
-            left_s = min(left_s, TRY_TIMEOUT_S) if len(self._targets) > 1 else left_s
-            endpoint = self._endpoints.to(target)
+        rounds.begin_round(self._targets, TRY_TIMEOUT_S if len(self._targets) > 1 else float("inf"))
+        while (attempt := rounds.next_attempt(time.monotonic())) is not None:
+            endpoint = self._endpoints.to(attempt.target)
             try:
                 method = getattr(endpoint.directory, call.method)
-                return endpoint.call(method, call.request, left_s, age_s=age_clock_s() - call.since_s)
+                return endpoint.call(method, call.request, attempt.timeout_s, age_s=age_clock_s() - call.since_s)
             except StampedeError as error:
-                if not error.retryable and not isinstance(error, DeadlineExceeded):
-                    raise
-                failures.pop(target, None)
-                failures[target] = error
-                self._demote(target)
-        known = {target: error for target, error in failures.items() if target in self._targets}
-        if not known:
-            raise Unavailable("no supernode is known; is a front-end running?")
-        raise why_unserved(known, len(self._targets))
+                rounds.failed(attempt.target, error)
+                self._demote(attempt.target)
+        raise rounds.failure(self._targets)
 
     def _demote(self, target: str) -> None:
         if target in self._targets:
@@ -224,7 +218,7 @@ class DirectoryClient:
             try:
                 return endpoint.call(getattr(endpoint.directory, method), request, timeout_s)
             except NotLeader as error:
-                self._leader = error.metadata.get("leader_endpoint", "")
+                self._leader = leader_hint(error)
             except (Unavailable, DeadlineExceeded):
                 self._leader = ""
                 raise
