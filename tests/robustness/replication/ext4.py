@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import itertools
 import os
@@ -26,7 +27,7 @@ class Ext4:
 
     def __init__(self, image: Path, path: Path) -> None:
         self._image, self.path = image, path
-        self._frozen = False
+        self._frozen = self._mounted = False
         path.mkdir(exist_ok=True)
         image.touch()
         os.truncate(image, IMAGE_BYTES)
@@ -43,13 +44,16 @@ class Ext4:
         _run("cp", "--sparse=always", str(self._image), str(copy))
         self._image = copy
         _run("mount", "-o", "loop", str(copy), str(self.path))
+        self._mounted = True
 
     def unmount(self) -> None:
         """Once nobody has it open any more; blocks until then, for 10 s at most."""
         deadline = time.monotonic() + UNMOUNT_SECONDS
         while True:
             try:
-                return _run("umount", str(self.path))
+                _run("umount", str(self.path))
+                self._mounted = False
+                return
             except subprocess.CalledProcessError:
                 if time.monotonic() > deadline:
                     raise
@@ -75,9 +79,15 @@ class Ext4:
             self._frozen = False
 
     def close(self) -> None:
-        """Undo everything."""
-        self.thaw()
-        self.unmount()
+        """Undo everything, whatever was done to it; once is enough.
+
+        What still has it open keeps no mount alive, and its loop device goes with the last of them.
+        """
+        with contextlib.suppress(subprocess.CalledProcessError):
+            self.thaw()
+        if self._mounted:
+            _run("umount", "--lazy", str(self.path))
+            self._mounted = False
 
 
 def _run(*command: str) -> None:

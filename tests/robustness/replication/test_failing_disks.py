@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import shutil
 import signal
@@ -16,9 +17,10 @@ import pytest
 from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE
 from tests.robustness.replication.ext4 import Ext4
 from tests.robustness.replication.test_killed_processes import IDS, MemberProcess, write
+from tests.unit.supernode.processes import attempts
 
 pytestmark = pytest.mark.skipif(
-    os.geteuid() != 0 or not all(map(shutil.which, ("mkfs.ext4", "fsfreeze"))), reason="needs root and ext4"
+    os.geteuid() != 0 or not all(map(shutil.which, ("mkfs.ext4", "fsfreeze", "losetup"))), reason="needs root and ext4"
 )
 
 
@@ -40,26 +42,60 @@ class Machine(MemberProcess):
         await self.start()
 
 
+@contextlib.asynccontextmanager
+async def mounted_machines() -> AsyncIterator[list[Machine]]:
+    """Three of them, that are started by whoever asks. Nothing of them is left afterwards, whatever went wrong."""
+    # Socket paths have a short limit, and pytest's own folders are long.
+    async with contextlib.AsyncExitStack() as undo:
+        folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="srt-")))
+        made: list[Machine] = []
+        for member_id in IDS:
+            machine = Machine(member_id, folder)
+            undo.callback(machine.disk.close)
+            # A process that waits for its disk ends only when the disk goes on.
+            undo.push_async_callback(machine.kill)
+            undo.callback(machine.disk.thaw)
+            made.append(machine)
+        yield made
+
+
 @pytest.fixture
 async def machines() -> AsyncIterator[list[Machine]]:
-    # Socket paths have a short limit, and pytest's own folders are long.
-    with tempfile.TemporaryDirectory(prefix="srt-") as folder:
-        made: list[Machine] = []
+    async with contextlib.AsyncExitStack() as undo:
         try:
-            for member_id in IDS:
-                made.append(Machine(member_id, Path(folder)))
-            for machine in made:
-                await machine.start()
-            yield made
+            made = await undo.enter_async_context(mounted_machines())
         except (subprocess.CalledProcessError, OSError) as error:
-            if len(made) < len(IDS):
-                pytest.skip(f"no loop device can be mounted here: {error}")
-            raise
-        finally:
-            for machine in made:
-                machine.disk.thaw()
-                await machine.kill()
-                machine.disk.close()
+            pytest.skip(f"no loop device can be mounted here: {error}")
+        for machine in made:
+            await machine.start()
+        yield made
+
+
+def left_over(folder: Path) -> list[str]:
+    """What is mounted below a folder, or is a loop device of a file in it."""
+    devices = subprocess.run(["losetup", "--list", "--noheadings", "--output", "BACK-FILE"], capture_output=True)
+    lines = [*Path("/proc/mounts").read_text().splitlines(), *devices.stdout.decode().splitlines()]
+    return [line for line in lines if str(folder) in line]
+
+
+async def test_disks_leave_nothing_behind_when_a_test_fails_and_two_runs_do_not_disturb_each_other() -> None:
+    folders = []
+    with contextlib.suppress(KeyError):
+        async with mounted_machines() as first, mounted_machines() as second:
+            folders = [machines[0].disk.path.parent for machines in (first, second)]
+            assert all(len(left_over(folder)) == 2 * len(IDS) for folder in folders)
+            for machine in (*first, *second):
+                await machine.start()
+            first[0].disk.freeze()
+            first[1].disk.lose_power()
+            await write(second[0], ["undisturbed"])
+            raise KeyError("a test fails, with a disk that hangs and one without power")
+    assert len(folders) == 2
+    for folder in folders:
+        assert not folder.exists()
+        async for _ in attempts():  # the kernel lets go of a loop device a moment later
+            if not left_over(folder):
+                break
 
 
 async def test_what_was_acknowledged_survives_a_loss_of_power_everywhere(machines: list[Machine]) -> None:
