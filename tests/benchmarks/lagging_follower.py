@@ -114,6 +114,11 @@ async def leader_of(supernodes: list[Supernode]) -> Supernode:
 
 
 async def open_channels(supernodes: list[Supernode], count: int) -> list[Any]:
+    """So many, at one host. Waits for whoever leads to take over."""
+    async for _ in processes.attempts():
+        with contextlib.suppress(grpc.aio.AioRpcError):
+            await register_host(supernodes[0].stub)
+            break
     numbers: Iterator[int] = iter(range(count))
     opened: list[Any] = []
 
@@ -140,7 +145,6 @@ async def measure(channels: int, writes_per_second: float, megabits_per_second: 
         async with narrow_cluster(Path(folder), megabits_per_second * 1e6 / 8) as supernodes:
             follower = supernodes[2]
             leader = await leader_of(supernodes[:2])
-            await register_host(leader.stub)
             opened = await open_channels(supernodes[:2], channels)
             print(f"{len(opened):,} channels", flush=True)
             load = Load([one.stub for one in supernodes[:2]], opened, writes_per_second)

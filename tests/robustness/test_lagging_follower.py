@@ -1,4 +1,4 @@
-"""A follower behind a narrow link catches up under load; `tests.benchmarks.lagging_follower` measures it with much more."""
+"""A follower behind a narrow link catches up under load; `tests.benchmarks.lagging_follower` does it with more."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import asyncio
 import signal
 from pathlib import Path
 
-from tests.benchmarks.directory_load import register_host
 from tests.benchmarks.lagging_follower import Load, lag, leader_of, narrow_cluster, open_channels
 from tests.unit.supernode.processes import attempts
 
@@ -17,7 +16,6 @@ CHANNELS, WRITES_PER_SECOND, MISSED_WRITES = 300, 100.0, 200
 async def test_a_follower_behind_a_narrow_link_catches_up_while_writes_go_on(tmp_path: Path) -> None:
     async with narrow_cluster(tmp_path, BYTES_PER_SECOND) as supernodes:
         leader, follower = await leader_of(supernodes[:2]), supernodes[2]
-        await register_host(leader.stub)
         opened = await open_channels(supernodes[:2], CHANNELS)
         load = Load([one.stub for one in supernodes[:2]], opened, WRITES_PER_SECOND)
         writing = asyncio.create_task(load.run())
