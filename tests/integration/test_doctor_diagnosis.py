@@ -182,3 +182,26 @@ def test_the_loss_of_all_supernodes_has_its_own_chapter() -> None:
 
 def test_a_cluster_without_hosts_is_told_to_start_one() -> None:
     assert "stampede host" in found(WELL[:-1], "host").advice
+
+
+@pytest.mark.parametrize(
+    ("levels", "state", "advice"),
+    [
+        ({"s1": (1, 1), "s2": (1, 1), "s3": (1, 1)}, "1", ""),
+        ({"s1": (1, 2), "s2": (1, 1), "s3": (1, 2)}, "1, and not all know 2", "upgrade s2: it rises by itself"),
+        ({"s1": (1, 2), "s2": (0, 0), "s3": (1, 1)}, "1, and not all know 2", "upgrade s3 and start s2, whose"),
+        ({"s1": (1, 2), "s2": (1, 2), "s3": (1, 2)}, "1, about to rise to 2", ""),
+        ({"s1": (2, 2), "s2": (1, 2), "s3": (2, 3)}, "2, and not all know 3", "upgrade s1 and s2: it rises"),
+    ],
+)
+def test_the_feature_level_is_told_and_who_holds_it_down(
+    levels: dict[str, tuple[int, int]], state: str, advice: str
+) -> None:
+    told = [
+        seen(SUPERNODE, name, feature_level=level, highest_feature_level=highest)
+        for name, (level, highest) in levels.items()
+    ]
+    finding = found(told, "feature level")
+    assert finding.state == state
+    assert finding.advice.startswith(advice)
+    assert bool(finding.advice) == bool(advice)

@@ -88,6 +88,7 @@ def main() -> int:
     """Run `stampede supernode` of the newer release; returns the exit code."""
     with (
         mock.patch("stampede_rt_supernode.app.DirectoryReplica", NewerReplica),
+        mock.patch("stampede_rt_supernode.joining.preparing.DirectoryReplica", NewerReplica),
         mock.patch("stampede_rt_supernode.joining.volunteering.HIGHEST_LEVEL", NEW_LEVEL),
         mock.patch("stampede_rt_supernode.servicers.submission.encode_command", encode_newer),
     ):

@@ -34,14 +34,21 @@ class Supernode:
         self.name = name
         self.address = address
         self._arguments = arguments
+        # The program that it is: another release is another module.
+        self.module = "stampede_rt_supernode"
         self._process: asyncio.subprocess.Process | None = None
         self.channel = dial(address, secret=None)
         self.stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(self.channel)
 
+    @property
+    def command(self) -> list[str]:
+        """What starts it."""
+        return [sys.executable, "-m", self.module, "--log-level", "warning", *self._arguments]
+
     async def start(self) -> str:
         """Start it, wait until it says that it is ready, and return that line."""
         self._process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "stampede_rt_supernode", "--log-level", "warning", *self._arguments),
+            *self.command,
             stdout=asyncio.subprocess.PIPE,
             env=clean_environment(),
         )
@@ -50,6 +57,20 @@ class Supernode:
             line = await self._process.stdout.readline()
         assert line, f"{self.name} ended before it was ready"
         return line.decode().rstrip("\n")
+
+    async def refused(self) -> tuple[int, str]:
+        """Start it, and wait until it ends by itself; returns its exit code and what it said on stderr."""
+        process = await asyncio.create_subprocess_exec(
+            *self.command, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE, env=clean_environment()
+        )
+        try:
+            async with asyncio.timeout(PATIENCE_SECONDS):
+                _, said = await process.communicate()
+        finally:
+            if process.returncode is None:
+                process.kill()
+        assert process.returncode is not None
+        return process.returncode, said.decode()
 
     async def end(self, number: signal.Signals) -> tuple[int, bytes]:
         """Signal it; returns its exit code and what it printed since it was ready."""

@@ -137,6 +137,26 @@ async def test_a_newcomer_that_cannot_be_let_in_is_told_why(
     assert error.reason == reason
 
 
+async def test_a_newcomer_whose_release_knows_less_than_the_clusters_level_is_not_let_in(rig: tuple[Node, Any]) -> None:
+    node, stub = rig
+    node.replica.read(lambda directory: setattr(directory, "feature_level", 2))
+    for highest in (0, 1):
+        request = await addition(stub, highest_feature_level=highest)
+        error = await reason_of(stub.AddSupernode(request, timeout=10))
+        assert error.reason == "VERSION_MISMATCH"
+        assert "level 1, and the cluster is at level 2" in error.message
+    await stub.AddSupernode(await addition(stub, highest_feature_level=2), timeout=10)
+
+
+async def test_one_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(rig: tuple[Node, Any]) -> None:
+    node, stub = rig
+    node.log.diverged_at = 7
+    for stale_ok in (False, True):
+        error = await reason_of(stub.TakeSnapshot(pb.TakeSnapshotRequest(stale_ok=stale_ok), timeout=10).read())
+        assert "differs from the leader's at log position 7" in error.message
+        assert "take one of another supernode" in error.message
+
+
 @pytest.mark.parametrize(
     ("failure", "reason"),
     [
@@ -144,6 +164,7 @@ async def test_a_newcomer_that_cannot_be_let_in_is_told_why(
         (replication.ChangeUnderWay("x"), "OVERLOADED"),
         (replication.ChangeRefused("x"), "INVALID_ARGUMENT"),
         (replication.TicketSpent("x"), "UNAUTHENTICATED"),
+        (replication.ReleaseOutdated("x"), "VERSION_MISMATCH"),
         (replication.Unavailable("x"), "NO_QUORUM"),
         (replication.Ambiguous("x"), "AMBIGUOUS"),
     ],

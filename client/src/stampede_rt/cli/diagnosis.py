@@ -40,6 +40,23 @@ def refusal(why: str) -> tuple[str, str]:
     return "store refused", f"{why}; {STORE_ADVICE}"
 
 
+def level_finding(level: int, highest: Mapping[str, int | None]) -> tuple[str, str]:
+    """The feature level of a cluster, and what to do if supernodes hold it down.
+
+    `highest`: by supernode, the highest level that its release knows; None: it has not told.
+    """
+    goal = max((known for known in highest.values() if known is not None), default=level)
+    if goal <= level:
+        return str(level), ""
+    older = [name for name, known in sorted(highest.items()) if known is not None and known < goal]
+    silent = [name for name, known in sorted(highest.items()) if known is None]
+    steps = [f"upgrade {_joined(older)}"] if older else []
+    steps += [f"start {_joined(silent)}, whose release is not known"] if silent else []
+    if not steps:
+        return f"{level}, about to rise to {goal}", ""
+    return f"{level}, and not all know {goal}", f"{' and '.join(steps)}: it rises by itself then (runbook: upgrade)"
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Observation:
     """What one part said when it was asked, or why it said nothing (`failure`).
@@ -72,6 +89,9 @@ class Observation:
     round_trip_nanos: int | None = None
     clock_offset_nanos: int | None = None
     version: str = ""
+    # Of a supernode: the cluster's feature level as it has it, and the highest that its release knows; 0: not told.
+    feature_level: int = 0
+    highest_feature_level: int = 0
     certificate_left_s: float | None = None
 
     @property
@@ -111,7 +131,7 @@ def diagnose(
     """Everything that was looked at: first the parts, one by one, then what concerns them together."""
     parts = [_of_part(one, certificate_s_min) for one in seen]
     of_all = [*_frontends(seen), *_quorum(seen), *_hosts(seen), *map(_holdings, held), *_clocks(seen)]
-    return [*parts, *of_all, *_versions(seen, own_version)]
+    return [*parts, *of_all, *_versions(seen, own_version), *_levels(seen)]
 
 
 def _of_part(one: Observation, certificate_s_min: float) -> CheckResult:
@@ -316,6 +336,14 @@ def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[CheckRe
         mixed = "; ".join(f"{version}: {_joined(parts)}" for version, parts in sorted(who.items()))
         advice = f"not all run the same ({mixed}); upgrade the older ones, one after the other (runbook: upgrade)"
     yield CheckResult("versions", "-", ", ".join(sorted(who)), advice)
+
+
+def _levels(seen: Sequence[Observation]) -> Iterator[CheckResult]:
+    members = [one for one in _of(SUPERNODE, seen) if one.is_member]
+    level = max((one.feature_level for one in members), default=0)
+    if level:
+        highest = {one.name or one.address: one.highest_feature_level or None for one in members}
+        yield CheckResult("feature level", "-", *level_finding(level, highest))
 
 
 def _joined(names: Sequence[str]) -> str:

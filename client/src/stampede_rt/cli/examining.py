@@ -164,6 +164,7 @@ class Examination:
                 ready=getattr(response, "ready", True),
                 lease_held=getattr(response, "lease_held", True),
                 **(_load(response) if part.kind == HOST else {}),
+                **(_levels(response) if part.kind == SUPERNODE else {}),
                 round_trip_nanos=round_trip,
                 clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
                 version=response.version,
@@ -234,6 +235,11 @@ def _lost(host: Any) -> Observation:
     ended = host.lease_ended_unix_nano if host.HasField("lease_ended_unix_nano") else None
     for_nanos = None if ended is None else max(0, time.time_ns() - ended)
     return Observation(kind=HOST, name=host.name, address=_gatekeeper(host), alive=False, lost_for_nanos=for_nanos)
+
+
+def _levels(response: Any) -> dict[str, Any]:
+    """What a supernode tells of feature levels."""
+    return {"feature_level": response.feature_level, "highest_feature_level": response.highest_feature_level}
 
 
 def _load(response: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.backup_file import write_backup
-from stampede_rt.cli.diagnosis import gathered, refusal
+from stampede_rt.cli.diagnosis import gathered, level_finding, refusal
 from stampede_rt.cli.members import Cluster, is_there, no_member, reached
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import StampedeError, Unavailable
@@ -92,11 +92,23 @@ def _run_status(arguments: argparse.Namespace) -> int:
     if arguments.output == "table":
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
         print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}.")
+        levels = {row["supernode"]: row["highest_feature_level"] for row in rows}
+        print(_level_line(max(_cluster_levels(pongs), default=listed.feature_level), levels))
         for name, why in sorted(refused.items()):
             print(f"{name} is refused: {refusal(why)[1]}.")
         if serving < len(rows):
             print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED
+
+
+def _cluster_levels(pongs: Mapping[str, tuple[Any, int | None]]) -> list[int]:
+    """The cluster's feature level, as each one that answers has it; it never falls, so that the highest holds."""
+    return [pong.feature_level for pong, _ in pongs.values() if pong is not None]
+
+
+def _level_line(level: int, highest: Mapping[str, int | None]) -> str:
+    state, advice = level_finding(level, highest)
+    return f"Feature level {state}{'; ' if advice else ''}{advice}."
 
 
 def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
@@ -115,7 +127,14 @@ def _row(
         "state": refusal(refused[record.supernode_id])[0] if record.supernode_id in refused else _state(record, pong),
         "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
         "version": pong.version if pong is not None else None,
+        "highest_feature_level": _highest_level(record, pong),
     }
+
+
+def _highest_level(record: SupernodeRecord, pong: Any) -> int | None:
+    """What it says itself, or has told the one that lists it; None: it has not told."""
+    said = pong.highest_feature_level if pong is not None and is_there(record, pong) else 0
+    return said or record.highest_feature_level or None
 
 
 def _state(record: SupernodeRecord, pong: Any) -> str:

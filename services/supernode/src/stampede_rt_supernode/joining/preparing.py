@@ -19,7 +19,8 @@ from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
 from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
-from stampede_rt_supernode.replication import Member, StoreDamaged, StoreRefused, restore_from
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication import Member, ReleaseTooOld, StoreDamaged, StoreRefused, restore_from
 
 PREPARING = ("init", "join")
 ANYWHERE = ("0.0.0.0", "::")
@@ -82,7 +83,18 @@ def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
     """Take over what a member of a lost cluster holds."""
     founder = Member(member_id=founding.supernode_id, address=founding.address)
     try:
-        index = restore_from(arguments.restore, arguments.data_dir, founder=founder, cluster_id=founding.log_cluster_id)
+        index = restore_from(
+            arguments.restore,
+            arguments.data_dir,
+            DirectoryReplica(),
+            founder=founder,
+            cluster_id=founding.log_cluster_id,
+        )
+    except ReleaseTooOld as error:
+        raise StampedeError(
+            f"{arguments.restore} holds a directory at feature level {error.cluster_level}, and this release knows "
+            f"level {error.highest_level}: restore it with the release that wrote it, or a later one"
+        ) from error
     except (StoreDamaged, StoreRefused) as error:
         raise StampedeError(str(error)) from error
     _say(f"Everything that {arguments.restore} holds is taken over, up to log position {index}.")

@@ -114,6 +114,7 @@ class ReleaseTooOld(Exception):
     """The cluster is at a feature level that this release does not know: the member goes no further."""
 
     def __init__(self, highest_level: int, cluster_level: int) -> None:
+        self.highest_level, self.cluster_level = highest_level, cluster_level
         super().__init__(
             f"this release knows feature level {highest_level}, and the cluster is at level {cluster_level}; start "
             "this supernode with the release of the others and the same data folder, and it goes on"

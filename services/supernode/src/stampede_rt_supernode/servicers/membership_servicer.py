@@ -21,7 +21,7 @@ from stampede_rt_runtime.values import parse_target
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.join_tokens import JoinTokens, valid_until
-from stampede_rt_supernode.joining.members import Members
+from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import Member, ReplicatedLog
 from stampede_rt_supernode.servicers.lease_keeper import not_leader
@@ -92,7 +92,10 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
 
     async def _taken(self, *, stale_ok: bool, seconds: float) -> tuple[replication.Backup, pb.TakeSnapshotResponse]:
         """A snapshot as a file, and what is said of it. Raises Unavailable."""
-        began = self._clock.boottime_nanos()
+        began, status = self._clock.boottime_nanos(), self._log.status()
+        if status.diverged_at:
+            text = f"{why_diverged(status)}; its snapshot is no backup of the directory; take one of another supernode"
+            raise Unavailable(text, reason="SHUTTING_DOWN")
         try:
             if not stale_ok:
                 await self._confirm(seconds)

@@ -28,7 +28,7 @@ async def test_one_of_three_becomes_a_cluster_of_one_that_holds_everything_it_he
     failures: list[BaseException] = []
     founder = LiveMember("new", tmp_path / "new", failures.append)
     assert survivor.folder is not None
-    restore_from(survivor.folder, tmp_path / "new", founder=founder.member, cluster_id="new cluster")
+    restore_from(survivor.folder, tmp_path / "new", ListMachine(), founder=founder.member, cluster_id="new cluster")
     settings = ReplicationSettings(
         self_member=founder.member,
         initial_members=[founder.member],
@@ -67,7 +67,7 @@ def test_a_backup_is_restored_with_all_former_members_retired(tmp_path: Path) ->
     backup = make_backup(HEADER, record)
     (tmp_path / "backup").write_bytes(b"".join(backup.parts()))
     assert (tmp_path / "backup").stat().st_size == backup.size_bytes
-    assert restore_from(tmp_path / "backup", tmp_path / "new", founder=FOUNDER, cluster_id="n") == 4
+    assert restore_from(tmp_path / "backup", tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="n") == 4
     store = SqliteStore(tmp_path / "new", cluster_id="n", member_id="new", create=False)
     state = store.load()
     store.close()
@@ -82,7 +82,7 @@ def test_a_backup_with_a_changed_bit_anywhere_is_refused(tmp_path: Path, at: int
     data[at] ^= 1
     (tmp_path / "backup").write_bytes(data)
     with pytest.raises(StoreDamaged, match=r"is no backup|fails its checksum"):
-        restore_from(tmp_path / "backup", tmp_path / "new", founder=FOUNDER, cluster_id="n")
+        restore_from(tmp_path / "backup", tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="n")
     assert not (tmp_path / "new").exists()
 
 
@@ -91,20 +91,20 @@ def test_a_backup_that_was_cut_off_is_refused(tmp_path: Path) -> None:
     for size in (0, 31, 40, 100, len(data) - 1):
         (tmp_path / "backup").write_bytes(data[:size])
         with pytest.raises(StoreDamaged):
-            restore_from(tmp_path / "backup", tmp_path / "new", founder=FOUNDER, cluster_id="n")
+            restore_from(tmp_path / "backup", tmp_path / "new", ListMachine(), founder=FOUNDER, cluster_id="n")
 
 
 def test_a_folder_without_a_log_cannot_be_restored(tmp_path: Path) -> None:
     founder = LiveMember.__new__(LiveMember)
     with pytest.raises(StoreRefused, match="holds no replicated log"):
-        restore_from(tmp_path, tmp_path / "new", founder=founder, cluster_id="")  # type: ignore[arg-type]
+        restore_from(tmp_path, tmp_path / "new", ListMachine(), founder=founder, cluster_id="")  # type: ignore[arg-type]
 
 
 def test_a_damaged_folder_cannot_be_restored(tmp_path: Path) -> None:
     (tmp_path / "replicated_log.sqlite3").write_bytes(b"no database, but long enough to be taken for one" * 100)
     founder = LiveMember.__new__(LiveMember)
     with pytest.raises(StoreDamaged):
-        restore_from(tmp_path, tmp_path / "new", founder=founder, cluster_id="")  # type: ignore[arg-type]
+        restore_from(tmp_path, tmp_path / "new", ListMachine(), founder=founder, cluster_id="")  # type: ignore[arg-type]
 
 
 async def test_a_term_that_somebody_hostile_has_raised_is_told_and_a_new_cluster_goes_on_without_it(
@@ -119,7 +119,7 @@ async def test_a_term_that_somebody_hostile_has_raised_is_told_and_a_new_cluster
         with pytest.raises(StoreDamaged, match=r"no elections explain that.*init --restore"):
             await cluster.start(member)
     founder = LiveMember("new", tmp_path / "new", cluster.failures.append)
-    restore_from(member.folder, tmp_path / "new", founder=founder.member, cluster_id="")
+    restore_from(member.folder, tmp_path / "new", ListMachine(), founder=founder.member, cluster_id="")
     await founder.start([founder.member], QUICK, snapshot_every=5000)
     await running(founder).propose(b"after", timeout=5.0)
     assert [command for _, command in founder.machine.entries] == [b"kept", b"after"]

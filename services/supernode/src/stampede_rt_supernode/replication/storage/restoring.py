@@ -9,25 +9,27 @@ from __future__ import annotations
 from pathlib import Path
 
 from stampede_rt_supernode.replication.configuration import Configuration
-from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
+from stampede_rt_supernode.replication.interface import Member, StateMachine
+from stampede_rt_supernode.replication.log_entries import COMMAND, CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.backups import read_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store, read_identity
 from stampede_rt_supernode.replication.storage.store import StoreChanges, StoredState, StoreRefused
 from stampede_rt_supernode.replication.wire.records import decode_configuration, decode_snapshot, encode_configuration
 
 
-def restore_from(source: Path, new_dir: Path, *, founder: Member, cluster_id: str) -> int:
+def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, founder: Member, cluster_id: str) -> int:
     """Write a store of one member into `new_dir`, with all that `source` holds; returns its last log position.
 
-    `source` is a backup, or the data folder of an old member, which must be stopped; it stays as it is. Blocks. Raises
-    StoreRefused, StoreDamaged or OSError.
+    `source` is a backup, or the data folder of an old member, which must be stopped; it stays as it is. All of it is
+    applied to `state_machine` first, which is of no use after that: what this release cannot go on from is refused, and
+    nothing is written. Blocks. Raises ReleaseTooOld, StoreRefused, StoreDamaged or OSError.
     """
     if source.is_file():
         header, state = read_backup(source)
         old_member_id = header.member_id
     else:
         old_member_id, state = _read_folder(source)
+    _apply(state, state_machine)
     new = SqliteStore(new_dir, cluster_id=cluster_id, member_id=founder.member_id, create=True)
     try:
         new.commit(_taken_over(state, founder, old_member_id))
@@ -50,6 +52,18 @@ def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
     if not state.entries:
         raise StoreRefused(f"{old_dir} has never held anything: there is nothing to restore")
     return old_member_id, state
+
+
+def _apply(state: StoredState, state_machine: StateMachine) -> None:
+    """Raises ReleaseTooOld, and what the state machine raises for a snapshot that it cannot read."""
+    covered = 0
+    if state.snapshot is not None:
+        snapshot = decode_snapshot(state.snapshot.record)
+        covered = snapshot.last.log_index
+        state_machine.prepare_restore(snapshot.state)()
+    for entry in state.entries:
+        if entry.log_index > covered and entry.command[0] == COMMAND:
+            state_machine.apply(entry.log_index, entry.command[1:])
 
 
 def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
