@@ -11,10 +11,15 @@ from collections.abc import Callable
 
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from tests.robustness.directory import simulate as directory
+from tests.robustness.directory import upgrading
 from tests.robustness.histories.linearizability import NotLinearizable
 from tests.robustness.replication import simulate as log
 
-SIMULATORS: dict[str, Callable[[int], object]] = {"log": log.run, "directory": directory.run}
+SIMULATORS: dict[str, Callable[[int], object]] = {
+    "log": log.run,
+    "directory": directory.run,
+    "upgrading": upgrading.run,
+}
 # What the judges raise, and what the product raises that notices a fault itself and goes no further.
 BROKEN_PROMISES = (AssertionError, NotLinearizable, InvariantViolation)
 

@@ -16,7 +16,7 @@ SEEDS_MAX = 100
 
 @dataclass(frozen=True, kw_only=True)
 class Mutant:
-    """One fault. `noticed_by`: a simulator ("log" or "directory"), or a test that fails."""
+    """One fault. `noticed_by`: a simulator ("log", "directory" or "upgrading"), or a test that fails."""
 
     name: str
     file: str
@@ -183,5 +183,27 @@ MUTANTS = (
         edits=(("if 0 < as_of_index < before.registered_index:", "if False:"),),
         noticed_by="tests/unit/supernode/test_late_opens.py",
         quick=True,
+    ),
+    Mutant(
+        name="level_not_checked",
+        file=f"{SUPERNODE}/core/cluster/feature_levels.py",
+        edits=(("    return needed <= cluster_level\n", "    return True\n"),),
+        noticed_by="upgrading",
+        quick=True,
+    ),
+    Mutant(
+        name="level_not_checked_at_the_log",
+        file=f"{REPLICATION}/library/node.py",
+        edits=(("if self.state_machine.takes(command if commandType is not None else command[1:]):", "if True:"),),
+        noticed_by="upgrading",
+        quick=True,
+    ),
+    Mutant(
+        name="level_raised_while_one_is_silent",
+        file=f"{REPLICATION}/interface.py",
+        edits=(
+            ("self.highest_levels.get(member.member_id, 0) for", "self.highest_levels.get(member.member_id, 99) for"),
+        ),
+        noticed_by="upgrading",
     ),
 )

@@ -157,6 +157,10 @@ class SimMember:
         """For how long it has waited for a disk that does not answer."""
         return self.world.now - self._hangs_since if self._busy_until > self.world.now else 0.0
 
+    def refuse_release(self) -> None:
+        """Another member has told it that its release is too old."""
+        raise PromiseBroken(f"{self.member.member_id} is refused though all are of one release")
+
     def after_disk(self, call: Callable[[], None]) -> None:
         """Call when the step has come so far, its waiting for the disk included, unless the process ends before."""
         start = self._starts
@@ -392,6 +396,10 @@ class World:
             return
         if ends[1] not in sender.roster.peers or ends[0] in receiver.roster.removed:
             self._plan_connect(ends)
+            return
+        if sender.highest_level < receiver.feature_level:
+            self._plan_connect(ends)
+            self.members[ends[0]].refuse_release()
             return
         if not receiver.promise_of(ends[0]).is_kept_by(*sender.standing):
             self._refuse(self.members[ends[0]])

@@ -41,12 +41,12 @@ def test_a_release_that_knows_less_is_refused_and_its_member_ends_with_a_folder_
     assert refusal.code is grpc.StatusCode.FAILED_PRECONDITION
     settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
     links = Links(settings, lambda address: pytest.fail("nobody is called"), None, lambda error: None)  # type: ignore[arg-type]
-    noted: list[str] = []
-    links.on_store_refused = noted.append
-    links._on_refused(f"{refusal.code.name}: {refusal.why}")
+    noted: list[object] = []
+    links.on_refusal_confirmed = noted.append
+    links._on_refused("s1", f"{refusal.code.name}: {refusal.why}", noted.append)
     assert links.too_old == "it knows feature level 1, and the cluster is at level 2"
     assert noted == []
-    assert not links.is_refused
+    assert not links.refusals.by
 
 
 @pytest.mark.parametrize("version", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])

@@ -1,0 +1,293 @@
+"""Rolling upgrades in seeded bad weather: `python -m tests.robustness.directory.upgrading --seeds 100`.
+
+Three or five supernodes of today's release are replaced by those of a newer one (tests/support/newer_release.py), one
+by one and sometimes back again, while they are killed, split and hang. All the time somebody proposes the newer
+release's command straight to the log, which no supernode would do: the log must keep it out until all know it. No two
+states may come to differ, no command above the level may be in the log, and no member may be left behind by a level
+that it never told to know. In the end all run the newer release, and the command works.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import random
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+from unittest import mock
+
+from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
+from stampede_rt_supernode.codecs.snapshot_codec import encode_snapshot
+from stampede_rt_supernode.core.channels.commands import ChannelUpdated, OpenChannel
+from stampede_rt_supernode.core.commands import Command, Operation
+from stampede_rt_supernode.core.hosts.commands import RegisterHost
+from stampede_rt_supernode.core.records import Endpoint
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import ReleaseTooOld
+from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
+from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
+from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
+from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.simulate import weather_of
+from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.world import World
+from tests.support.newer_release import NEW_LEVEL, NewerReplica, encode_cap
+
+STORM_SECONDS, HEAL_SECONDS = 16.0, 20.0
+HOST_ID = (1).to_bytes(16, "big")
+
+
+class CheckedReplica(NewerReplica):
+    """The newer release's directory, which says when the log holds what it should have kept out."""
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """As in production."""
+        if not self.takes(command):
+            raise PromiseBroken(f"entry {index} needs a higher feature level than {self.feature_level}")
+        return super().apply(index, command)
+
+
+class UpgradedMember(DirectoryMember):
+    """One supernode, of today's release at first."""
+
+    software: type[DirectoryReplica] = DirectoryReplica
+    # Whether it ever ran the newer release, and may have told so.
+    was_newer = False
+
+    @property
+    def machine(self) -> Any:
+        return self._directory
+
+    @machine.setter
+    def machine(self, _: object) -> None:
+        self._directory = self.software()
+
+    def start(self) -> None:
+        """As in production; a release that is too old for its own folder does not come up."""
+        self.was_newer |= self.software is CheckedReplica
+        try:
+            super().start()
+        except ReleaseTooOld:
+            self._left_behind()
+            return
+        levels = LevelKeeper(_Log(self), self._directory, Submission(self))  # type: ignore[arg-type]
+
+        async def keep() -> None:
+            while True:
+                await levels.tick()
+                await self.world.sleep(TICK_SECONDS)
+
+        self.run(keep)
+
+    def refuse_release(self) -> None:
+        """Another member has told it that it is too old: it ends."""
+        self._left_behind()
+        self.crash()
+
+    def run_release(self, release: type[DirectoryReplica]) -> None:
+        """Somebody starts it with another release."""
+        if self.replica is not None:
+            self.crash()
+        self.software = release
+        self.world.restart(self)
+
+    def _step(self, replica: Any, at: float) -> None:
+        try:
+            super()._step(replica, at)
+        except ReleaseTooOld:
+            self._left_behind()
+            self.crash()
+
+    def _left_behind(self) -> None:
+        if not self.was_newer:
+            raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever told to know")
+
+
+class UpgradeWorld(DirectoryWorld):
+    """A DirectoryWorld whose members change their release."""
+
+    members: dict[str, UpgradedMember]  # type: ignore[assignment]
+
+    def __init__(self, seed: int, *, size: int, weather: Weather) -> None:
+        super().__init__(seed, size=size, weather=weather)
+        self.members = {
+            name: UpgradedMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
+        }
+
+
+class Upgrade:
+    """Faults, upgrades and callers over a world, until it ends."""
+
+    def __init__(self, world: UpgradeWorld) -> None:
+        self.world, self.over = world, False
+        # What became of the newer release's command.
+        self.capped = 0
+        self._numbers = iter(range(1, 10**9))
+        self._waiting = list(world.members.values())
+        world.dice.shuffle(self._waiting)
+        weather = world.weather
+        for rate, happen in (
+            (weather.crashes, self._crash),
+            (weather.partitions, self._split),
+            (weather.freezes, self._freeze),
+            (weather.link_breaks, lambda: world.break_wire(world.dice.choice(list(world.wires)))),
+            (0.7, self._upgrade),
+            (0.15, self._go_back),
+            (2.0, self._register),
+            (5.0, self._open),
+            (10.0, self.cap),
+        ):
+            if rate > 0:
+                self._repeat(rate, happen)
+
+    def _repeat(self, rate: float, happen: Callable[[], object]) -> None:
+        def once() -> None:
+            if not self.over:
+                happen()
+                self._repeat(rate, happen)
+
+        self.world.after(self.world.dice.expovariate(rate), once)
+
+    def _crash(self) -> None:
+        if alive := self.world.alive():
+            self.world.dice.choice(alive).crash()
+
+    def _freeze(self) -> None:
+        if alive := self.world.alive():
+            self.world.dice.choice(alive).frozen_until = self.world.now + self.world.dice.uniform(0.2, 3.0)
+
+    def _split(self) -> None:
+        names = list(self.world.members)
+        side = set(self.world.dice.sample(names, self.world.dice.randint(1, len(names) - 1)))
+        pairs = [ends for ends in self.world.wires if len(side & set(ends)) == 1]
+        self.world.block(pairs)
+        self.world.after(self.world.dice.uniform(0.3, 4.0), lambda: self.world.unblock(pairs))
+
+    def _upgrade(self) -> None:
+        if self._waiting:
+            self._waiting.pop().run_release(CheckedReplica)
+
+    def _go_back(self) -> None:
+        """One is started with the older release again: that may be, until the level has risen; then it ends."""
+        member = self.world.dice.choice(list(self.world.members.values()))
+        if member not in self._waiting:
+            member.run_release(DirectoryReplica)
+            self._waiting.append(member)
+
+    def _register(self) -> None:
+        self._do(
+            RegisterHost(
+                host_id=HOST_ID,
+                name="host",
+                gatekeepers=(Endpoint(target="localhost:7600", zone=""),),
+                boot_incarnation=next(self._numbers),
+                new_incarnation=next(self._numbers),
+            )
+        )
+
+    def _open(self) -> None:
+        name = f"cam/{self.world.dice.randrange(3)}"
+        new = self.world.dice.randbytes(16)
+        self._do(OpenChannel(name=name, new_channel_id=new, new_incarnation=next(self._numbers)))
+
+    def _do(self, operation: Operation) -> None:
+        identity = self.world.dice.randbytes(16)
+        self._propose(encode_command(Command(op_id=identity, time_unix_nano=0, operation=operation)))
+
+    def cap(self) -> None:
+        """Somebody proposes the newer release's command, without a look at the level."""
+        for member in self.world.dice.sample(self.world.alive(), len(self.world.alive())):
+            directory = member.machine._directory
+            for channel in directory.tables.channels.values():
+                self._propose(encode_cap(self.world.dice.randbytes(16), channel.channel_id, channel.epoch), member)
+                return
+
+    def _propose(self, encoded: bytes, member: Any = None) -> None:
+        alive = self.world.alive()
+        member = member or (self.world.dice.choice(alive) if alive else None)
+        if member is not None:
+            member.replica.propose(Proposal(encoded, self.world.now + 2.0, self._note))
+
+    def _note(self, outcome: Outcome) -> None:
+        if isinstance(outcome, bytes):
+            result = decode_result(outcome)
+            self.capped += isinstance(result, ChannelUpdated)
+
+
+def _revive(world: World) -> None:
+    for member in world.members.values():
+        if member.replica is None and world.dice.random() < 0.3:
+            world.restart(member)
+    world.after(0.4, lambda: _revive(world))
+
+
+def run(seed: int) -> Upgrade:
+    """One seed: storm, calm, judgement. Raises PromiseBroken."""
+    dice = random.Random(f"upgrade-{seed}")
+    world = UpgradeWorld(seed, size=dice.choice([3, 3, 5]), weather=weather_of(dice))
+    with (
+        mock.patch("secrets.token_bytes", world.dice.randbytes),
+        mock.patch("secrets.randbits", world.dice.getrandbits),
+        mock.patch("secrets.token_hex", lambda count: world.dice.randbytes(count).hex()),
+    ):
+        for member in world.members.values():
+            member.start()
+        _revive(world)
+        storm = Upgrade(world)
+        world.run_until(STORM_SECONDS)
+        storm.over = True
+        _calm(storm, list(world.members.values()))
+    return storm
+
+
+def _calm(storm: Upgrade, members: Sequence[UpgradedMember]) -> None:
+    """Heal everything and upgrade everybody: the level rises by itself, the command works, and all states are one."""
+    world = storm.world
+    world.weather = Weather()
+    world.unblock(list(world.wires))
+    for member in members:
+        member.frozen_until = 0.0
+        if member.software is not CheckedReplica:
+            member.run_release(CheckedReplica)
+    end = world.now + HEAL_SECONDS
+    if not world.run_until(end, lambda: all(one.machine.feature_level == NEW_LEVEL for one in members)):
+        levels = {one.member.member_id: one.machine.feature_level for one in members}
+        raise PromiseBroken(f"all run the newer release, and the level does not rise: {levels}")
+    before = storm.capped
+    while storm.capped == before and world.now < end:
+        storm._register()
+        storm._open()
+        world.run_until(world.now + 0.5)
+        storm.cap()
+        world.run_until(world.now + 0.5)
+    if storm.capped == before:
+        raise PromiseBroken(f"the newer release's command does not work {HEAL_SECONDS} s after all run it")
+
+    def agree() -> bool:
+        return len({encode_snapshot(one.machine._directory) for one in members}) == 1
+
+    if not world.run_until(world.now + HEAL_SECONDS, agree):
+        raise PromiseBroken("two supernodes end with different states")
+
+
+def main() -> int:
+    """Run many seeds and name those that fail."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    wanted = parser.parse_args()
+    logging.disable(logging.WARNING)
+    failed, capped = [], 0
+    for seed in range(wanted.first, wanted.first + wanted.seeds):
+        try:
+            capped += run(seed).capped
+        except Exception as error:  # noqa: BLE001 - every failure is reported with its seed
+            failed.append(seed)
+            print(f"seed {seed} failed: {error!r}", file=sys.stderr)
+    print(f"{wanted.seeds} seeds, the newer command done {capped} times; failed: {failed or 'none'}")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
