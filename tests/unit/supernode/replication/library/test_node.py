@@ -6,7 +6,13 @@ import pytest
 from pysyncobj.config import FAIL_REASON
 
 from stampede_rt_supernode.replication.library.node import Fate, LibraryNode
-from tests.unit.supernode.replication.lone_node import LoneNode
+from stampede_rt_supernode.replication.wire.messages import (
+    ForwardedCommand,
+    ForwardedCommandReply,
+    ForwardRefusal,
+)
+from tests.robustness.replication.machine import ListMachine
+from tests.unit.supernode.replication.lone_node import LoneNode, append
 
 NOT_TAKEN = ["QUEUE_FULL", "MISSING_LEADER", "DISCARDED", "NOT_LEADER"]
 UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]
@@ -34,3 +40,27 @@ def test_every_private_name_is_one_of_the_library() -> None:
     for name, alias in vars(LibraryNode).items():
         if hasattr(alias, "_name"):
             assert alias._name in vars(node), name
+
+
+class OldMachine(ListMachine):
+    """The state of a cluster whose feature level does not take any command yet."""
+
+    def takes(self, command: bytes) -> bool:
+        return False
+
+
+def test_a_leader_answers_a_forwarded_command_that_its_state_does_not_take() -> None:
+    lone = LoneNode(machine=OldMachine())
+    lone.lead()
+    said = lone.receive("b", ForwardedCommand(request_id=7, command=b"\x00new"))
+    refusal = ForwardedCommandReply(request_id=7, refusal=ForwardRefusal.DENIED)
+    assert ("b", refusal) in said + lone.tick()
+
+
+def test_a_forwarded_command_that_the_leader_does_not_take_is_certainly_not_in_the_log() -> None:
+    lone, heard = LoneNode(), []
+    lone.receive("b", append(1, (1, 0), []))
+    lone.node.propose(b"new", heard.append)
+    [(_, request)] = lone.tick()
+    lone.receive("b", ForwardedCommandReply(request_id=request.request_id, refusal=ForwardRefusal.DENIED))
+    assert heard == [Fate.NOT_TAKEN]

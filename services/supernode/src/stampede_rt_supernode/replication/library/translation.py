@@ -29,6 +29,7 @@ _REASONS = {
     ForwardRefusal.QUEUE_FULL: 1,
     ForwardRefusal.MISSING_LEADER: 2,
     ForwardRefusal.NOT_LEADER: 4,
+    ForwardRefusal.DENIED: 6,
 }
 _REFUSALS = {reason: refusal for refusal, reason in _REASONS.items()}
 

@@ -201,6 +201,7 @@ _WIRE_REFUSALS = {
     ForwardRefusal.QUEUE_FULL: pb.RAFT_REFUSAL_QUEUE_FULL,
     ForwardRefusal.MISSING_LEADER: pb.RAFT_REFUSAL_MISSING_LEADER,
     ForwardRefusal.NOT_LEADER: pb.RAFT_REFUSAL_NOT_LEADER,
+    ForwardRefusal.DENIED: pb.RAFT_REFUSAL_DENIED,
 }
 _REFUSALS = {wire: refusal for refusal, wire in _WIRE_REFUSALS.items()}
 

@@ -108,6 +108,7 @@ class ForwardRefusal(enum.Enum):
     QUEUE_FULL = enum.auto()
     MISSING_LEADER = enum.auto()
     NOT_LEADER = enum.auto()
+    DENIED = enum.auto()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
