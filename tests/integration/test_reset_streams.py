@@ -65,9 +65,9 @@ async def rt(request: pytest.FixtureRequest, world: World) -> AsyncIterator[Any]
             yield made
         return
     with ThreadPoolExecutor(8) as pool:
-        made = Lifted(await asyncio.to_thread(st.connect, world.address), pool)
-        yield made
-        await made.aclose()
+        lifted = Lifted(await asyncio.to_thread(st.connect, world.address), pool)
+        yield lifted
+        await lifted.aclose()
 
 
 async def opened(rt: Any, made: Any) -> Any:
