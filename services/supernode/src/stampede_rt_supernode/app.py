@@ -23,7 +23,7 @@ from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
-from stampede_rt_supernode.joining.founding import Founding, note_started, read_founding
+from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
@@ -63,6 +63,10 @@ async def serve(settings: SupernodeSettings) -> None:
     # Bound before anything else: the log must know the address, and others hear of it.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
+    if wrong := misplaced(founding, address, settings.advertise):
+        logger.warning(wrong)
+    if settings.data_dir is None and not settings.members:
+        logger.info("alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir")
     async with _open_log(settings, founding, server, credentials) as (log, replica):
         tune_garbage_collection()
         parts = _assemble(settings, founding, log, replica, credentials)

@@ -15,7 +15,7 @@ from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.settings import setting
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_duration, parse_list, parse_target
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS
-from stampede_rt_supernode.joining.founding import Founding, read_founding
+from stampede_rt_supernode.joining.founding import Founding, check_restored, read_founding
 from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, holds_store, read_identity
 
 DEFAULT_ID = "supernode-1"
@@ -104,6 +104,8 @@ class SupernodeSettings(ServiceSettings):
         Raises StampedeError for a folder that nobody has prepared: a member that lost its disk would come back
         without what it has promised.
         """
+        if self.data_dir is not None:
+            check_restored(self.data_dir)
         prepared = None if self.data_dir is None else read_founding(self.data_dir)
         if prepared is not None:
             if self.id not in ("", prepared.supernode_id):

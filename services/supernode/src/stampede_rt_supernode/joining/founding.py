@@ -5,19 +5,26 @@ The log's store knows its own identity too; this file is there before the store,
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
+from stampede_rt_runtime.values import parse_address
 from stampede_rt_runtime.written import naming
 from stampede_rt_supernode.replication import Member, ReplicationSettings, holds_store
 
 FILE_NAME = "supernode.json"
+# Is there while `init --restore` writes.
+RESTORING_NAME = "supernode.restoring"
 FORMAT_VERSION = 1
+ANYWHERE = ("0.0.0.0", "::")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +45,9 @@ class Founding:
     token: str = field(default="", repr=False)
     # Whether the store was opened once: from then on it must be there.
     started: bool = False
+    # Why the members did not let it in when it asked last, and how often they have refused.
+    refused: str = ""
+    refusals: int = 0
 
     def replication_settings(self, data_dir: Path | None) -> ReplicationSettings:
         """What the log is to be told."""
@@ -89,8 +99,53 @@ def note_started(data_dir: Path, founding: Founding) -> Founding:
     return started
 
 
+@contextlib.contextmanager
+def restoring(data_dir: Path) -> Iterator[None]:
+    """Mark the folder while the block writes into it: whoever finds the mark later knows that it was cut off.
+
+    A block that fails before anything is there leaves none.
+    """
+    data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    mark = data_dir / RESTORING_NAME
+    mark.touch(0o600)
+    try:
+        yield
+    except BaseException:
+        if not holds_store(data_dir):
+            mark.unlink()
+        raise
+    mark.unlink()
+
+
+def check_restored(data_dir: Path) -> None:
+    """Raises StampedeError if a restore into this folder was cut off."""
+    if (data_dir / RESTORING_NAME).exists():
+        raise StampedeError(
+            f"{data_dir} is of no use: `stampede supernode init --restore` failed or was cut off while it wrote there; "
+            "empty the folder, and run it again"
+        )
+
+
+def misplaced(founding: Founding, listening_at: str, advertise: str) -> str:
+    """What to say of one that listens where nobody calls it; empty if all is well.
+
+    Whoever names its address with --advertise knows how calls get from there to here.
+    """
+    told, here = parse_address(founding.address), parse_address(listening_at)
+    is_local = is_loopback(listening_at) and is_loopback(founding.address)
+    is_elsewhere = here.host not in (*ANYWHERE, told.host) and not is_local
+    if advertise or (told.port == here.port and not is_elsewhere):
+        return ""
+    return (
+        f"supernode {founding.supernode_id} listens at {listening_at}, but the others call it at {founding.address}: "
+        f"start it with --listen {founding.address}, or, if calls to that address come here, with --advertise "
+        f"{founding.address}"
+    )
+
+
 def check_unused(data_dir: Path) -> None:
     """Raises StampedeError if the folder is some member's already."""
+    check_restored(data_dir)
     if (data_dir / FILE_NAME).exists() or holds_store(data_dir):
         raise StampedeError(
             f"{data_dir} is a supernode's already; start that one with `stampede supernode --data-dir {data_dir}`, "

@@ -17,13 +17,12 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
-from stampede_rt_supernode.joining.founding import Founding, check_unused, write_founding
+from stampede_rt_supernode.joining.founding import ANYWHERE, Founding, check_unused, restoring, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import Member, ReleaseTooOld, StoreDamaged, StoreRefused, restore_from
 
 PREPARING = ("init", "join")
-ANYWHERE = ("0.0.0.0", "::")
 FAILED, MISUSED = 1, 2
 ID_BYTES = 4
 
@@ -73,8 +72,11 @@ def _run_init(arguments: argparse.Namespace) -> int:
     if arguments.take_over and arguments.restore is None:
         raise ValueError("--take-over goes with --restore: there is no former cluster otherwise")
     if arguments.restore is not None:
-        founding = _restored(arguments, founding)
-    write_founding(arguments.data_dir, founding)
+        with restoring(arguments.data_dir):
+            founding = _restored(arguments, founding)
+            write_founding(arguments.data_dir, founding)
+    else:
+        write_founding(arguments.data_dir, founding)
     _say(f"Cluster {cluster_id} is founded, with supernode {name}. {_start(arguments)}")
     return 0
 

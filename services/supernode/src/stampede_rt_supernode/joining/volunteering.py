@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,20 +17,34 @@ from stampede_rt.v1 import directory_pb2, membership_service_pb2_grpc
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt_runtime.version import software_version
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
-from stampede_rt_supernode.joining.founding import Founding, write_founding
+from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
 from stampede_rt_supernode.replication import ReplicatedLog
 
 logger = logging.getLogger(__name__)
 
 ATTEMPT_SECONDS = 30.0
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
+REFUSED_SECONDS_MAX = 300
 _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
 
 
 async def volunteer(
-    founding: Founding, data_dir: Path, log: ReplicatedLog, dial: Callable[[str], grpc.aio.Channel], *, zone: str
+    founding: Founding,
+    data_dir: Path,
+    log: ReplicatedLog,
+    dial: Callable[[str], grpc.aio.Channel],
+    *,
+    zone: str,
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
 ) -> None:
-    """Ask one member after the other, and whom they name as the leader. Raises StampedeError if they refuse."""
+    """Ask one member after the other, and whom they name as the leader. Raises StampedeError if they refuse.
+
+    Who was refused before waits first, longer each time: a supervisor starts it again as soon as it ends.
+    """
+    if founding.refused:
+        pause_seconds = seconds_before_asking(founding.refusals)
+        logger.warning("refused before, asks again in %.0f s: %s", pause_seconds, founding.refused)
+        await sleep(pause_seconds)
     addresses = list(founding.members.values())
     pause_seconds, told = PAUSE_SECONDS, ""
     while not _is_member(log):
@@ -40,6 +54,7 @@ async def volunteer(
             leader, pause_seconds = error.metadata.get("leader_endpoint", ""), PAUSE_SECONDS
             addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
         except _HOPELESS as error:
+            _note_refusal(data_dir, founding, error.message)
             raise StampedeError(
                 f"this supernode cannot join: {error.message}; then empty {data_dir}, and join again"
             ) from error
@@ -49,9 +64,19 @@ async def volunteer(
                 logger.info("waiting to be let in", extra={"asked": addresses[0], "cause": told})
             addresses = _next(addresses)
             pause_seconds = min(2 * pause_seconds, PAUSE_SECONDS_MAX)
-        await asyncio.sleep(pause_seconds * random.uniform(0.5, 1.0))
-    write_founding(data_dir, replace(founding, token="", started=True))
+        await sleep(pause_seconds * random.uniform(0.5, 1.0))
+    write_founding(data_dir, replace(founding, token="", started=True, refused="", refusals=0))
     logger.info("joined", extra={"supernode": founding.supernode_id})
+
+
+def seconds_before_asking(refusals: int) -> float:
+    """For how long one that was refused so often waits before it asks once more."""
+    return float(min(2 ** min(refusals - 1, 30), REFUSED_SECONDS_MAX)) if refusals else 0.0
+
+
+def _note_refusal(data_dir: Path, founding: Founding, why: str) -> None:
+    noted = read_founding(data_dir) or founding
+    write_founding(data_dir, replace(noted, refused=why, refusals=founding.refusals + 1))
 
 
 def _next(addresses: list[str]) -> list[str]:

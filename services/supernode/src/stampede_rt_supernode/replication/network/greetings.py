@@ -75,7 +75,8 @@ def refusal_of(
     """Why this member does not listen to the caller; None if it does. `promise`: what the caller said before."""
     failed, denied = grpc.StatusCode.FAILED_PRECONDITION, grpc.StatusCode.PERMISSION_DENIED
     own, caller = settings.self_member.member_id, hello.member_id
-    sizes = (caller, MEMBER_ID_BYTES_MAX), (hello.address, ADDRESS_BYTES_MAX), (hello.store_id, STORE_ID_BYTES_MAX)
+    names = [(name, MEMBER_ID_BYTES_MAX) for name in (caller, hello.peer_member_id, hello.cluster_id)]
+    sizes = *names, (hello.address, ADDRESS_BYTES_MAX), (hello.store_id, STORE_ID_BYTES_MAX)
     if not caller or any(len(text.encode()) > limit for text, limit in sizes):
         return Refusal(grpc.StatusCode.INVALID_ARGUMENT, "a hello without an id, or with a text that is too long")
     if hello.protocol_version != PROTOCOL_VERSION:

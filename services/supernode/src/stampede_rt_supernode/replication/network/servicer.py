@@ -20,6 +20,7 @@ from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.replication.network.greetings import (
     ANOTHER_STORE,
     OLDER_STORE,
+    OTHER_CLUSTER,
     Refusal,
     newly_met,
     refusal_of,
@@ -163,12 +164,24 @@ class RaftServicer:
 
     def _note_outcome(self, hello: pb.RaftHello, refusal: Refusal | None) -> None:
         """Remember, and say once, that a member may not come back with the store that it has."""
+        if refusal is not None and OTHER_CLUSTER in refusal.why:
+            self._tell_of_another_cluster(hello)
         if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
             self._refused.pop(hello.member_id, None)
             return
         self._refused[hello.member_id] = refusal.why
         if self._reports.is_due((hello.member_id, refusal.why), time.monotonic()):
             logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
+
+    def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
+        """Say once who calls here in error, as when this one was started without its folder."""
+        own = self._settings.self_member.member_id
+        if self._reports.is_due((hello.member_id, hello.cluster_id), time.monotonic()):
+            logger.warning(
+                "member %s of another cluster (%s) calls this address, and takes it for its member %s; this is %s of "
+                "cluster %s: if it was to be that member, stop it, and start it with the --data-dir of that one",
+                *(hello.member_id, hello.cluster_id, hello.peer_member_id, own, self._settings.cluster_id),
+            )
 
     async def _receive(self, member_id: str, context: Context) -> None:
         loop = asyncio.get_running_loop()

@@ -39,9 +39,12 @@ def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, fo
 
 
 def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
+    if not old_dir.exists():
+        raise StoreRefused(f"{old_dir} does not exist: name a backup, or the data folder of a lost cluster's member")
     if not holds_store(old_dir):
         raise StoreRefused(
-            f"{old_dir} holds no replicated log: name the data folder of a member of the lost cluster, or a backup"
+            f"{old_dir} is not the data folder of a supernode that has ever run: it has no log; name that of a "
+            "member of the lost cluster, or a backup that `stampede supernode snapshot` wrote"
         )
     old_cluster_id, old_member_id = read_identity(old_dir)
     old = SqliteStore(old_dir, cluster_id=old_cluster_id, member_id=old_member_id, create=False)

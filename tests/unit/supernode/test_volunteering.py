@@ -1,0 +1,81 @@
+"""A newcomer that the members refuse keeps a note, and does not ask again at once however often it is started."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.errors import PermissionDenied, StampedeError
+from stampede_rt.status import abort
+from stampede_rt.v1 import membership_service_pb2 as pb
+from stampede_rt.v1 import membership_service_pb2_grpc
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import serving
+from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
+from stampede_rt_supernode.joining.volunteering import REFUSED_SECONDS_MAX, seconds_before_asking, volunteer
+
+
+class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
+    """Refuses everybody until it is told otherwise; then the newcomer is a member."""
+
+    def __init__(self) -> None:
+        self.refuses, self.asked, self.has_let_in = True, 0, False
+        self.log: Any = SimpleNamespace(status=lambda: SimpleNamespace(self_id="new", members=self._members()))
+
+    def _members(self) -> list[Any]:
+        return [SimpleNamespace(member_id="new")] if self.has_let_in else []
+
+    async def AddSupernode(  # noqa: N802
+        self, request: pb.AddSupernodeRequest, context: Any
+    ) -> pb.AddSupernodeResponse:
+        self.asked += 1
+        if self.refuses:
+            await abort(context, PermissionDenied("the token is over", reason="UNAUTHENTICATED"))
+        self.has_let_in = True
+        return pb.AddSupernodeResponse()
+
+
+async def started(leader: Leader, address: str, folder: Path) -> list[float]:
+    """Start the newcomer as its folder says, as a supervisor does; returns for how long it waited."""
+    waited: list[float] = []
+
+    async def sleep(seconds: float) -> None:
+        waited.append(seconds)
+
+    def to(target: str) -> grpc.aio.Channel:
+        return dial(target, secret=None)
+
+    founding = read_founding(folder)
+    assert founding is not None
+    asked = leader.asked
+    with pytest.raises(StampedeError, match="cannot join: the token is over") if leader.refuses else nullcontext():
+        await volunteer(founding, folder, leader.log, to, zone="", sleep=sleep)
+    assert leader.asked == asked + 1
+    return waited
+
+
+async def test_a_refused_newcomer_notes_it_and_waits_longer_each_time_until_it_is_let_in(tmp_path: Path) -> None:
+    leader = Leader()
+    register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
+    async with serving(lambda server: register(leader, server)) as server:
+        founding = Founding(supernode_id="new", address="h:1", members={"a": server.address}, joining=True, token="t")
+        write_founding(tmp_path, founding)
+        assert [await started(leader, server.address, tmp_path) for _ in range(5)] == [[], [1.0], [2.0], [4.0], [8.0]]
+        noted = read_founding(tmp_path)
+        assert noted is not None
+        assert (noted.refusals, "the token is over" in noted.refused, noted.token) == (5, True, "t")
+        leader.refuses = False
+        assert (await started(leader, server.address, tmp_path))[0] == 16.0
+        joined = read_founding(tmp_path)
+        assert joined is not None
+        assert (joined.refusals, joined.refused, joined.token) == (0, "", "")
+
+
+@pytest.mark.parametrize(("refusals", "seconds"), [(0, 0), (1, 1), (5, 16), (9, 256), (10, 300), (10**6, 300)])
+def test_the_pause_doubles_up_to_a_bound(refusals: int, seconds: float) -> None:
+    assert seconds_before_asking(refusals) == seconds <= REFUSED_SECONDS_MAX
