@@ -1,4 +1,4 @@
-"""What `import stampede_rt` gives, all of it: loaded when its first name is asked for."""
+"""All names of `import stampede_rt`. The package loads this module when a program first uses one of them."""
 
 from __future__ import annotations
 
@@ -202,11 +202,12 @@ def connect(
 ) -> Connection:
     """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
 
-    `name`: this participant's name among the live ones, under which it gets a mailbox; without it, it is nobody in
-    particular. `proof`: a secret text of 16 characters or more, kept over restarts: who brings it is the same
-    participant again, and takes over name and mailbox at once. `secret`: the cluster's, found by itself on the same
-    machine; `zone`: where the caller is, to prefer what is near; `tls`: certificates, if the cluster asks for them.
-    Blocks 5 s at most. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
+    `name`: the peer name of this connection, which gives it a mailbox. Without a name others cannot send to it.
+    `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that gives
+    the same proof takes over name and mailbox at once. `secret`: the cluster's secret; on the cluster's own machine the
+    client finds it by itself. `zone`: the caller's zone; the client prefers supernodes of the same zone. `tls`: the
+    certificates, if the cluster asks for them. Blocks for at most 5 s.
+    Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
     """
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
     address = ClusterReference.of(target, secret)
@@ -219,5 +220,5 @@ def connect(
 
 
 def now() -> int:
-    """This machine's clock in nanoseconds since the epoch, not corrected towards any host's."""
+    """Return this machine's clock in nanoseconds since the epoch. It is not corrected towards the clock of a host."""
     return time.time_ns()

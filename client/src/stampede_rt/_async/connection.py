@@ -43,7 +43,7 @@ from stampede_rt.wire.groups import group_info, group_spec
 
 
 class Connection(Discovery, Reference):
-    """What `connect` gives: the way to channels, queues and the directory. A context manager; close it or leave it."""
+    """A connection to a cluster, from `connect`. It opens channels, groups and queues. A context manager."""
 
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:
         super().__init__(session)
@@ -87,19 +87,19 @@ class Connection(Discovery, Reference):
         await self.aclose()
 
     async def aclose(self) -> None:
-        """End everything that is under way and leave; handles of this connection do not work any more."""
+        """End all calls and streams, and leave the cluster. Handles of this connection no longer work."""
         await self._session.aclose()
 
     @property
     def cluster_id(self) -> str:
-        """Which cluster this is."""
+        """The id of the cluster."""
         return self._session.supernodes.cluster_id
 
     @property
     def clock(self) -> ClockOffset | None:
         """How far this machine's clock is ahead of the nearest supernode's, or of the leader's for a named connection.
 
-        Measured when it connects; later with each renewal of its lease, and at times with other calls to supernodes.
+        The client measures it when it connects, with each renewal of its lease, and with some other calls.
         """
         return self._session.supernodes.clock
 
@@ -122,15 +122,16 @@ class Connection(Discovery, Reference):
     ) -> Channel:
         """Get or create a channel (paper, section 3.4 for the policies).
 
-        Arguments left out are never compared; a stated one that contradicts what was stated before raises
-        ChannelExists. Unstated: max_age "10s" if no limit at all is stated, max_bytes 256 MiB, on_full "drop_oldest",
-        max_future "1s". `consumers`: an item may go once so many have consumed it; `max_age_unconsumed`: what a live
-        consumer has yet to consume goes at that age instead of max_age (see `Channel.consume`). `host` names the host
-        to create it at; a channel that exists at another live host raises ChannelExists. `create=False` raises
-        ChannelNotFound if it is absent.
+        The call compares only the arguments that you state with an existing channel. A contradiction raises
+        ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full "drop_oldest",
+        max_future "1s". `consumers`: an item may leave once so many consumers have consumed it. `max_age_unconsumed`:
+        the age, instead of max_age, at which an item leaves that a live consumer has still to consume (see
+        `Channel.consume`). `host` names the host of a new channel. If the channel exists at another live host, the
+        call raises ChannelExists. With `create=False` an absent channel raises ChannelNotFound.
 
-        `codec` belongs to the handle, not to the channel: what `put` takes and `item.value` gives. "bytes" (default),
-        "json", "numpy" (shape and dtype kept), or an object with `content_type`, `encode` and `decode`.
+        `codec` belongs to the handle, not to the channel. It turns the values of `put` into payloads, and payloads into
+        `item.value`: "bytes" (default), "json", "numpy" (keeps shape and dtype), or an object with `content_type`,
+        `encode` and `decode`.
         """
         stated = parse_policy(
             max_age=max_age,
@@ -157,12 +158,13 @@ class Connection(Discovery, Reference):
         idle_after: DurationLike | None = None,
         max_lead: DurationLike = MAX_LEAD_DEFAULT,
     ) -> Group:
-        """Get or create a group of channels that are read in step (paper, section 3.3); by name alone: get it.
+        """Get or create a group of channels that are read in step (paper, section 3.3). With the name alone: get it.
 
-        Through the group only items before its cut are visible. `reference` "oldest": the cut is the smallest of all
-        members'; a channel: that one's. `bound` "start": a channel's cut is its newest item's time; "end": where that
-        item's duration ends, at most `max_lead` later. `idle_after`: how long a member may be silent before it is left
-        out of "oldest"; None: never. Raises GroupExists if a group of the name is set up otherwise, GroupNotFound.
+        The group shows only items before its cut. `reference` "oldest": the group's cut is the smallest cut of all
+        members. A channel as `reference`: the group has the cut of that channel. `bound` "start": a channel's cut is
+        the time of its newest item. "end": it is the end of that item's duration, at most `max_lead` later.
+        `idle_after`: "oldest" leaves out a member that has been silent for so long; None: never. Raises GroupExists if
+        a group of the name has another set-up, GroupNotFound.
         """
         if channels is None:
             request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=parse_name(name, "group"))
@@ -193,11 +195,12 @@ class Connection(Discovery, Reference):
         payloads: bool = True,
         timeout: float | None = 0,
     ) -> CrossSection[Channel | GroupChannel]:
-        """What every channel holds at one item of `reference`: the last one whose span holds `at`.
+        """Return the items of every channel at one item of `reference`: its last item whose span holds `at`.
 
-        `over` "start": the items of `others` whose span holds that item's time; "span": all that share an instant with
-        its span. With `complete` each channel is waited for until it has passed that, `timeout` seconds in all at the
-        most, None: for ever. `section.time` is None, and every channel but the reference left out, if it holds nothing.
+        `over` "start": the items of `others` whose span holds the time of that item. "span": all items that share an
+        instant with its span. With `complete` the call waits until each channel has passed that time, at most `timeout`
+        seconds in all (None: without a limit). If `reference` has no such item, `section.time` is None, and the answer
+        has only the reference.
         """
         return await cross_section(
             reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout

@@ -32,7 +32,7 @@ PENDING_PAGE_MAX = 1000
 
 
 class MessageTaking:
-    """What messages are taken from: a queue, or one's own mailbox. An iterator that waits for the next one for ever."""
+    """A handle that takes messages, of a queue or of one's own mailbox. Its iterator waits without a limit."""
 
     def __init__(
         self,
@@ -53,12 +53,12 @@ class MessageTaking:
 
     @property
     def name(self) -> str:
-        """The queue's name; of a mailbox, its peer's."""
+        """The name of the queue. The name of a mailbox is that of its peer."""
         return self._state.name
 
     @property
     def info(self) -> QueueInfo:
-        """Everything the directory said of it, as last known."""
+        """The directory's description of the queue, as last known."""
         return self._state.info
 
     @property
@@ -68,7 +68,7 @@ class MessageTaking:
 
     @property
     def incarnation(self) -> int:
-        """Which life of it this is, as last known; another one means that items may have been lost."""
+        """The queue's incarnation, as last known. If it changes, items may have been lost."""
         return self._state.info.incarnation
 
     def __repr__(self) -> str:
@@ -82,10 +82,10 @@ class MessageTaking:
         return hash(self._state.info.queue_id)
 
     async def get(self, timeout: float | None = None) -> Message | None:
-        """The next message, leased to this taker until it is settled or its lease ends; None when `timeout` is over.
+        """Return the next message, or None after `timeout`. It is leased until it is settled or its lease ends.
 
-        `timeout` in seconds: 0 takes what is there, None waits for ever. Who waits longest is served first, over all
-        takers. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s.
+        `timeout` in seconds: 0 takes only a message that is there, None waits without a limit. The host serves the
+        taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s.
         """
         return await self._taker.get(Wait.parse(timeout))
 
@@ -107,40 +107,41 @@ class MessageTaking:
 
     @property
     def reconnects(self) -> int:
-        """How often iterating over it went on after its connection was broken for 10 s or more."""
+        """How often the iteration went on after its connection was broken for 10 s or more."""
         return self._reconnecting.reconnects
 
     @property
     def connected(self) -> bool:
-        """Iterating over it meets no failure, as far as is known."""
+        """Whether the iteration meets no failure, as last known."""
         return self._reconnecting.connected and not self._taker.closed
 
     async def stats(self) -> QueueStats:
-        """Counters and waiters, taken at one moment."""
+        """Return the counters, and the number of waiting takers, of one moment."""
         return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
-        """What is leased to whom, since when and until when: the `limit` oldest deliveries, in their order.
+        """List the `limit` oldest deliveries, in their order: the message, its taker, and the times of the lease.
 
-        Changes nothing. Long lists are fetched page by page, so that what was settled meanwhile may be missing. Raises
-        QueueNotFound, Unavailable, InvalidArgument.
+        The call changes nothing. It fetches long lists page by page, so a message that was settled meanwhile may be
+        missing. Raises QueueNotFound, Unavailable, InvalidArgument.
         """
         return await pending_at(self._session, self._locator, limit)
 
     async def aclose(self) -> None:
-        """Take nothing more here: those who wait get None, and prefetched messages go back to their places.
+        """Stop taking: waiting calls return None, and prefetched messages go back to the queue.
 
-        Messages that were handed out stay leased, and may still be settled. Closing the connection closes this, too.
+        Messages that callers have received stay leased, and callers may still settle them. Closing the connection
+        closes this handle, too.
         """
         self._reconnecting.stop()
         await self._taker.end()
 
 
 class Queue(MessageTaking, Reference):
-    """A named queue. Handles of the same queue are equal; any number may put and take anywhere.
+    """A named queue. Handles of one queue are equal. Any number of handles may put and take, in any process.
 
-    A context manager, which closes the handle. Items come in the order of their acceptance, each to one taker at a
-    time, at least once: a message that is not acknowledged before its lease ends comes again.
+    A context manager, which closes the handle. Messages come in the order of their acceptance, each to one taker at a
+    time, at least once. If its taker does not acknowledge a message before the lease ends, the message comes again.
     """
 
     def __init__(
@@ -175,15 +176,16 @@ class Queue(MessageTaking, Reference):
         content_type: str | None = None,
         message_id: str | None = None,
     ) -> Enqueued:
-        """Put one item and wait until the host has accepted it; its seq and incarnation are returned.
+        """Put one message, wait until the host has accepted it, and return its seq and incarnation.
 
-        `payload` is bytes, or the value if the handle has a codec. `timeout` in seconds matters on a full queue with
-        on_full="block" (the default): how long to wait there; None: without limit. A put that was tried again is never
-        doubled. With a `message_id` (1 to 128 bytes) a second put of the same id, by whomever, is not either: it gives
-        the first's seq and `duplicate` is True, for 10 minutes after the first, while the queue's host lives, and as
-        long as the ids put since take less than 16 MiB. Where the order of puts matters, let one end before the next:
-        of those under way at once none waits behind one that may wait longer. Raises QueueFull, ItemTooLarge,
-        CodecError, QueueNotFound; Unavailable if the host cannot be reached.
+        `payload` is bytes, or a value if the handle has a codec. `timeout` in seconds is the longest wait for room in a
+        full queue with on_full="block" (the default); None waits without a limit. The client tries again after a
+        broken connection, and the host never stores a message twice. With a `message_id` (1 to 128 bytes) the host
+        also recognises a second put of the same id by any program. The second put returns the seq of the first one,
+        and its `duplicate` is True. The host knows an id for 10 minutes, while it lives, and until later ids take
+        16 MiB. Puts that are under way at the same time may arrive in any order. If their order matters, let one end
+        before the next. Raises QueueFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if the host cannot be
+        reached.
         """
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
@@ -199,7 +201,7 @@ class Queue(MessageTaking, Reference):
         max_deliveries: int | None = None,
         dead_letter: Queue | str | None = None,
     ) -> QueuePolicy:
-        """Change the set-up while the queue runs; what is left out stays. Returns the set-up after the change."""
+        """Change the set-up while the queue runs, and return the new one. An argument that you leave out stays."""
         policy = parse_queue_policy(
             max_items=max_items,
             max_bytes=max_bytes,

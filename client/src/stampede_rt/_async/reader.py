@@ -31,7 +31,7 @@ from stampede_rt.values.timeline import (
 
 
 class Reader(Reference):
-    """What can be read by time. `view` is the group that it is read through, None for the whole channel."""
+    """A channel that a program reads by time. `view`: the group that shows it; None for the whole channel."""
 
     def __init__(self, session: Session, state: ChannelState, view: SeenCut | None = None) -> None:
         self._session = session
@@ -50,12 +50,12 @@ class Reader(Reference):
 
     @property
     def incarnation(self) -> int:
-        """Which life of the channel this is, as last known; another one means that items may have been lost."""
+        """The channel's incarnation, as last known. If it changes, items may have been lost."""
         return self._state.info.incarnation
 
     @property
     def info(self) -> ChannelInfo:
-        """Everything the directory said of it, as last known."""
+        """The directory's description of the channel, as last known."""
         return self._state.info
 
     def __eq__(self, other: object) -> bool:
@@ -84,12 +84,13 @@ class Reader(Reference):
         timeout: float | None = 0,
         complete: bool = False,
     ) -> Items:
-        """The items in an interval, by default those whose span shares an instant with it.
+        """Return the items in an interval, by default those whose span shares an instant with it.
 
-        `bounds`: "[]", "[)", "(]", "()". `match`: "span", "whole" (the span lies inside) or "start" (the time does).
-        `limit` keeps the earliest, with `newest_first` the latest; `after` continues behind an item. `timeout` is in
-        seconds: 0 answers at once, None waits for ever, for the first match or, with `complete`, until nothing more
-        can come. The answer after a timeout is what there is. Raises InvalidInterval, IncarnationLost, Unavailable.
+        `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the span lies inside) or "start" (the time does).
+        `limit` keeps the earliest items, or with `newest_first` the latest. `after` continues behind an item.
+        `timeout` in seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or
+        with `complete` until no more items can come. After the timeout it returns the items that are there.
+        Raises InvalidInterval, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         position = None if after is None else after_position(after)
@@ -107,24 +108,24 @@ class Reader(Reference):
         )
 
     async def at(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Items:
-        """The items whose own span holds `time`."""
+        """Return the items whose span holds `time`. `timeout` as in `get`."""
         bound = parse_bound(time, "time")
         return await self._read(ReadQuery(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
 
     async def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """The newest item older than `time`; where several share its time, the last accepted."""
+        """Return the newest item older than `time`, or None. Of several with its time, the last accepted."""
         return await self._read_one(MIN_INSTANT, parse_bound(time, "time"), "[)", True, None, payloads, timeout)
 
     async def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """The oldest held item; where several share its time, the first accepted."""
+        """Return the oldest held item, or None. Of several with its time, the first accepted."""
         return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
 
     async def newest(
         self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
     ) -> Item | None:
-        """The newest item, or None; with `after` only if it is later than that instant or item.
+        """Return the newest item, or None. With `after`, only if it is later than that instant or item.
 
-        `timeout` in seconds: 0 answers at once, None waits for ever.
+        `timeout` in seconds: 0 answers at once, None waits without a limit.
         """
         return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", True, after, payloads, timeout)
 
@@ -163,12 +164,13 @@ class Reader(Reference):
         payloads: bool = True,
         reconnect: DurationLike | None = None,
     ) -> Subscription:
-        """Items as they are accepted: an iterator and context manager.
+        """Subscribe to items as the host accepts them. Returns an iterator that is also a context manager.
 
-        `mode` "all": held items from `start` on (None: only new ones), then every later one, each once. "newest":
-        always the latest, never going back. `after` resumes behind an item, across processes, too. Entering the
-        context, or the first step, begins it. `reconnect`: for how long it tries to come back after its connection
-        broke, None: for ever; then it goes on where it was, or raises Unavailable.
+        `mode` "all": the held items from `start` on (None: only new ones), then every later one, each once. "newest":
+        always the latest item, never an earlier one again. `after` resumes behind an item, also in another process.
+        The subscription begins when the program enters the context, or with the first step. After its connection
+        broke, it tries to come back for the duration `reconnect` (None: without a limit), and goes on where it was.
+        If it cannot, it raises Unavailable.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
         return self._subscribe(start, mode, after, payloads, reconnecting)

@@ -38,7 +38,7 @@ FIRST_WAIT_S = 1.0  # of a put where none had to wait when the handle was opened
 
 
 class Channel(Reader):
-    """A named, time-indexed live stream. Handles of the same channel are equal; any number may exist anywhere."""
+    """A named, time-indexed live stream. Handles of one channel are equal. Any process may have any number of them."""
 
     def __init__(self, session: Session, state: ChannelState) -> None:
         super().__init__(session, state)
@@ -58,12 +58,13 @@ class Channel(Reader):
         content_type: str | None = None,
         timeout: float | None = None,
     ) -> Item:
-        """Put one item and wait until the host has accepted it; the item returned has its `time` and `seq`.
+        """Put one item, wait until the host has accepted it, and return it with its `time` and `seq`.
 
-        `payload` is bytes, or the value if the handle has a codec. Without `time` the host stamps it on acceptance.
-        `timeout` in seconds matters on a full channel with on_full="block": how long to wait there; None: without
-        limit. A put that was tried again is never doubled. Where the order of puts matters, let one end before the
-        next: of those under way at once none waits behind one that may wait longer.
+        `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host takes its
+        own clock at the acceptance. `duration` is a duration, such as "33ms" or nanoseconds. `timeout` in seconds is
+        the longest wait for room on a full channel with on_full="block"; None waits without a limit.
+        The client tries again after a broken connection, and the host never stores an item twice. Puts that are under
+        way at the same time may arrive in any order. If their order matters, let one end before the next.
         Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
@@ -72,15 +73,15 @@ class Channel(Reader):
         return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:
-        """A context manager for many puts that do not each wait for their ack."""
+        """A context manager for many puts. A put of it does not wait for its acknowledgement."""
         return Producer(self._session, self._state)
 
     def sample(self, fn: Callable[[], Any], every: DurationLike = "33ms") -> Sampler:
-        """Call `fn` once in each period and put what it returns, until the returned handle's `cancel`.
+        """Call `fn` once in each period and put its result, until `cancel` of the returned handle.
 
-        Periods are counted from now, so that delays do not add up; those that pass while `fn` or a put takes too long
-        are skipped and counted. None is not put. What `fn` or the put raises is logged and counted in the handle, and
-        the next period comes. On a full channel with on_full="block" a put waits for one period at most.
+        Periods count from now, so delays do not add up. The handle skips and counts a period that passes while `fn` or
+        a put takes too long. It does not put None. It logs and counts an exception of `fn` or of the put, and goes on
+        with the next period. On a full channel with on_full="block" a put waits for at most one period.
         """
         every_nanos = parse_duration(every, "every")
         if every_nanos < PERIOD_NANOS_MIN:
@@ -92,20 +93,21 @@ class Channel(Reader):
         return Sampler(self._session, f"channel {self.name!r}", put, fn, every_nanos, MonotonicClock())
 
     def consume(self, items: Item | Iterable[Item]) -> int:
-        """Use items up, on a channel with `consumers` or `max_age_unconsumed`; how many were not used up before.
+        """Consume items of a channel with `consumers` or `max_age_unconsumed`. Returns how many are new.
 
-        An item goes once all of the channel's consumers have consumed it, the oldest first; until then everybody sees
-        it. The consumer is this connection, whatever handle it uses: the first call takes one of the channel's places
-        (`consume([])` does that alone), the library keeps it until the connection is closed, and a process that dies
-        loses it within 10 s. A place never taken holds all items for its first taker; who takes one that another has
-        lost starts at the newest item. Safe to repeat, and tried again by itself.
+        An item leaves the channel once all consumers have consumed it, the oldest first. Until then every reader sees
+        it. The consumer is this connection, with all of its handles. The first call takes one of the channel's
+        consumer places; `consume([])` does only that. The library keeps the place until the connection is closed. A
+        process that dies loses its place within 10 s. The channel keeps all items for a place that no consumer has
+        taken yet. A consumer that takes the place of a lost one starts at the newest item. You may repeat the call;
+        the client also tries again by itself.
         Raises ChannelFull if all places are taken, InvalidArgument if the channel counts no consumption,
         IncarnationLost if the channel's host was lost after the items were read.
         """
         return consume(self._session, self._state, items)
 
     def advance(self, time: InstantLike) -> int:
-        """Promise that nothing earlier than `time` will come; the highest promise up to now is returned."""
+        """Promise that no item earlier than `time` will come. Returns the highest promise so far, in nanoseconds."""
         instant = parse_instant(time)
 
         def advance_at(binding: Binding) -> int:
@@ -119,7 +121,7 @@ class Channel(Reader):
         return self._session.perform(self._state, advance_at)
 
     def stats(self) -> ChannelStats:
-        """Counters and bounds, taken at one moment, and how far the host's clock is ahead of this machine's."""
+        """Return counters and bounds of one moment, and how far the host's clock is ahead of this machine's."""
 
         def status_at(binding: Binding) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
@@ -142,9 +144,10 @@ class Channel(Reader):
         max_future: DurationLike | None = None,
         max_age_unconsumed: DurationLike | None = None,
     ) -> Policy:
-        """Change the channel's policy while it runs; what is left out stays. Returns the policy after the change.
+        """Change the channel's policy while it runs, and return the policy after the change.
 
-        More consumers: new places, which hold all that is held. Fewer: those go whose leases end first.
+        An argument that you leave out stays as it is. With more `consumers` the channel gets new consumer places,
+        which keep all held items. With fewer, the places go whose leases end first.
         """
         policy = parse_policy(
             max_age=max_age,
@@ -173,7 +176,7 @@ class Channel(Reader):
         return self._session.perform(self._state, configure_at)
 
     def delete(self) -> None:
-        """Delete the channel and all its items, for everyone. Works if its host is lost, too."""
+        """Delete the channel and all its items, for everyone. This works also if its host is lost."""
         identity, since_s = request_id(), age_clock_s()
 
         def drop_at(binding: Binding) -> None:
