@@ -30,7 +30,7 @@ from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import Coming, Position, Query, WakeAt
-from stampede_rt_channel_host.core.group import GroupView, Horizon
+from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
 COUNTS = (10, 100, 1000, 10_000)
 CONSUMERS_MAX = 1000  # of one channel: 1024 are the most
@@ -62,7 +62,7 @@ class Shown:
 
     def __init__(self, channel: HostedChannel, cut: int) -> None:
         self.horizon = Horizon(cut, str)
-        self.view = GroupView(channel.channel)
+        self.view = VisibleChannel(channel.channel)
         self.polling = lambda pending, now: self.view.polling(pending, self.horizon, now)
         self.giving_up = lambda pending, now: self.view.giving_up(pending, self.horizon, now)
 

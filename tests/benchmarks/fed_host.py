@@ -22,7 +22,7 @@ from stampede_rt_channel_host import app
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX
 from stampede_rt_channel_host.core.channel import Offer
-from stampede_rt_channel_host.groups.link import Link
+from stampede_rt_channel_host.groups.link import HostLink
 from stampede_rt_channel_host.host import ChannelHost
 
 STEPS_PER_PERIOD = 10  # channels put at phases of their own, so that nothing is coalesced by coming together
@@ -62,13 +62,13 @@ class Messages:
     @classmethod
     def count(cls) -> None:
         """From now on, in this process."""
-        gather = Link._gather
+        gather = HostLink._gather
 
-        def counted(link: Link) -> Any:
+        def counted(link: HostLink) -> Any:
             cls.sent += 1
             return gather(link)
 
-        Link._gather = counted  # type: ignore[method-assign]
+        HostLink._gather = counted  # type: ignore[method-assign]
 
 
 async def _heed(host: ChannelHost) -> None:

@@ -28,7 +28,7 @@ from stampede_rt_bench.tables import Table
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.core.channel import Offer
 from stampede_rt_channel_host.core.group import CutFollower
-from stampede_rt_channel_host.core.queue import Enqueue, Queue, QueueLimits, Taker
+from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, QueueLimits, TakerState
 from stampede_rt_channel_host.queues.frames import take_response
 from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
 
@@ -306,8 +306,8 @@ async def listing(rig: Rig, channels: int) -> tuple[str, Work]:
 
 async def batches(rig: Rig, items: int) -> tuple[str, Work]:
     """The core alone, as its shell moves it: `tick` when it is due."""
-    queue = Queue(QueueLimits(max_items=items, max_bytes=2**40), incarnation=1)
-    takers = [Taker(taker_id, None) for taker_id in range(1, 101)]
+    queue = QueueCore(QueueLimits(max_items=items, max_bytes=2**40), incarnation=1)
+    takers = [TakerState(taker_id, None) for taker_id in range(1, 101)]
     for _ in range(items):
         queue.enqueue(Enqueue([1], lambda first_seq, places, stamped: b"x" * 24), rig.now())
 

@@ -26,7 +26,16 @@ from stampede_rt.values.timeline import (
 )
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt.wire.runs import ItemDecoder, encode_run, seal_run, select_items
-from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, Position, PutOutcome, Query, Slice, WakeAt
+from stampede_rt_channel_host.core.channel import (
+    ChannelCore,
+    Offer,
+    Position,
+    PutOutcome,
+    Query,
+    ReadAnswer,
+    Slice,
+    WakeAt,
+)
 
 LIMIT_BYTES = 1 << 20
 
@@ -54,7 +63,7 @@ class MemoryChannel:
         self._overlap_nanos = stated.overlap_nanos or 0
         self.name = name
         self._consumer_id = 0
-        self.core = Channel(stated, incarnation=random.getrandbits(63) | 1, name=name)
+        self.core = ChannelCore(stated, incarnation=random.getrandbits(63) | 1, name=name)
         self._content_type = stated.content_type or ""
         self._changed: set[asyncio.Event] = set()
         self._waiting = {"gets": 0, "puts": 0}
@@ -199,7 +208,7 @@ class MemoryChannel:
         except TimeoutError:
             return
 
-    def _answer(self, answer: Answer, query: Query, payloads: bool) -> st.Items:
+    def _answer(self, answer: ReadAnswer, query: Query, payloads: bool) -> st.Items:
         items = self._items(answer.slices, answer.next_time, payloads=payloads)
         if query.newest_first:
             items.reverse()

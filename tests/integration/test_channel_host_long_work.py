@@ -62,7 +62,7 @@ async def large(rig: Rig) -> Large:
 
 async def test_one_large_get_lets_everybody_else_in_between_and_is_as_of_its_beginning(rig: Rig) -> None:
     one, other = await large(rig), await rig.open("other")
-    async with rig.host.store.turns._turn:  # as if other long work had its turn
+    async with rig.host.store.scheduler._turn:  # as if other long work had its turn
         getting = asyncio.create_task(one.channel.get(without_payloads=True))
         await one.until(begun=True)
         assert (await other.put(run_of(b"beside")))[0].first_seq == 1
@@ -79,7 +79,7 @@ async def test_a_blocked_get_that_is_released_with_much_is_answered_in_pieces(ri
     interval = between(MIN_INSTANT, end)
     getting = asyncio.create_task(one.channel.get(interval=interval, complete=True, wait_nanos=FOREVER))
     await one.channel.until(lambda status: status.waiting_gets == 1)
-    async with rig.host.store.turns._turn:
+    async with rig.host.store.scheduler._turn:
         await one.channel.put(run_of(b"ends it", times=[end + 1]))
         await one.until(begun=True)
         assert (await one.channel.status()).waiting_gets == 0
@@ -89,7 +89,7 @@ async def test_a_blocked_get_that_is_released_with_much_is_answered_in_pieces(ri
 async def test_a_large_get_that_is_cancelled_holds_nothing_back(rig: Rig) -> None:
     one = await large(rig)
     call = rig.channels.Get()
-    async with rig.host.store.turns._turn:
+    async with rig.host.store.scheduler._turn:
         await call.write(one.channel.get_request(1))
         await one.until(begun=True)
         await call.write(pb.GetRequest(call_id=1, cancel=True))
@@ -102,7 +102,7 @@ async def test_a_large_get_that_is_cancelled_holds_nothing_back(rig: Rig) -> Non
 
 async def test_a_large_get_of_a_channel_that_goes_meanwhile_is_refused(rig: Rig) -> None:
     one = await large(rig)
-    async with rig.host.store.turns._turn:
+    async with rig.host.store.scheduler._turn:
         getting = asyncio.create_task(one.channel.get())
         await one.until(begun=True)
         held = one.held
@@ -116,7 +116,7 @@ async def test_a_large_get_of_a_channel_that_goes_meanwhile_is_refused(rig: Rig)
 
 async def test_a_subscription_that_begins_with_much_begins_in_pieces(rig: Rig) -> None:
     one = await large(rig)
-    async with rig.host.store.turns._turn:
+    async with rig.host.store.scheduler._turn:
         call = one.channel.subscribe(start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
         reading = asyncio.create_task(call.read())
         await one.until(begun=True)

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.v1 import group_pb2
 from stampede_rt_channel_host.groups import link
-from stampede_rt_channel_host.groups.link import Link
+from stampede_rt_channel_host.groups.link import HostLink
 from tests.unit.channel_host.manual_clock import ManualClock
 from tests.unit.channel_host.rig import S
 from tests.unit.groups.rig import WAIT_SECONDS, Cluster, GroupedChannel, running_cluster
@@ -54,15 +54,15 @@ async def heard(at: GroupedChannel, channel: GroupedChannel, group: group_pb2.Gr
 async def test_a_link_is_opened_again_though_a_write_came_behind_its_end(
     cluster: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run, broken = Link.run, asyncio.Event()
+    run, broken = HostLink.run, asyncio.Event()
 
-    async def run_once_in_vain(self: Link, peer: bytes | None = None) -> None:
+    async def run_once_in_vain(self: HostLink, peer: bytes | None = None) -> None:
         if peer is not None and not broken.is_set():
             broken.set()
             raise asyncio.InvalidStateError("RPC already finished.")
         await run(self, peer)
 
-    monkeypatch.setattr(Link, "run", run_once_in_vain)
+    monkeypatch.setattr(HostLink, "run", run_once_in_vain)
     left, right = await two_channels(cluster)
     group, t = cluster.directory.add_group("pair", [left, right]), left.host.now()
     await left.put(t, t + 5)

@@ -12,8 +12,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core.channel import (
     AllCursor,
-    Answer,
-    Channel,
+    ChannelCore,
     Coming,
     NewestCursor,
     Offer,
@@ -21,6 +20,7 @@ from stampede_rt_channel_host.core.channel import (
     Position,
     Query,
     Reach,
+    ReadAnswer,
     Slice,
     WakeAt,
 )
@@ -96,7 +96,7 @@ class ChannelPair:
     policy: Policy
     clock: int
     lost_before: int | None = None
-    core: Channel = field(init=False)
+    core: ChannelCore = field(init=False)
     oracle: OracleChannel = field(init=False)
     gets: list[tuple[Pending, OracleGet]] = field(default_factory=list)
     woken: dict[Pending, WakeAt] = field(default_factory=dict)
@@ -107,7 +107,7 @@ class ChannelPair:
     may_count_more: set[OracleSubscription] = field(default_factory=set)  # gaps that what a start left out may be in
 
     def __post_init__(self) -> None:
-        self.core = Channel(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)
+        self.core = ChannelCore(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)
         self.oracle = OracleChannel(self.policy, self.lost_before)
         self.coming = Coming(self.core)
 
@@ -223,7 +223,7 @@ class ChannelPair:
             expected = blocked.give_up(OracleReader(self.oracle, self.clock))
             self._agree(self.core.give_up(pending, self.clock), expected)
 
-    def _agree(self, answer: Answer, expected: OracleAnswer) -> None:
+    def _agree(self, answer: ReadAnswer, expected: OracleAnswer) -> None:
         items = items_of(answer.slices)
         assert facts(items) == facts(expected.items)
         assert ends_as_read(items, answer.next_time, self.oracle.overlap) == expected.ends

@@ -8,11 +8,11 @@ import stampede_rt as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import (
     AllCursor,
-    Answer,
-    Channel,
+    ChannelCore,
     NewestCursor,
     Pending,
     Query,
+    ReadAnswer,
     Slice,
     WakeAt,
 )
@@ -29,7 +29,7 @@ class CoreOwner:
 
     def __init__(self, name: str, policy: Policy, now: Callable[[], int]) -> None:
         self.policy = policy
-        self.channel = Channel(policy, incarnation=INCARNATION, name=name)
+        self.channel = ChannelCore(policy, incarnation=INCARNATION, name=name)
         self.gets: dict[Call, tuple[Pending, int | None]] = {}
         self.line: list[WaitingPut] = []
         self.followers: list[CoreSubscription] = []
@@ -132,7 +132,7 @@ class CoreOwner:
         pending, _ = self.gets.pop(call)
         call.finish(self.channel.give_up(pending, self._now()))
 
-    def _items(self, answer: Answer, query: Query, payloads: bool) -> st.Items:
+    def _items(self, answer: ReadAnswer, query: Query, payloads: bool) -> st.Items:
         items = self._decode(answer.slices, answer.next_time)
         if not payloads:
             items = [one._replace(payload=None) for one in items]

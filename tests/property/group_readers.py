@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, Pending, Position, Query, SavedCursor, WakeAt
-from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
+from stampede_rt_channel_host.core.group import Horizon, VisibleAll, VisibleChannel, VisibleNewest
 from tests.oracle.channel import Item
 from tests.oracle.group import OracleFollower, OracleView
 from tests.oracle.reading import OracleReader
@@ -49,10 +49,10 @@ class Readers:
     subscribers: list[Subscriber] = field(default_factory=list)
     seen: dict[int, int] = field(default_factory=dict)  # the highest cut of each group that a reader was shown
 
-    def view(self, group: int, channel_id: bytes) -> tuple[GroupView, Horizon, LivingPair]:
+    def view(self, group: int, channel_id: bytes) -> tuple[VisibleChannel, Horizon, LivingPair]:
         pair = self.world.pair(channel_id)
         OracleReader(pair.oracle, self.world.clock)  # ages it
-        return GroupView(pair.core), self.world.host_of(channel_id).horizon(group), pair
+        return VisibleChannel(pair.core), self.world.host_of(channel_id).horizon(group), pair
 
     def read(self, group: int, channel_id: bytes, query: Query, at: int | None) -> None:
         """At the host's cut or at an earlier one; a host that is behind what the reader saw shows nothing."""
@@ -71,7 +71,7 @@ class Readers:
             return
         self._read(view, horizon, pair, query)
 
-    def _read(self, view: GroupView, horizon: Horizon, pair: LivingPair, query: Query) -> None:
+    def _read(self, view: VisibleChannel, horizon: Horizon, pair: LivingPair, query: Query) -> None:
         reader = OracleView(pair.oracle, pair.clock, horizon.cut)
         answer = view.read(query, horizon, pair.clock)
         within = reader.resolve(query)

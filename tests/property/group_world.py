@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Channel
+from stampede_rt_channel_host.core.channel import ChannelCore
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupCut, GroupDefinition, Horizon, OwnTimes, TimesBoard
 from tests.oracle.group import OracleBoard, OracleGroup, OracleMember
 from tests.property.channel_pair import INCARNATION, ChannelPair
@@ -26,7 +26,7 @@ class LivingPair(ChannelPair):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.core = Channel(self.policy, incarnation=self.incarnation, name="pair")
+        self.core = ChannelCore(self.policy, incarnation=self.incarnation, name="pair")
 
 
 @dataclass

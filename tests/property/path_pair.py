@@ -13,7 +13,7 @@ from typing import Any
 import stampede_rt as st
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import LEASE_NANOS, Limits
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, ChannelLimits
 from tests.property.path_book import OWN_CONSUMER
 from tests.property.path_puts import PathPuts
 from tests.property.path_values import merge, stated
@@ -103,7 +103,7 @@ class PathPair(PathPuts):
 
 def _can_hold(policy: Policy) -> bool:
     try:
-        Limits.of(policy)
+        ChannelLimits.of(policy)
     except InvalidArgument:
         return False
     return True

@@ -15,10 +15,10 @@ from stampede_rt_channel_host.core.queue import (
     FailedDelivery,
     GiveBack,
     PendingDelivery,
-    Queue,
+    QueueCore,
     QueueLimits,
     Settlement,
-    Taker,
+    TakerState,
     Terminate,
 )
 from tests.oracle import queue as oracle
@@ -60,15 +60,15 @@ class QueuePair:
 
     setup: oracle.Setup
     clock: int
-    core: Queue = field(init=False)
+    core: QueueCore = field(init=False)
     oracle: oracle.OracleQueue = field(init=False)
-    takers: list[tuple[Taker, oracle.Taker]] = field(default_factory=list)
+    takers: list[tuple[TakerState, oracle.TakerState]] = field(default_factory=list)
     waiting: list[tuple[Enqueue, oracle.Run]] = field(default_factory=list)
     deliveries: list[tuple[int, int]] = field(default_factory=list)  # taker id, delivery id
     runs: list[oracle.Run] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.core = Queue(limits_of(self.setup), incarnation=7)
+        self.core = QueueCore(limits_of(self.setup), incarnation=7)
         self.oracle = oracle.OracleQueue(self.setup)
 
     def enqueue(
@@ -106,7 +106,7 @@ class QueuePair:
             self.check()
 
     def attach(self, taker_id: int, lease: int | None) -> None:
-        self.takers.append((Taker(taker_id, lease, f"taker {taker_id}"), oracle.Taker(taker_id, lease)))
+        self.takers.append((TakerState(taker_id, lease, f"taker {taker_id}"), oracle.TakerState(taker_id, lease)))
 
     def grant(self, place: int, credit: int) -> None:
         if place < len(self.takers):
@@ -167,7 +167,7 @@ class QueuePair:
         while self.waiting:
             self.withdraw(0)
         limits, state = limits_of(self.oracle.setup), self.core.export(self.clock)
-        self.core = Queue.restore(limits, state, self.clock, incarnation=7)
+        self.core = QueueCore.restore(limits, state, self.clock, incarnation=7)
         self.check()
 
     def tick(self, nanos: int) -> None:

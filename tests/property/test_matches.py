@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Channel, Offer
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack, Track
 from tests.oracle.pairs import Place, paired
 
@@ -23,7 +23,7 @@ class Replay:
 
     def __init__(self, tolerance: int, lateness: int, *, unique: bool, is_far: bool) -> None:
         policy = Policy(max_items=1000)
-        self.own, self.other = (Channel(policy, incarnation=1, name=name) for name in ("own", "other"))
+        self.own, self.other = (ChannelCore(policy, incarnation=1, name=name) for name in ("own", "other"))
         self.tolerance, self.lateness, self.unique = tolerance, lateness, unique
         self.far = FarTrack() if is_far else None
         self.times = {OWN: OwnTimes(self.own, NOW), OTHER: OwnTimes(self.other, NOW)}

@@ -13,12 +13,12 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Match, parse_interval
 from stampede_rt_channel_host.core.channel import (
-    Answer,
-    Channel,
+    ChannelCore,
     Offer,
     Pieces,
     Position,
     Query,
+    ReadAnswer,
     Slice,
     Unfinished,
     at_once,
@@ -26,7 +26,7 @@ from stampede_rt_channel_host.core.channel import (
     pieces,
     tally,
 )
-from stampede_rt_channel_host.core.group import GroupView, Horizon
+from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
 NOW = 10_000
 POLICIES = {
@@ -43,7 +43,7 @@ class Busy:
 
     def __init__(self, policy: Policy, seed: int) -> None:
         self.rng = random.Random(seed)
-        self.channel = Channel(policy, incarnation=1)
+        self.channel = ChannelCore(policy, incarnation=1)
         self.now = NOW
         self.consumes = policy.consumers is not None
         for _ in range(100):
@@ -98,7 +98,7 @@ def places(slices: Sequence[Slice]) -> list[tuple[int, int]]:
     return [(part.run.times[at], part.run.first_seq + at) for part in slices for at in range(part.lo, part.hi)]
 
 
-def told(answer: Answer) -> tuple[Any, ...]:
+def told(answer: ReadAnswer) -> tuple[Any, ...]:
     return (places(answer.slices), *answer[1:])
 
 
@@ -124,7 +124,7 @@ def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_b
     with mock.patch.object(pieces, "STEPS_PER_PIECE", 3):
         for seed in range(300):
             busy = Busy(POLICIES["age"], seed)
-            query, view = busy.query(), GroupView(busy.channel)
+            query, view = busy.query(), VisibleChannel(busy.channel)
             horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
             expected = view.read(query, horizon, busy.now)
             found = first_of(view.reading(query, horizon, busy.now))

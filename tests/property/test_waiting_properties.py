@@ -18,7 +18,7 @@ from stampede_rt.values.timeline import Bound, Interval, Match, MetaTime
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
-    Channel,
+    ChannelCore,
     Coming,
     Needs,
     Offer,
@@ -28,7 +28,7 @@ from stampede_rt_channel_host.core.channel import (
     Reach,
     WakeAt,
 )
-from stampede_rt_channel_host.core.group import GroupView, Horizon
+from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
 EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "300"))
 POLICIES = (
@@ -46,7 +46,7 @@ class Story:
     def __init__(self, seed: int, policy: Policy, *, grouped: bool) -> None:
         self.rng = random.Random(seed)
         self.now = 1000
-        self.channel = Channel(policy, incarnation=1)
+        self.channel = ChannelCore(policy, incarnation=1)
         self.grouped = grouped
         self.cut: int | None = None
         self.coming = Coming(self.channel)
@@ -63,7 +63,7 @@ class Story:
     def view(self) -> tuple[Callable[[Query], Pending], Callable[[Pending], object]]:
         if not self.grouped:
             return (lambda query: self.channel.begin(query, self.now)), lambda one: self.channel.poll(one, self.now)
-        view, horizon = GroupView(self.channel), Horizon(self.cut, str)
+        view, horizon = VisibleChannel(self.channel), Horizon(self.cut, str)
         return (
             lambda query: view.begin(query, horizon, self.now),
             lambda one: view.poll(one, horizon, self.now),

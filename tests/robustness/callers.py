@@ -13,7 +13,7 @@ from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.status import DETAILS_KEY, from_rpc_error
 from stampede_rt.v1 import channel_pb2, directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_runtime.identity import Role
 from tests.robustness.cluster import Cluster, request_id
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Refusal, Resolve, Seen, Update
@@ -157,7 +157,7 @@ class HostActor:
         self._boot = random.Random(f"boot-{seed}-{number}").getrandbits(64) | 1
         self._cluster = cluster
         self._dice = random.Random(f"host-{seed}-{number}")
-        self._lease = LeaseKeeper()
+        self._lease = HostLease()
         self._owned: dict[bytes, int] = {}
         self._entered = 0.0
         self.registrations = self.renewals = self.fenced = 0

@@ -9,7 +9,7 @@ import stampede_rt as st
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.measuring import PAYLOAD_BYTES
-from stampede_rt_channel_host.core.channel import Channel, Offer
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 
 PERIOD_NANOS = 1_000_000
 FIRST_NANOS = 1_700_000_000_000_000_000
@@ -23,9 +23,9 @@ def time_of(index: int) -> int:
     return FIRST_NANOS + index * PERIOD_NANOS
 
 
-def filled_channel(items: int, *, run_items: int = 1) -> Channel:
+def filled_channel(items: int, *, run_items: int = 1) -> ChannelCore:
     """A channel of so many items of 64 B, put in runs of `run_items`, as they would come from producers."""
-    channel = Channel(Policy(max_items=items, max_bytes=BYTES_MAX), incarnation=1, name="bench")
+    channel = ChannelCore(Policy(max_items=items, max_bytes=BYTES_MAX), incarnation=1, name="bench")
     for first in range(0, items, run_items):
         put_run(channel, range(first, min(first + run_items, items)))
     return channel
@@ -42,7 +42,7 @@ def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
     return channel
 
 
-def put_run(channel: Channel, places: range) -> None:
+def put_run(channel: ChannelCore, places: range) -> None:
     """Put one run."""
     times = [time_of(place) for place in places]
     raw = encode_run([bytes(PAYLOAD_BYTES) for _ in places], times=times)

@@ -9,10 +9,10 @@ from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.store import ChannelStore
-from stampede_rt_channel_host.channels.turns import Turns
+from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
 from stampede_rt_channel_host.core.channel import Pieces, at_once
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
@@ -22,7 +22,7 @@ from tests.robustness.replication.machine import PromiseBroken
 CHANNELS_TOLD_MAX = 1000
 
 
-class AtOnce(Turns):
+class AtOnce(PieceScheduler):
     """Long work without an event loop: all of its pieces at once."""
 
     def begin(self, pieces: Pieces[None]) -> None:
@@ -73,7 +73,7 @@ class SimHost:
         self.identity = HostIdentity(
             host_id=self._host_id, name=f"host-{number}", boot_incarnation=1000 * number + next(self._boots)
         )
-        self.lease = LeaseKeeper()
+        self.lease = HostLease()
         self.store = ChannelStore(
             self.identity,
             self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
@@ -81,7 +81,7 @@ class SimHost:
             lease_held=lambda: self.lease.is_held(self.clock.boottime_nanos()),
             memory=MemoryBudget(2**30),
         )
-        self.store.turns = AtOnce()
+        self.store.scheduler = AtOnce()
         self._binding: set[bytes] = set()
         self._run(self._keep)
 
@@ -120,7 +120,7 @@ class SimHost:
             binding.discard(channel_id)
 
     async def resolve(self, channel_id: bytes) -> Any:
-        """As `stampede_rt_channel_host.cluster.directory.Directory.resolve`."""
+        """As `stampede_rt_channel_host.cluster.directory.DirectoryQueries.resolve`."""
         response = await ask(
             self.world, "ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0, caller=self
         )

@@ -7,7 +7,7 @@ from typing import Any
 
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.v1 import peer_service_pb2 as pb
-from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_supernode.core.directory import Directory
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
@@ -62,7 +62,7 @@ class SimPeer:
         """Killed and started; it kept its id and proof."""
         self.boot = 1000 * (self.number + 1) + next(self._boots)
         self.name = self.world.dice.choice(NAMES)
-        self.lease = LeaseKeeper()
+        self.lease = HostLease()
         boot = self.boot
         drive(self._keep, alive=lambda: self.boot == boot, gate=self._when_awake)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper as HostLease
+from stampede_rt_channel_host.cluster.host_lease import HostLease as HostLease
 from stampede_rt_supernode.core.peers import transitions
 from stampede_rt_supernode.replication.interface import ReplicationStatus
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
@@ -105,7 +105,7 @@ def test_a_supernode_that_reads_without_asking_the_leader_is_found(monkeypatch: 
 
 
 def test_a_host_that_does_not_fence_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host, "LeaseKeeper", NeverFenced)
+    monkeypatch.setattr(host, "HostLease", NeverFenced)
     assert found_within(40)
 
 

@@ -161,7 +161,7 @@ MUTANTS = (
     ),
     Mutant(
         name="lease_not_shorter_at_the_host",
-        file=f"{HOST}/cluster/lease_keeper.py",
+        file=f"{HOST}/cluster/host_lease.py",
         edits=(("_FENCE_NUMERATOR, _FENCE_DENOMINATOR = 4, 5", "_FENCE_NUMERATOR, _FENCE_DENOMINATOR = 6, 5"),),
         noticed_by="directory",
     ),

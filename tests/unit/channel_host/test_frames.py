@@ -17,14 +17,14 @@ from stampede_rt.wire.run_slices import RunSlicer, slice_run
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_channel_host.channels import frames
 from stampede_rt_channel_host.channels.frames import SharedMessages, get_error, get_responses
-from stampede_rt_channel_host.core.channel import Answer, Channel, DeliveredSlice, Offer, Query
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Query, ReadAnswer
 
 NOW = 1_700_000_000_000_000_000
 
 
-def channel_of(lengths: Sequence[int]) -> tuple[Channel, list[bytes]]:
+def channel_of(lengths: Sequence[int]) -> tuple[ChannelCore, list[bytes]]:
     """A channel with one run for each length, of one item, and the stored bytes."""
-    channel, stored = Channel(Policy(max_items=1000), incarnation=9), []
+    channel, stored = ChannelCore(Policy(max_items=1000), incarnation=9), []
     for place, length in enumerate(lengths):
         time = NOW - 1000 + place
 
@@ -36,7 +36,7 @@ def channel_of(lengths: Sequence[int]) -> tuple[Channel, list[bytes]]:
     return channel, stored
 
 
-def read_all(channel: Channel, **fields: object) -> Answer:
+def read_all(channel: ChannelCore, **fields: object) -> ReadAnswer:
     return channel.read(Query(interval=parse_interval(0, NOW), **fields), NOW)  # type: ignore[arg-type]
 
 
@@ -108,9 +108,9 @@ def test_a_message_for_others_is_made_anew() -> None:
     assert pb.SubscribeResponse.FromString(told.encoded).gap.last_seq == 2
 
 
-def interleaved(items: int) -> tuple[Channel, list[bytes]]:
+def interleaved(items: int) -> tuple[ChannelCore, list[bytes]]:
     """A channel into which two producers put runs of `items` items each, every one between two of the other."""
-    channel, stored = Channel(Policy(max_items=1000), incarnation=9), []
+    channel, stored = ChannelCore(Policy(max_items=1000), incarnation=9), []
     for odd in (0, 1):
         times = [NOW - 1000 + 2 * at + odd for at in range(items)]
         payloads = [f"{odd}:{at}".encode() for at in range(items)]

@@ -5,19 +5,19 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stampede_rt_channel_host.cluster.lease_keeper import LeaseKeeper
+from stampede_rt_channel_host.cluster.host_lease import HostLease
 
 TTL = 5_000
 
 
-def granted(sent: int) -> LeaseKeeper:
-    keeper = LeaseKeeper()
+def granted(sent: int) -> HostLease:
+    keeper = HostLease()
     keeper.granted(sent_nanos=sent, ttl_nanos=TTL)
     return keeper
 
 
 def test_nothing_is_held_before_the_first_grant() -> None:
-    keeper = LeaseKeeper()
+    keeper = HostLease()
     assert not keeper.is_held(0)
     assert keeper.renewal_in_nanos(123) == 0
     assert keeper.fenced_in_nanos(123) == 0
@@ -59,7 +59,7 @@ def test_a_lease_given_up_is_held_again_only_after_a_grant() -> None:
 )
 def test_the_host_never_holds_what_the_directory_may_have_ended(steps: list[tuple[int, int, int]], probe: int) -> None:
     """Each renewal is sent, received after some delay, and acknowledged after another; acks may overtake each other."""
-    keeper, clock, acks, received_last = LeaseKeeper(), 0, [], 0
+    keeper, clock, acks, received_last = HostLease(), 0, [], 0
     for pause, there, back in steps:
         clock += pause
         received_last = max(received_last, clock + there)

@@ -16,9 +16,9 @@ from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run
 from stampede_rt_channel_host.channels.hosted_channels import LISTENERS_PER_PIECE, HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE, IncomingRun
 from stampede_rt_channel_host.channels.store import CHANNELS_PER_PIECE
-from stampede_rt_channel_host.channels.turns import Turns
 from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.core.channel import Pieces
 from tests.unit.channel_host.rig import HOST_ID, Opened, Rig, run_of, running_host
@@ -81,7 +81,7 @@ async def test_a_listing_looks_at_a_bounded_number_of_channels_in_one_piece(rig:
     assert sum(1 for _ in every) == 11  # one for each 32 of 320, and one for the names of the first 256
     none = page_of(store, lambda name: False, "", 10)
     assert sum(1 for _ in none) == 4
-    page = await Turns().do(page_of(store, lambda name: name.endswith("7"), names[100], 3))
+    page = await PieceScheduler().do(page_of(store, lambda name: name.endswith("7"), names[100], 3))
     assert [one.record.name for one in page.channels] == ["c/0107", "c/0117", "c/0127"]
     assert page.has_more
 
@@ -94,7 +94,7 @@ async def test_a_piece_that_nobody_waits_for_gives_way_to_others() -> None:
             done.append(number)
             yield
 
-    Turns().begin(three())
+    PieceScheduler().begin(three())
     assert done == [0]
     for _ in range(10):
         await asyncio.sleep(0)

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Iterator
 
-from stampede_rt_channel_host.channels.frames import Message
+from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.outbox import ANSWERS_QUEUED_MAX, QUEUED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice
@@ -46,9 +46,9 @@ class Box:
         self.sent += payload_bytes
 
 
-def answer(call_id: int, messages: int) -> Iterator[Message]:
+def answer(call_id: int, messages: int) -> Iterator[EncodedMessage]:
     for place in range(messages):
-        yield Message(b"%d.%d" % (call_id, place), 10, place == messages - 1)
+        yield EncodedMessage(b"%d.%d" % (call_id, place), 10, place == messages - 1)
 
 
 async def test_a_single_message_is_written_by_the_caller_itself() -> None:

@@ -13,14 +13,14 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX, Outcome, WaitingGet, WaitingGets
 from stampede_rt_channel_host.core.channel import (
-    Answer,
-    Channel,
+    ChannelCore,
     Coming,
     Offer,
     Pending,
     Pieces,
     Position,
     Query,
+    ReadAnswer,
     WakeAt,
 )
 from stampede_rt_channel_host.core.channel.pieces import at_once
@@ -62,10 +62,10 @@ class Blocked:
         self.gets.changed(self.now)
 
 
-class CountingChannel(Channel):
+class CountingChannel(ChannelCore):
     polls = 0
 
-    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
+    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         self.polls += 1
         return super().polling(pending, now)
 

@@ -16,7 +16,7 @@ from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged, Part
+from stampede_rt_channel_host.core.judging import Judged, RunPart
 
 LIMIT_S = 5.0
 
@@ -222,7 +222,7 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
     window = RetryWindow()
     for run in range(IN_FLIGHT_RUNS_MAX):
         first = 1 + run * RUN_ITEMS_MAX
-        part = Part(0, first, RUN_ITEMS_MAX, None)
+        part = RunPart(0, first, RUN_ITEMS_MAX, None)
         window.record(7, first, Judged(RUN_ITEMS_MAX, RUN_ITEMS_MAX, (part,), (), 0))
     known = window.find(7, 1, RUN_ITEMS_MAX, now=1)
     assert known is not None

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, BoundLike, Match, parse_interval
-from stampede_rt_channel_host.core.channel import Answer, Channel, Offer, PutOutcome, Query, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, PutOutcome, Query, ReadAnswer, Slice
 
 CLOCK = 1_000_000
 
 
-def a_channel(clock_ahead: int = 10**6, **policy: int | str | None) -> Channel:
+def a_channel(clock_ahead: int = 10**6, **policy: int | str | None) -> ChannelCore:
     """A channel that takes times near CLOCK, wherever its limits are not stated."""
-    return Channel(Policy(**{"max_future_nanos": clock_ahead, **policy}), incarnation=3, name="cam/left")  # type: ignore[arg-type]
+    return ChannelCore(Policy(**{"max_future_nanos": clock_ahead, **policy}), incarnation=3, name="cam/left")  # type: ignore[arg-type]
 
 
 def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
@@ -21,7 +21,7 @@ def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -
 
 
 def put(
-    channel: Channel,
+    channel: ChannelCore,
     *times: int,
     now: int = CLOCK,
     durations: Sequence[int] | None = None,
@@ -32,7 +32,7 @@ def put(
 
 
 def get(
-    channel: Channel,
+    channel: ChannelCore,
     start: BoundLike = MIN_INSTANT,
     end: BoundLike = MAX_INSTANT,
     bounds: str = "[]",
@@ -41,7 +41,7 @@ def get(
     match: Match = Match.SPAN,
     limit: int | None = None,
     newest_first: bool = False,
-) -> Answer:
+) -> ReadAnswer:
     interval = parse_interval(start, end, bounds)
     return channel.read(Query(interval=interval, match=match, limit=limit, newest_first=newest_first), now)
 

@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt.errors import InFuture, InvalidArgument, MalformedRun, TooOld
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Channel, Offer, PutOutcome
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, PutOutcome
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seal, times_of
 
 
@@ -131,7 +131,7 @@ def test_a_put_that_waits_in_the_bucket_that_fills_the_channel_waits_for_others(
     assert put(channel, CLOCK).retry_at is None
 
 
-def wait_untimed(channel: Channel, since: int, now: int) -> PutOutcome:
+def wait_untimed(channel: ChannelCore, since: int, now: int) -> PutOutcome:
     return channel.put(Offer(times=None, durations=None, lengths=[1], since=since), now, seal)
 
 
@@ -219,4 +219,4 @@ def test_a_policy_that_cannot_hold_changes_nothing() -> None:
         channel.configure(Policy(max_items=0), CLOCK)
     assert channel.policy is before
     with pytest.raises(InvalidArgument, match="consumers"):
-        Channel(Policy(consumers=2**20), incarnation=1)
+        ChannelCore(Policy(consumers=2**20), incarnation=1)

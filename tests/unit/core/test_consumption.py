@@ -6,17 +6,17 @@ import pytest
 
 from stampede_rt.errors import ChannelFull, InvalidArgument
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import LEASE_NANOS, SEQS_MAX, Channel
+from stampede_rt_channel_host.core.channel import LEASE_NANOS, SEQS_MAX, ChannelCore
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
 
 ANN, BOB, CYD = 11, 22, 33
 
 
-def held(channel: Channel, now: int = CLOCK) -> list[int]:
+def held(channel: ChannelCore, now: int = CLOCK) -> list[int]:
     return sorted(seqs_of(get(channel, now=now).slices))
 
 
-def three_items(consumers: int = 2, **policy: int | str) -> Channel:
+def three_items(consumers: int = 2, **policy: int | str) -> ChannelCore:
     channel = a_channel(consumers=consumers, **policy)
     put(channel, 10, 20, 30)
     return channel

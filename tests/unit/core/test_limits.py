@@ -4,11 +4,11 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Limits
+from stampede_rt_channel_host.core.channel import ChannelLimits
 
 
 def test_a_policy_without_any_limit_keeps_ten_seconds_and_256_mebibytes() -> None:
-    limits = Limits.of(Policy())
+    limits = ChannelLimits.of(Policy())
     assert limits.max_age_nanos == 10_000_000_000
     assert limits.max_bytes == 256 * 1024 * 1024
     assert limits.max_items is None
@@ -18,11 +18,11 @@ def test_a_policy_without_any_limit_keeps_ten_seconds_and_256_mebibytes() -> Non
 
 @pytest.mark.parametrize("policy", [Policy(max_items=5), Policy(max_bytes=1000), Policy(consumers=2)])
 def test_any_stated_limit_leaves_age_unlimited(policy: Policy) -> None:
-    assert Limits.of(policy).max_age_nanos is None
+    assert ChannelLimits.of(policy).max_age_nanos is None
 
 
 def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
-    assert Limits.of(Policy(max_items=5)).max_bytes == 256 * 1024 * 1024
+    assert ChannelLimits.of(Policy(max_items=5)).max_bytes == 256 * 1024 * 1024
 
 
 @pytest.mark.parametrize(
@@ -43,14 +43,14 @@ def test_only_max_bytes_has_a_default_of_its_own_beside_other_limits() -> None:
 )
 def test_a_policy_that_cannot_hold_is_refused_by_name(policy: Policy, message: str) -> None:
     with pytest.raises(InvalidArgument, match=message):
-        Limits.of(policy)
+        ChannelLimits.of(policy)
 
 
 def test_blocking_is_taken_with_an_age_by_which_it_ends() -> None:
-    assert Limits.of(Policy(max_items=4, max_age_nanos=1, on_full="block")).on_full == "block"
-    assert Limits.of(Policy(on_full="block")).max_age_nanos == 10_000_000_000
+    assert ChannelLimits.of(Policy(max_items=4, max_age_nanos=1, on_full="block")).on_full == "block"
+    assert ChannelLimits.of(Policy(on_full="block")).max_age_nanos == 10_000_000_000
 
 
 def test_blocking_is_taken_with_consumers_by_whom_it_ends() -> None:
-    limits = Limits.of(Policy(max_items=4, consumers=2, on_full="block"))
+    limits = ChannelLimits.of(Policy(max_items=4, consumers=2, on_full="block"))
     assert (limits.on_full, limits.max_age_nanos) == ("block", None)

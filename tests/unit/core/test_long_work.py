@@ -11,11 +11,11 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.core.channel import (
-    Answer,
-    Channel,
+    ChannelCore,
     Coming,
     Position,
     Query,
+    ReadAnswer,
     Slice,
     abandoning,
     emptying,
@@ -57,7 +57,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
     return counter
 
 
-def filled(items: int = ITEMS, **policy: Any) -> Channel:
+def filled(items: int = ITEMS, **policy: Any) -> ChannelCore:
     """One run for each item, in order."""
     channel = a_channel(**policy)
     for time in range(items):
@@ -65,7 +65,7 @@ def filled(items: int = ITEMS, **policy: Any) -> Channel:
     return channel
 
 
-def shuffled(items: int = ITEMS) -> Channel:
+def shuffled(items: int = ITEMS) -> ChannelCore:
     """Runs of 200 items, each of which every other one splits: as when two producers interleave."""
     channel = a_channel()
     for first in range(0, items, 400):
@@ -84,7 +84,7 @@ def test_a_get_of_many_slices_comes_in_pieces_of_a_bounded_number(looked: Counte
     looked.slices = 0
     reading = channel.reading(everything(newest_first=newest_first), CLOCK)
 
-    def counting() -> pieces.Pieces[Answer]:
+    def counting() -> pieces.Pieces[ReadAnswer]:
         nonlocal most
         while True:
             before = looked.slices
@@ -233,7 +233,7 @@ def test_a_subscription_resumed_among_very_many_ranges_does_not_walk_them_at_onc
         looked.slices = 0
 
 
-def backwards(items: int, **policy: Any) -> Channel:
+def backwards(items: int, **policy: Any) -> ChannelCore:
     """Each item is earlier than the one before it, so that what is collected is out of the order of seqs."""
     channel = a_channel(max_age_nanos=10**12, **policy)
     for time in range(items):

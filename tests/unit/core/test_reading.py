@@ -18,14 +18,14 @@ from stampede_rt.values.timeline import (
     parse_interval,
 )
 from stampede_rt_channel_host.core.channel import (
-    Answer,
-    Channel,
+    ChannelCore,
     Coming,
     Needs,
     Pending,
     Position,
     Query,
     Reach,
+    ReadAnswer,
     WakeAt,
 )
 from tests.unit.core.channels import CLOCK, a_channel, get, put, seqs_of, times_of
@@ -153,7 +153,7 @@ def test_a_position_of_another_incarnation_is_refused() -> None:
         Query(interval=parse_interval(MIN_INSTANT, NOW), limit=0)
 
 
-def instant_to_wake(channel: Channel, pending: Pending) -> int | None:
+def instant_to_wake(channel: ChannelCore, pending: Pending) -> int | None:
     found = channel.poll(pending, CLOCK)
     assert isinstance(found, WakeAt)
     return found.instant
@@ -167,7 +167,7 @@ def test_a_blocking_get_resolves_its_anchors_at_the_first_item_and_never_again()
     assert instant_to_wake(channel, pending) is None
     put(channel, 30, 40)
     answer = channel.poll(pending, CLOCK)
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, ReadAnswer)
     assert answer.interval is not None
     assert answer.interval.start == 10
     assert times_of(answer.slices) == [10, 30]
@@ -218,7 +218,7 @@ def test_a_blocking_get_for_the_future_is_looked_at_when_that_instant_comes() ->
     pending = channel.begin(Query(interval=parse_interval(CLOCK + 50, CLOCK + 60, "(]")), CLOCK)
     assert instant_to_wake(channel, pending) == CLOCK + 51
     answer = channel.poll(pending, CLOCK + 51)
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, ReadAnswer)
     assert times_of(answer.slices) == [10], "the newest item holds up to now"
 
 
@@ -237,7 +237,7 @@ def test_a_blocking_get_below_the_frontier_answers_collected_at_once() -> None:
     put(channel, 10, 50)
     pending = channel.begin(Query(interval=parse_interval(10, 20)), CLOCK)
     answer = channel.poll(pending, CLOCK)
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, ReadAnswer)
     assert answer.reason == "COLLECTED"
 
 
@@ -251,13 +251,13 @@ def test_newest_after_an_instant_waits_for_a_later_one() -> None:
     assert isinstance(channel.poll(pending, CLOCK), WakeAt)
     put(channel, 11)
     answer = channel.poll(pending, CLOCK)
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, ReadAnswer)
     assert times_of(answer.slices) == [11]
 
 
 def test_what_an_incarnation_before_this_one_held_is_lost_and_not_never_or_not_yet() -> None:
     """It read as if nothing had been put there."""
-    channel = Channel(Policy(max_items=9), incarnation=0xABC, lost_before=CLOCK)
+    channel = ChannelCore(Policy(max_items=9), incarnation=0xABC, lost_before=CLOCK)
     before = get(channel, CLOCK - 20, CLOCK - 10)
     assert (before.reason, before.complete, before.truncated) == ("LOST", False, True)
     assert "incarnation abc began then" in (before.reason.detail if before.reason else "")
@@ -275,10 +275,10 @@ def test_what_an_incarnation_before_this_one_held_is_lost_and_not_never_or_not_y
 
 
 def test_an_item_that_is_put_again_after_it_was_lost_releases_who_waits_for_it() -> None:
-    channel = Channel(Policy(max_items=9), incarnation=2, lost_before=CLOCK)
+    channel = ChannelCore(Policy(max_items=9), incarnation=2, lost_before=CLOCK)
     pending = channel.begin(Query(interval=parse_interval(CLOCK - 20, CLOCK - 10)), CLOCK)
     assert isinstance(channel.poll(pending, CLOCK), WakeAt)
     put(channel, CLOCK - 15)
     answer = channel.poll(pending, CLOCK)
-    assert isinstance(answer, Answer)
+    assert isinstance(answer, ReadAnswer)
     assert times_of(answer.slices) == [CLOCK - 15]

@@ -6,7 +6,7 @@ import asyncio
 from pathlib import Path
 
 from stampede_rt_frontend.probe import Prober
-from stampede_rt_frontend.roster import Roster
+from stampede_rt_frontend.roster import SupernodeRoster
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
@@ -15,7 +15,7 @@ from stampede_rt_runtime.tls import load_tls
 
 
 async def why_it_failed(target: str, dialer: Dialer) -> str:
-    roster = Roster((target,))
+    roster = SupernodeRoster((target,))
     async with Prober(roster, dialer, explain=dialer.explain) as prober, asyncio.timeout(10), prober._changed:
         await prober._changed.wait_for(roster.failures)
     return roster.failures()[0]

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from stampede_rt_frontend.journal import START_SECONDS, Journal
-from stampede_rt_frontend.roster import Answer, Roster
+from stampede_rt_frontend.roster import ProbeAnswer, SupernodeRoster
+from stampede_rt_frontend.status_log import START_SECONDS, StatusLog
 
 LATER_S = 100.0 + START_SECONDS
 
 
-def answer(*, ready: bool) -> Answer:
-    return Answer(supernode_id="s", cluster_id="c1", ready=ready, round_trip_nanos=10)
+def answer(*, ready: bool) -> ProbeAnswer:
+    return ProbeAnswer(supernode_id="s", cluster_id="c1", ready=ready, round_trip_nanos=10)
 
 
-def started() -> tuple[Roster, Journal]:
+def started() -> tuple[SupernodeRoster, StatusLog]:
     """A front-end that has just begun, and a moment at which it has begun long ago."""
-    roster, journal = Roster(("a:1", "b:1")), Journal()
+    roster, journal = SupernodeRoster(("a:1", "b:1")), StatusLog()
     assert list(journal.changes(roster, 100.0)) == []
     return roster, journal
 

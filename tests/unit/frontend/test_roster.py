@@ -7,13 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stampede_rt_frontend.ranking import Supernode
-from stampede_rt_frontend.roster import SUPERNODES_MAX, Answer, MemberList, Roster
+from stampede_rt_frontend.roster import SUPERNODES_MAX, MemberList, ProbeAnswer, SupernodeRoster
 
 
 def answer(
     name: str, *, ready: bool = True, trip: int | None = 10, cluster: str = "c1", former: tuple[str, ...] = ()
-) -> Answer:
-    return Answer(supernode_id=name, cluster_id=cluster, ready=ready, round_trip_nanos=trip, former_cluster_ids=former)
+) -> ProbeAnswer:
+    return ProbeAnswer(
+        supernode_id=name, cluster_id=cluster, ready=ready, round_trip_nanos=trip, former_cluster_ids=former
+    )
 
 
 def members(*names: str, term: int = 1, index: int = 1, leader: str = "", zone: str = "") -> MemberList:
@@ -21,12 +23,12 @@ def members(*names: str, term: int = 1, index: int = 1, leader: str = "", zone: 
     return MemberList(term=term, applied_index=index, members=tuple(listed))
 
 
-def known(roster: Roster) -> dict[str, Supernode]:
+def known(roster: SupernodeRoster) -> dict[str, Supernode]:
     return {one.supernode_id: one for one in roster.known()}
 
 
 def test_at_first_the_seeds_are_probed_and_callers_are_told_nothing() -> None:
-    roster = Roster(("s1:1", "s2:1"))
+    roster = SupernodeRoster(("s1:1", "s2:1"))
     assert roster.targets() == ("s1:1", "s2:1")
     assert roster.known() == []
     assert not roster.any_answered()
@@ -35,11 +37,11 @@ def test_at_first_the_seeds_are_probed_and_callers_are_told_nothing() -> None:
 @pytest.mark.parametrize("count", [0, SUPERNODES_MAX + 1])
 def test_the_number_of_seeds_has_bounds(count: int) -> None:
     with pytest.raises(ValueError, match="--supernodes"):
-        Roster(tuple(f"s{number}:1" for number in range(count)))
+        SupernodeRoster(tuple(f"s{number}:1" for number in range(count)))
 
 
 def test_a_seed_that_answers_is_told_to_callers_with_its_round_trip() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", trip=800))
     roster.answered("s1:1", answer("s1", trip=1600))
     assert known(roster)["s1"].round_trip_nanos == 900
@@ -47,7 +49,7 @@ def test_a_seed_that_answers_is_told_to_callers_with_its_round_trip() -> None:
 
 
 def test_a_seed_that_is_no_member_any_more_is_told_to_nobody_and_probed_all_the_same() -> None:
-    roster = Roster(("s1:1", "s2:1"))
+    roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     roster.answered("s2:1", answer("s2"))
     roster.listed(members("s1", "s2"))
@@ -58,14 +60,14 @@ def test_a_seed_that_is_no_member_any_more_is_told_to_nobody_and_probed_all_the_
 
 
 def test_an_answer_without_a_measurement_keeps_the_old_one() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", trip=800))
     roster.answered("s1:1", answer("s1", trip=None))
     assert known(roster)["s1"].round_trip_nanos == 800
 
 
 def test_a_supernode_without_a_leader_answers_but_is_not_healthy() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", ready=False, cluster=""))
     assert roster.any_answered()
     assert not roster.any_healthy()
@@ -73,7 +75,7 @@ def test_a_supernode_without_a_leader_answers_but_is_not_healthy() -> None:
 
 
 def test_members_are_learned_from_the_directory_and_probed_from_then_on() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1"))
     roster.listed(members("s1", "s2", leader="s2", zone="z"))
     assert roster.targets() == ("s1:1", "s2:1")
@@ -84,7 +86,7 @@ def test_members_are_learned_from_the_directory_and_probed_from_then_on() -> Non
 
 
 def test_each_supernode_tells_its_own_zone_also_in_an_older_list() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     of_s1 = (Supernode(supernode_id="s1", target="s1:1", zone="a"), Supernode(supernode_id="s2", target="s2:1"))
     of_s2 = (Supernode(supernode_id="s1", target="s1:1"), Supernode(supernode_id="s2", target="s2:1", zone="b"))
     roster.listed(MemberList(term=1, applied_index=8, members=of_s1))
@@ -94,14 +96,14 @@ def test_each_supernode_tells_its_own_zone_also_in_an_older_list() -> None:
 
 
 def test_a_member_that_left_is_forgotten_but_a_seed_is_still_probed() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.listed(members("s1", "s2", index=1))
     roster.listed(members("s3", index=2))
     assert roster.targets() == ("s1:1", "s3:1")
 
 
 def test_an_older_member_list_is_ignored() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.listed(members("s1", "s2", term=2, index=9))
     roster.listed(members("s1", "s9", term=1, index=99))
     roster.listed(members("s1", "s9", term=2, index=8))
@@ -109,21 +111,21 @@ def test_an_older_member_list_is_ignored() -> None:
 
 
 def test_an_empty_member_list_is_ignored() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.listed(members("s1", "s2"))
     roster.listed(members(index=5))
     assert roster.targets() == ("s1:1", "s2:1")
 
 
 def test_a_member_list_has_a_bound_and_the_seeds_stay_within_it() -> None:
-    roster = Roster(("seed:1",))
+    roster = SupernodeRoster(("seed:1",))
     roster.listed(members(*(f"s{number}" for number in range(2 * SUPERNODES_MAX))))
     assert len(roster.targets()) == SUPERNODES_MAX
     assert roster.targets()[0] == "seed:1"
 
 
 def test_a_failure_is_remembered_until_the_next_answer() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1"))
     roster.failed("s1:1", "refused")
     assert roster.failures() == ["s1:1: refused"]
@@ -134,7 +136,7 @@ def test_a_failure_is_remembered_until_the_next_answer() -> None:
 
 
 def test_news_of_a_forgotten_member_changes_nothing() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("gone:1", answer("gone"))
     roster.failed("gone:1", "refused")
     assert roster.targets() == ("s1:1",)
@@ -142,7 +144,7 @@ def test_news_of_a_forgotten_member_changes_nothing() -> None:
 
 
 def test_a_supernode_with_two_addresses_is_told_once_by_the_listed_one() -> None:
-    roster = Roster(("alias:1",))
+    roster = SupernodeRoster(("alias:1",))
     roster.answered("alias:1", answer("s1"))
     roster.listed(members("s1"))
     roster.answered("s1:1", answer("s1"))
@@ -150,7 +152,7 @@ def test_a_supernode_with_two_addresses_is_told_once_by_the_listed_one() -> None
 
 
 def test_an_address_that_answers_is_told_before_a_listed_one_that_does_not() -> None:
-    roster = Roster(("alias:1",))
+    roster = SupernodeRoster(("alias:1",))
     roster.answered("alias:1", answer("s1"))
     roster.listed(members("s1"))
     roster.failed("s1:1", "not reachable from here")
@@ -158,7 +160,7 @@ def test_an_address_that_answers_is_told_before_a_listed_one_that_does_not() -> 
 
 
 def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> None:
-    roster = Roster(("s1:1", "x1:1"))
+    roster = SupernodeRoster(("s1:1", "x1:1"))
     assert roster.answered("s1:1", answer("s1"))
     assert not roster.answered("x1:1", answer("x1", cluster="c2"))
     assert list(known(roster)) == ["s1"]
@@ -167,7 +169,7 @@ def test_a_supernode_of_another_cluster_is_left_out_while_ours_is_healthy() -> N
 
 
 def test_another_cluster_at_its_addresses_is_left_out_though_nobody_of_the_own_one_answers() -> None:
-    roster = Roster(("s1:1", "s2:1"))
+    roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     for target in roster.targets():
         roster.failed(target, "no answer in time")
@@ -177,7 +179,7 @@ def test_another_cluster_at_its_addresses_is_left_out_though_nobody_of_the_own_o
 
 
 def test_a_cluster_that_takes_the_place_of_the_own_one_is_taken_up_once_that_one_is_gone() -> None:
-    roster = Roster(("s1:1", "s2:1"))
+    roster = SupernodeRoster(("s1:1", "s2:1"))
     roster.answered("s1:1", answer("s1"))
     assert not roster.answered("s2:1", answer("r", cluster="c2", former=("c1",)))
     roster.failed("s1:1", "refused")
@@ -186,7 +188,7 @@ def test_a_cluster_that_takes_the_place_of_the_own_one_is_taken_up_once_that_one
 
 
 def test_a_cluster_founded_anew_at_the_addresses_of_one_in_memory_is_taken_up() -> None:
-    roster = Roster(("s1:1",))
+    roster = SupernodeRoster(("s1:1",))
     roster.answered("s1:1", answer("s1", cluster="memory-1"))
     roster.listed(members("s1", "s2", term=7, index=70))
     roster.failed("s1:1", "refused")
@@ -217,7 +219,7 @@ EVENTS = st.one_of(
 def test_whatever_happens_seeds_are_probed_ids_are_told_once_and_health_is_what_the_last_probe_said(
     events: list[tuple[Any, ...]],
 ) -> None:
-    roster = Roster(("s1:1", "s9:1"))
+    roster = SupernodeRoster(("s1:1", "s9:1"))
     last_probe: dict[str, bool] = {}
     for kind, *arguments in events:
         accepted = getattr(roster, kind)(*arguments)

@@ -12,7 +12,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import frontend_service_pb2, frontend_service_pb2_grpc
 from stampede_rt.v1.directory_service_pb2_grpc import add_DirectoryServiceServicer_to_server
 from stampede_rt_frontend.probe import Prober
-from stampede_rt_frontend.roster import Roster
+from stampede_rt_frontend.roster import SupernodeRoster
 from stampede_rt_frontend.servicer import FrontendServicer
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import ServiceServer, serving
@@ -40,7 +40,7 @@ async def supernode(directory: FakeDirectory, listen: str = "localhost:0") -> As
 
 @asynccontextmanager
 async def frontend(*seeds: str) -> AsyncIterator[Bind]:
-    roster = Roster(seeds)
+    roster = SupernodeRoster(seeds)
     async with AsyncExitStack() as stack:
         prober = await stack.enter_async_context(Prober(roster, lambda target: dial(target, secret=None)))
         servicer = FrontendServicer(roster, prober, ManualClock(unix_nano=77))

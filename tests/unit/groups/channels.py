@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Channel, Offer, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer, Slice
 
 INCARNATION = 7
 NOW = 10_000
 
 
-def channel(*times: int, durations: Sequence[int] | None = None, policy: Policy | None = None) -> Channel:
+def channel(*times: int, durations: Sequence[int] | None = None, policy: Policy | None = None) -> ChannelCore:
     """A channel with an item at each time, each put by itself."""
-    made = Channel(policy or Policy(max_items=1000), incarnation=INCARNATION)
+    made = ChannelCore(policy or Policy(max_items=1000), incarnation=INCARNATION)
     for at, time in enumerate(times):
         put(made, time, None if durations is None else durations[at])
     return made
 
 
-def put(into: Channel, time: int, duration: int | None = None) -> None:
+def put(into: ChannelCore, time: int, duration: int | None = None) -> None:
     offer = Offer(times=[time], durations=None if duration is None else [duration], lengths=[8])
     assert into.put(offer, NOW, lambda first_seq, kept, stamped: b"body").run is not None
 

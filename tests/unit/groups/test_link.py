@@ -19,7 +19,7 @@ from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.groups import link as link_module
-from stampede_rt_channel_host.groups.link import ENTRIES_MAX, Link
+from stampede_rt_channel_host.groups.link import ENTRIES_MAX, HostLink
 from stampede_rt_channel_host.groups.peers import _unwrapped
 
 ME, OTHER = b"this-host-has-16", b"another-host-id!"
@@ -48,7 +48,7 @@ class Notebook:
     def name_of_host(self, host_id: bytes) -> str:
         return self.names.get(host_id, "")
 
-    def greeted(self, link: Link) -> None:
+    def greeted(self, link: HostLink) -> None:
         self.stands.set()
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
@@ -68,7 +68,7 @@ class Wire:
         self.may_write = asyncio.Event()
         self.may_write.set()
         identity = HostIdentity(host_id=ME, name="me", boot_incarnation=1)
-        self.link = Link(
+        self.link = HostLink(
             identity, "c", notebook, pb.ExchangeTimesRequest, self._write, self.incoming.get, certified_name
         )
         self.running = asyncio.create_task(_unwrapped(self.link.run(OTHER)))

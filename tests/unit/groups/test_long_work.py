@@ -9,8 +9,8 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import parse_interval
-from stampede_rt_channel_host.core.channel import Channel, Slice, index, pieces
-from stampede_rt_channel_host.core.group import CutFollower, GroupView, Horizon, VisibleAll, VisibleNewest
+from stampede_rt_channel_host.core.channel import ChannelCore, Slice, index, pieces
+from stampede_rt_channel_host.core.group import CutFollower, Horizon, VisibleAll, VisibleChannel, VisibleNewest
 from tests.unit.groups.channels import NOW, channel, put
 
 ITEMS = 10_000
@@ -38,7 +38,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
     return counter
 
 
-def late() -> tuple[Channel, CutFollower]:
+def late() -> tuple[ChannelCore, CutFollower]:
     """A reader at cut 1,000,000, and 10,000 items below it that came since, the latest first."""
     made = channel(1_000_000, policy=POLICY)
     follower = CutFollower(made, 1_000_001, NOW)
@@ -84,5 +84,5 @@ def test_a_subscription_through_a_group_from_the_oldest_item_on_begins_without_a
     VisibleAll(made, horizon, NOW, start=parse_interval(0, NOW).start)
     assert looked.slices <= 5000
     looked.slices = 0
-    assert GroupView(made).hidden_items(ITEMS // 2, NOW) == ITEMS // 2 + 1
+    assert VisibleChannel(made).hidden_items(ITEMS // 2, NOW) == ITEMS // 2 + 1
     assert looked.slices <= 3000

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.core.channel import Channel, Position
+from stampede_rt_channel_host.core.channel import ChannelCore, Position
 from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack
 from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import STEPS_MAX
@@ -18,15 +18,15 @@ from tests.unit.groups.channels import INCARNATION, NOW, channel, put
 RIGHT = b"right"
 
 
-def passed(right: Channel) -> Callable[[bytes, int], bool]:
+def passed(right: ChannelCore) -> Callable[[bytes, int], bool]:
     return lambda _, instant: OwnTimes(right, NOW).times(1).has_passed(instant)
 
 
-def everything(left: Channel, right: Channel, tolerance: int) -> Matcher:
+def everything(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
     return Matcher(left, {RIGHT: OwnTrack(right)}, tolerance, NOW, after=Position(-1, 0))
 
 
-def pairs(matcher: Matcher, right: Channel) -> list[tuple[int, int | None]]:
+def pairs(matcher: Matcher, right: ChannelCore) -> list[tuple[int, int | None]]:
     taken = matcher.take(passed(right), NOW, 100)
     return [(one.item.slice.first_time, one.matched[RIGHT].time if RIGHT in one.matched else None) for one in taken]
 
@@ -159,11 +159,11 @@ def test_an_item_that_two_members_have_nothing_for_counts_once() -> None:
     assert (one.missing, matcher.unmatched) == ((b"rear", RIGHT), 1)
 
 
-def unique(left: Channel, right: Channel, tolerance: int) -> Matcher:
+def unique(left: ChannelCore, right: ChannelCore, tolerance: int) -> Matcher:
     return Matcher(left, {RIGHT: OwnTrack(right)}, tolerance, NOW, after=Position(-1, 0), partners={})
 
 
-def matched(matcher: Matcher, left: Channel, right: Channel) -> list[tuple[int, int | None]]:
+def matched(matcher: Matcher, left: ChannelCore, right: ChannelCore) -> list[tuple[int, int | None]]:
     """What a match takes that waits for its own channel, too."""
     times = {OWN: OwnTimes(left, NOW).times(1), RIGHT: OwnTimes(right, NOW).times(1)}
     taken = matcher.take(lambda name, instant: times[name].has_passed(instant), NOW, 100)

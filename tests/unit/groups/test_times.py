@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT
-from stampede_rt_channel_host.core.channel import Channel, Offer
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 from stampede_rt_channel_host.core.group import ChannelTimes, OwnTimes, TimesBoard
 from tests.unit.groups.channels import INCARNATION, NOW, channel, put
 
 A = b"a"
 
 
-def told(of: Channel, follower: OwnTimes) -> tuple[int | None, int | None]:
+def told(of: ChannelCore, follower: OwnTimes) -> tuple[int | None, int | None]:
     follower.observe(NOW)
     times = follower.times(1)
     assert times.incarnation == of.incarnation

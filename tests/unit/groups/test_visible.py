@@ -10,7 +10,7 @@ from stampede_rt.errors import IncarnationLost
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, parse_interval
 from stampede_rt_channel_host.core.channel import Needs, Offer, Position, Query, WakeAt
-from stampede_rt_channel_host.core.group import GroupView, Horizon, VisibleAll, VisibleNewest
+from stampede_rt_channel_host.core.group import Horizon, VisibleAll, VisibleChannel, VisibleNewest
 from tests.unit.groups.channels import INCARNATION, channel, put, times
 from tests.unit.groups.channels import NOW as CLOCK
 
@@ -25,7 +25,7 @@ def everything() -> Query:
 
 def test_only_items_before_the_cut_are_there_and_the_channel_keeps_the_others() -> None:
     made = channel(10, 20, 30)
-    view = GroupView(made)
+    view = VisibleChannel(made)
     answer = view.read(everything(), horizon(30), CLOCK)
     assert times(answer.slices) == [10, 20]
     assert answer.next_time is None  # the next one is hidden, and so is its time
@@ -34,14 +34,14 @@ def test_only_items_before_the_cut_are_there_and_the_channel_keeps_the_others() 
 
 
 def test_an_answer_that_the_cut_leaves_empty_names_who_holds_it() -> None:
-    answer = GroupView(channel(10, 20)).read(Query(interval=parse_interval(20, 25)), horizon(15), CLOCK)
+    answer = VisibleChannel(channel(10, 20)).read(Query(interval=parse_interval(20, 25)), horizon(15), CLOCK)
     assert answer.reason == "HIDDEN"
     assert answer.reason is not None
     assert "held back by channel text" in answer.reason.detail
 
 
 def test_the_clock_stops_at_the_cut() -> None:
-    view = GroupView(channel(10, 20))
+    view = VisibleChannel(channel(10, 20))
     answer = view.read(Query(interval=parse_interval(NOW - "5ns", NOW)), horizon(18), CLOCK)
     assert answer.interval is not None
     assert (answer.interval.start, answer.interval.end) == (13, 18)
@@ -49,14 +49,14 @@ def test_the_clock_stops_at_the_cut() -> None:
 
 
 def test_without_a_cut_there_is_nothing_and_no_now() -> None:
-    view = GroupView(channel(10))
+    view = VisibleChannel(channel(10))
     assert view.read(everything(), horizon(None), CLOCK).reason == "HIDDEN"
     assert view.read(Query(interval=parse_interval(5, NOW)), horizon(None), CLOCK).interval is None
-    assert GroupView(channel()).read(everything(), horizon(None), CLOCK).reason == "NOT_YET"
+    assert VisibleChannel(channel()).read(everything(), horizon(None), CLOCK).reason == "NOT_YET"
 
 
 def test_complete_waits_for_the_cut_too() -> None:
-    view = GroupView(channel(10, 20, 30))
+    view = VisibleChannel(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 25, "[)"), complete=True)
     pending = view.begin(query, horizon(22), CLOCK)
     assert view.poll(pending, horizon(22), CLOCK) == WakeAt(None, Needs(passed=25))
@@ -67,19 +67,19 @@ def test_complete_waits_for_the_cut_too() -> None:
 
 
 def test_a_reader_that_has_seen_more_is_told_that_the_host_is_stalled() -> None:
-    answer = GroupView(channel(10)).stalled(40, horizon(5))
+    answer = VisibleChannel(channel(10)).stalled(40, horizon(5))
     assert (answer.slices, answer.reason, answer.complete) == ((), "HIDDEN", False)
 
 
 def test_a_window_shorter_than_the_lead_is_noticed() -> None:
-    view = GroupView(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
+    view = VisibleChannel(channel(10, 5_000, policy=Policy(max_age_nanos=4_000)))
     assert view.window_too_short(20, 5_001)
     assert not view.window_too_short(1_500, 5_001)
     assert not view.window_too_short(1_000, 5_001)  # 4000 ahead, and kept for 4000
 
 
 def test_an_item_that_went_at_the_cut_or_past_it_shows_that_the_window_is_too_short() -> None:
-    view = GroupView(channel(10, 20, 30, policy=Policy(max_items=1)))
+    view = VisibleChannel(channel(10, 20, 30, policy=Policy(max_items=1)))
     assert view.window_too_short(None, CLOCK)
     assert view.window_too_short(20, CLOCK)
     assert not view.window_too_short(21, CLOCK)
@@ -88,7 +88,7 @@ def test_an_item_that_went_at_the_cut_or_past_it_shows_that_the_window_is_too_sh
 def test_positions_of_another_incarnation_are_refused() -> None:
     query = Query(interval=parse_interval(OLDEST, NEWEST), after=Position(10, 1, INCARNATION + 1))
     with pytest.raises(IncarnationLost):
-        GroupView(channel(10)).read(query, horizon(15), CLOCK)
+        VisibleChannel(channel(10)).read(query, horizon(15), CLOCK)
 
 
 def delivered(reader: VisibleAll, cut: int | None) -> list[int]:
@@ -147,13 +147,13 @@ def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> 
 
 
 def test_an_item_at_the_very_time_of_the_cut_is_hidden_from_whoever_asks_for_it() -> None:
-    view = GroupView(channel(10, 20, 30, 30))
+    view = VisibleChannel(channel(10, 20, 30, 30))
     assert times(view.read(Query(interval=parse_interval(5, 40)), horizon(30), CLOCK).slices) == [10, 20]
     assert times(view.read(Query(interval=parse_interval(5, 40)), horizon(31), CLOCK).slices) == [10, 20, 30, 30]
 
 
 def test_what_the_cut_hides_behind_a_limit_is_no_reason() -> None:
-    view = GroupView(channel(10, 20, 30))
+    view = VisibleChannel(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 40), limit=1)
     answer = view.read(query, horizon(25), CLOCK)
     assert (times(answer.slices), answer.more, answer.reason) == ([10], True, None)
@@ -162,14 +162,14 @@ def test_what_the_cut_hides_behind_a_limit_is_no_reason() -> None:
 
 
 def test_an_interval_with_its_end_is_complete_when_the_cut_is_past_that() -> None:
-    view = GroupView(channel(10, 20, 30))
+    view = VisibleChannel(channel(10, 20, 30))
     query = Query(interval=parse_interval(5, 25, "[]"), complete=True)
     assert not view.read(query, horizon(25), CLOCK).complete
     assert view.read(query, horizon(26), CLOCK).complete
 
 
 def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_it() -> None:
-    view = GroupView(channel(10))
+    view = VisibleChannel(channel(10))
     query = Query(interval=parse_interval(CLOCK + 5, CLOCK + 9))
     pending = view.begin(query, horizon(20), CLOCK)
     needs = Needs(passed=CLOCK + 10, end=CLOCK + 5)

@@ -10,10 +10,10 @@ from stampede_rt_channel_host.core.queue import (
     Enqueue,
     Extend,
     GiveBack,
-    Queue,
+    QueueCore,
     QueueLimits,
     Settlement,
-    Taker,
+    TakerState,
     Terminate,
 )
 
@@ -22,7 +22,7 @@ class Core:
     """One queue and its clock, which stands until `now` is set."""
 
     def __init__(self, **limits: Any) -> None:
-        self.queue = Queue(QueueLimits(**limits), incarnation=1, name="q")
+        self.queue = QueueCore(QueueLimits(**limits), incarnation=1, name="q")
         self.now = 1000
 
     def put(self, *lengths: int, **fields: Any) -> Enqueue:
@@ -33,8 +33,8 @@ class Core:
         self.queue.enqueue(run, self.now)
         return run
 
-    def taker(self, taker_id: int = 1, credit: int = 0, lease_nanos: int | None = None) -> Taker:
-        taker = Taker(taker_id, lease_nanos)
+    def taker(self, taker_id: int = 1, credit: int = 0, lease_nanos: int | None = None) -> TakerState:
+        taker = TakerState(taker_id, lease_nanos)
         self.queue.grant(taker, credit, self.now)
         return taker
 

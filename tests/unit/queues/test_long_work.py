@@ -6,8 +6,8 @@ from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue import Batch, Enqueue, Queue, QueueLimits, Taker
-from stampede_rt_channel_host.core.queue.dealing import ITEMS_DEALT_MAX
+from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
+from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DEALT_MAX
 from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
 from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
@@ -119,7 +119,7 @@ def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_
 
 def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> None:
     core, serves = Core(max_items=10), True
-    core.queue = Queue(QueueLimits(max_items=1), incarnation=1, may_serve=lambda: serves)
+    core.queue = QueueCore(QueueLimits(max_items=1), incarnation=1, may_serve=lambda: serves)
     core.put(1)
     waits = core.put(1, wait_nanos=10**9)
     serves = False
@@ -149,6 +149,6 @@ async def test_the_streams_of_takers_are_ended_in_pieces() -> None:
             ended.append(error)
 
     for taker_id in range(1, 3 * STREAMS_PER_PIECE + 1):
-        hosted.attach(Taker(taker_id), Stream())
+        hosted.attach(TakerState(taker_id), Stream())
     counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
     assert counts == [STREAMS_PER_PIECE * pieces for pieces in (1, 2, 3, 3)]

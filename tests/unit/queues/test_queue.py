@@ -12,9 +12,9 @@ from stampede_rt_channel_host.core.queue import (
     REJECT,
     TERMINATED,
     FailedDelivery,
-    Queue,
+    QueueCore,
     QueueLimits,
-    dealing,
+    dispatcher,
     enqueuing,
     message_ids,
 )
@@ -237,7 +237,7 @@ def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent
     assert run.error is not None
     assert run.error.retryable
     state = core.queue.export(core.now)
-    core.queue = Queue.restore(core.queue.limits, state, core.now, incarnation=1)
+    core.queue = QueueCore.restore(core.queue.limits, state, core.now, incarnation=1)
     core.queue.configure(QueueLimits(max_items=2), core.now)
     again = core.put(1, 1, producer_id=5, first_number=1)
     assert again.outcome is not None
@@ -455,7 +455,7 @@ def test_an_unknown_rule_for_a_full_queue_is_refused() -> None:
 def test_a_taker_finds_every_copy_that_came_back_however_few_it_looks_at_in_one_go(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(dealing, "RETURNS_PER_LOOK_MAX", 2)
+    monkeypatch.setattr(dispatcher, "RETURNS_PER_LOOK_MAX", 2)
     core = Core(copies=2)
     core.put(*[1] * 50)
     core.taker(1, credit=50)
@@ -484,7 +484,7 @@ def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
         (1, [1], (1,), 0),
         (2, [1], (), 30),
     ]
-    core.queue = Queue.restore(core.queue.limits, state, 10**6, incarnation=1)
+    core.queue = QueueCore.restore(core.queue.limits, state, 10**6, incarnation=1)
     core.now = 10**6
     assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
     assert core.ack(1, 1) == core.ack(2, 3) == [""]

@@ -8,8 +8,8 @@ from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
 from stampede_rt_bench.matching.sets import FoundSet, Replay
-from stampede_rt_channel_host.core.channel import Channel, Offer
-from stampede_rt_channel_host.core.group import OWN, Matched, Matcher, OwnTimes, OwnTrack
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from stampede_rt_channel_host.core.group import OWN, FoundMatch, Matcher, OwnTimes, OwnTrack
 
 ITEMS_MAX = 1000
 
@@ -18,7 +18,7 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
     """What was matched, and when, had the items come as recorded."""
     start = arrivals[0].arrived
     policy = Policy(max_age_nanos=60_000_000_000, max_future_nanos=1_000_000_000)
-    channels = {stream: Channel(policy, incarnation=1, name=stream) for stream in RATES_HZ}
+    channels = {stream: ChannelCore(policy, incarnation=1, name=stream) for stream in RATES_HZ}
     times = {stream: OwnTimes(channel, start) for stream, channel in channels.items()}
     tracks = {stream.encode(): OwnTrack(channel) for stream, channel in channels.items() if stream != REFERENCE}
     matcher = Matcher(channels[REFERENCE], tracks, tolerance_nanos, start)
@@ -30,19 +30,19 @@ def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
     return Replay(sets=found, told_unmatched=matcher.unmatched)
 
 
-def _take(matcher: Matcher, times: Mapping[str, OwnTimes], now: int) -> list[Matched]:
+def _take(matcher: Matcher, times: Mapping[str, OwnTimes], now: int) -> list[FoundMatch]:
     def has_passed(member: bytes, instant: int) -> bool:
         return times[REFERENCE if member == OWN else member.decode()].times(1).has_passed(instant)
 
     return matcher.take(has_passed, now, ITEMS_MAX)
 
 
-def _found(matched: Matched, given: int) -> FoundSet:
+def _found(matched: FoundMatch, given: int) -> FoundSet:
     times = {member.decode(): near.time for member, near in matched.matched.items()}
     return FoundSet(given=given, reference=matched.item.slice.first_time, times=times)
 
 
-def _put(channel: Channel, arrival: Arrival) -> None:
+def _put(channel: ChannelCore, arrival: Arrival) -> None:
     raw = encode_run([b"."], times=[arrival.time])
 
     def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:

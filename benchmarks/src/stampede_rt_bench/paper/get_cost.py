@@ -27,7 +27,7 @@ from stampede_rt_bench.filling import (
 )
 from stampede_rt_bench.measuring import PAYLOAD_BYTES, Effort, Spread, microseconds
 from stampede_rt_bench.tables import Table, spread
-from stampede_rt_channel_host.core.channel import Channel, Query
+from stampede_rt_channel_host.core.channel import ChannelCore, Query
 
 GETS_PER_RUN = 20_000
 POSITIONS = {"early": 0.01, "middle": 0.5, "late": 0.99}
@@ -57,7 +57,7 @@ def _of_channel(items: int, runs: int) -> dict[str, Spread]:
     }
 
 
-def _get(channel: Channel, items: int, share: float) -> Callable[[], object]:
+def _get(channel: ChannelCore, items: int, share: float) -> Callable[[], object]:
     """The items whose span holds an instant in the middle of one item's span."""
     instant = time_of(int(items * share)) + PERIOD_NANOS // 2
     query, now = Query(interval=parse_interval(instant, instant)), time_of(items)

@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
-from stampede_rt_channel_host.cluster.directory import Directory
+from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
@@ -71,7 +71,7 @@ class ChannelHost:
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim())
         self.store = ChannelStore(
             identity,
-            Directory(self._supernodes),
+            DirectoryQueries(self._supernodes),
             clock,
             lease_held=self._lease.lease_held,
             memory=memory,
@@ -112,7 +112,7 @@ class ChannelHost:
             memory,
             now=self.store.now,
             lease_held=self._lease.lease_held,
-            turns=self.store.turns,
+            scheduler=self.store.scheduler,
             on_departures=lambda hosted: mover.departures(hosted),
         )
         mover = DeadLetterMover(directory, self._dial, may_move=queues.holds, on_defect=on_defect)
@@ -171,9 +171,9 @@ class ChannelHost:
             self._on_defect(failure)
 
     async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
-        channels, queues, turns = response.channels, response.queues, self.store.turns
-        await turns.do(self.store.registering(channels, all_told=len(channels) < CHANNELS_TOLD_MAX))
-        await turns.do(self.queues.registering(queues, all_told=len(queues) < QUEUES_TOLD_MAX))
+        channels, queues, scheduler = response.channels, response.queues, self.store.scheduler
+        await scheduler.do(self.store.registering(channels, all_told=len(channels) < CHANNELS_TOLD_MAX))
+        await scheduler.do(self.queues.registering(queues, all_told=len(queues) < QUEUES_TOLD_MAX))
 
     def _lease_changed(self, held: bool) -> None:
         if not held:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt.v1 import frontend_service_pb2_grpc
 from stampede_rt_frontend.probe import Prober
-from stampede_rt_frontend.roster import SUPERNODES_MAX, Roster
+from stampede_rt_frontend.roster import SUPERNODES_MAX, SupernodeRoster
 from stampede_rt_frontend.servicer import FrontendServicer
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.identity import Role
@@ -47,7 +47,7 @@ async def serve(settings: FrontendSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or PermissionDenied."""
     credentials = settings.load_credentials(Role.FRONTEND)
     server = ServiceServer(secret=credentials.secret, tls=credentials.tls, limits=CONTROL_LIMITS)
-    roster = Roster(tuple(dict.fromkeys(settings.supernodes)))
+    roster = SupernodeRoster(tuple(dict.fromkeys(settings.supernodes)))
     async with Prober(roster, credentials, explain=credentials.explain) as prober:
         servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server.grpc)

@@ -13,9 +13,9 @@ import grpc
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
-from stampede_rt_frontend.journal import Journal
 from stampede_rt_frontend.ranking import Supernode
-from stampede_rt_frontend.roster import Answer, MemberList, Roster
+from stampede_rt_frontend.roster import MemberList, ProbeAnswer, SupernodeRoster
+from stampede_rt_frontend.status_log import StatusLog
 
 logger = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ class Prober:
 
     def __init__(
         self,
-        roster: Roster,
+        roster: SupernodeRoster,
         dial: Callable[[str], grpc.aio.Channel],
         *,
         explain: Callable[[str], Awaitable[StampedeError | None]] | None = None,
@@ -43,7 +43,7 @@ class Prober:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
         self._changed = asyncio.Condition()
-        self._journal = Journal()
+        self._journal = StatusLog()
 
     async def __aenter__(self) -> Prober:
         self._match_tasks()
@@ -126,12 +126,12 @@ def _log_defect(task: asyncio.Task[None]) -> None:
         logger.error("probing ended by a defect", exc_info=error, extra={"task": task.get_name()})
 
 
-async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> Answer:
+async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> ProbeAnswer:
     connected = channel.get_state() is grpc.ChannelConnectivity.READY
     began = perf_counter_ns()
     said = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_DEADLINE_SECONDS)
     took = perf_counter_ns() - began
-    return Answer(
+    return ProbeAnswer(
         supernode_id=said.supernode_id,
         cluster_id=said.cluster_id,
         ready=said.ready,

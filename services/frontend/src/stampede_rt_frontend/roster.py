@@ -15,7 +15,7 @@ SUPERNODES_MAX = 64  # probed at once; a consensus group has 3 to 7 members
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Answer:
+class ProbeAnswer:
     """What one supernode said to a probe. `round_trip_nanos` is None if the connection was only being made."""
 
     supernode_id: str
@@ -35,7 +35,7 @@ class MemberList:
 
 
 @dataclass(slots=True)
-class Roster:
+class SupernodeRoster:
     """The supernodes that this front-end knows, by target.
 
     Invariant: `_nodes` holds every seed and every listed member, at most SUPERNODES_MAX in all.
@@ -57,7 +57,7 @@ class Roster:
         """Whom to probe."""
         return tuple(self._nodes)
 
-    def answered(self, target: str, answer: Answer) -> bool:
+    def answered(self, target: str, answer: ProbeAnswer) -> bool:
         """Take in that `target` answered. False: it belongs to another cluster and is left out."""
         node = self._nodes.get(target)
         if node is None:
@@ -133,7 +133,7 @@ class Roster:
         """For people: who failed last time, and why."""
         return [why if target in why else f"{target}: {why}" for target, why in self._failures.items()]
 
-    def _same_cluster(self, answer: Answer) -> bool:
+    def _same_cluster(self, answer: ProbeAnswer) -> bool:
         if not answer.cluster_id or answer.cluster_id == self.cluster_id:
             return True
         if self.cluster_id and self.any_healthy():

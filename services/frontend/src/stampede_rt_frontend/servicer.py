@@ -7,7 +7,7 @@ from stampede_rt.errors import Unavailable, VersionMismatch
 from stampede_rt.v1 import directory_pb2, frontend_service_pb2, frontend_service_pb2_grpc
 from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.ranking import Supernode, rank
-from stampede_rt_frontend.roster import Roster
+from stampede_rt_frontend.roster import SupernodeRoster
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.routes import is_of_another_machine
 from stampede_rt_runtime.rpc import Context, errors_as_status
@@ -19,7 +19,7 @@ WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so 
 class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
     """Tells callers which supernodes there are."""
 
-    def __init__(self, roster: Roster, prober: Prober, clock: HostClock, *, default_zone: str = "") -> None:
+    def __init__(self, roster: SupernodeRoster, prober: Prober, clock: HostClock, *, default_zone: str = "") -> None:
         self._roster = roster
         self._prober = prober
         self._clock = clock

@@ -68,7 +68,7 @@ class ChannelServicer:
     @errors_as_status
     async def consume(self, request: pb.ConsumeRequest, context: Context) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
-        return await self._store.turns.do(consuming(self._store, request))
+        return await self._store.scheduler.do(consuming(self._store, request))
 
     @errors_as_status
     async def get_channel_status(
@@ -79,5 +79,5 @@ class ChannelServicer:
             hosted = self._store.find(request.channel_id, request.epoch)
         else:
             hosted = self._store.find_any_epoch(request.channel_id)
-        status = await self._store.turns.do(self._store.status(hosted))
+        status = await self._store.scheduler.do(self._store.status(hosted))
         return pb.GetChannelStatusResponse(status=status)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
-from stampede_rt_channel_host.core.channel import Answer, ColumnRun, DeliveredSlice, Slice, drained
+from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
 MESSAGE_BYTES_MAX = 2**20  # of runs; a single item may be larger
 MESSAGE_RUNS_MAX = 512  # so that a message of many small ones is made within a millisecond or two
@@ -28,7 +28,7 @@ _GET_ERROR = bytes((4 << 3 | _LENGTH_DELIMITED,))
 _SUBSCRIBE_RUNS = bytes((3 << 3 | _LENGTH_DELIMITED,))
 
 
-class Message(NamedTuple):
+class EncodedMessage(NamedTuple):
     """A message of an answer, with the payload bytes it carries; `is_last` ends the answer."""
 
     encoded: bytes
@@ -49,7 +49,9 @@ def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
     return slicer.cut(part.lo, part.hi, without_payloads=without_payloads)
 
 
-def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, without_payloads: bool) -> Iterator[Message]:
+def get_responses(
+    call_id: int, answer: ReadAnswer, summary: pb.GetSummary, *, without_payloads: bool
+) -> Iterator[EncodedMessage]:
     """The messages that answer a call, made one by one; the last one has the summary."""
     head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves a zero away
     parts, runs, size, payload_bytes = [head], 0, 0, 0
@@ -59,7 +61,7 @@ def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, witho
         following = next(rest, None)
         body = run_bytes(part, without_payloads=without_payloads)
         if runs and (size + len(body) > MESSAGE_BYTES_MAX or runs >= MESSAGE_RUNS_MAX):
-            yield Message(b"".join(parts), payload_bytes, False)
+            yield EncodedMessage(b"".join(parts), payload_bytes, False)
             parts, runs, size, payload_bytes = [head], 0, 0, 0
         _add_run(parts, _GET_RUNS, body, None if following else next_time)
         runs += 1
@@ -67,14 +69,14 @@ def get_responses(call_id: int, answer: Answer, summary: pb.GetSummary, *, witho
         payload_bytes += 0 if without_payloads else part.payload_bytes
     encoded = summary.SerializeToString()
     parts += (_GET_SUMMARY, _varint(len(encoded)), encoded)
-    yield Message(b"".join(parts), payload_bytes, True)
+    yield EncodedMessage(b"".join(parts), payload_bytes, True)
 
 
-def get_error(call_id: int, error: error_pb2.Error) -> Iterator[Message]:
+def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
     """The one message that ends a call with an error."""
     encoded = error.SerializeToString()
     head = _CALL_ID + _varint(call_id) if call_id else b""
-    yield Message(b"".join((head, _GET_ERROR, _varint(len(encoded)), encoded)), 0, True)
+    yield EncodedMessage(b"".join((head, _GET_ERROR, _varint(len(encoded)), encoded)), 0, True)
 
 
 class SharedMessages:
@@ -85,17 +87,17 @@ class SharedMessages:
 
     def __init__(self) -> None:
         self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None
-        self._message: Message | None = None
+        self._message: EncodedMessage | None = None
 
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
-    ) -> Message:
+    ) -> EncodedMessage:
         """A SubscribeResponse with the fields of `about`, which is encoded, and runs. Kept for other readers."""
         key = (slices, about, without_payloads)
         if key == self._key and self._message is not None:  # runs compare by identity
             return self._message
         payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)
-        message = Message(_subscribe_response(slices, about, without_payloads), payload_bytes, False)
+        message = EncodedMessage(_subscribe_response(slices, about, without_payloads), payload_bytes, False)
         self._key, self._message = (key, message) if readers > 1 else (None, None)
         return message
 

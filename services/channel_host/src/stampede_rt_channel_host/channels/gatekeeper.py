@@ -81,7 +81,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         pattern = _glob(request.name_glob)
         size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
         listing = page_of(self._store, pattern.match, request.page_token, size)
-        page = await self._store.turns.do(listing)
+        page = await self._store.scheduler.do(listing)
         return pb.ListHostedChannelsResponse(
             channels=page.channels, next_page_token=page.channels[-1].record.name if page.has_more else ""
         )

@@ -22,9 +22,9 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGet
 from stampede_rt_channel_host.core.channel import (
     ITEM_OVERHEAD_BYTES,
-    Answer,
     Pending,
     Pieces,
+    ReadAnswer,
     Unfinished,
     WakeAt,
     emptying,
@@ -64,7 +64,7 @@ class GetStream:
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: being answered
         self._plans = GetPlans()
         self._idle = asyncio.Event()
-        self._outbox = Outbox(context, stream, self._ended, self._room_came, store.turns.begin)
+        self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin)
         self._held_back: dict[int, _Begun] = {}  # released, and looked at again once there is room for their answers
 
     async def run(self) -> None:
@@ -110,7 +110,7 @@ class GetStream:
         begun.pending = hosted.channel.begin(plan.query, now)
         self._go_on(begun, first_of(hosted.channel.polling(begun.pending, now)), now)
 
-    def _go_on(self, begun: _Begun, found: Answer | WakeAt | Unfinished[Any], now: int) -> None:
+    def _go_on(self, begun: _Begun, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
         """Answer, or wait; or, if the answer takes more than a piece, do the rest of them beside the others."""
         if isinstance(found, Unfinished):
             self._calls[begun.call_id] = self._stream.spawn(self._finish(begun, found.rest))
@@ -123,11 +123,11 @@ class GetStream:
         else:
             self._answer(begun, found, now)
 
-    async def _finish(self, begun: _Begun, pieces: Pieces[Answer | WakeAt]) -> None:
+    async def _finish(self, begun: _Begun, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
         plan, hosted = begun.plan, begun.hosted
         try:
             await self._outbox.room()
-            found: Answer | WakeAt | Unfinished[Any] = await self._store.turns.finish(pieces)
+            found: ReadAnswer | WakeAt | Unfinished[Any] = await self._store.scheduler.finish(pieces)
             self._check_served(plan, found)
             now = self._store.now()
             if isinstance(found, WakeAt) and begun.pending is not None:  # the channel may have changed meanwhile
@@ -149,8 +149,8 @@ class GetStream:
 
     def _let_go(self, found: object) -> None:
         """Nobody is sent it, if it is an answer."""
-        if isinstance(found, Answer):
-            self._store.turns.begin(emptying(found.slices))
+        if isinstance(found, ReadAnswer):
+            self._store.scheduler.begin(emptying(found.slices))
 
     def _begin_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel, now: int) -> None:
         found = self._groups.read_now(ask, hosted, plan.query, plan.wait_nanos, now)
@@ -204,7 +204,7 @@ class GetStream:
                 self._refuse(begun.call_id, error)
             self._outbox.kick()
 
-    def _answer(self, begun: _Begun, answer: Answer, now: int, cut: int | None = None) -> None:
+    def _answer(self, begun: _Begun, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
         self._calls[begun.call_id] = None
         summary = summary_of(answer, now, cut)
         messages = get_responses(begun.call_id, answer, summary, without_payloads=begun.plan.without_payloads)
@@ -229,7 +229,7 @@ class GetStream:
             self._idle.set()
 
 
-def summary_of(answer: Answer, now: int, cut: int | None) -> pb.GetSummary:
+def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
     """What the reader is to know beside the items. `cut`: the group's that was used, if it read through one."""
     return pb.GetSummary(
         interval=resolved_to_message(answer.interval) if answer.interval else None,
@@ -244,7 +244,7 @@ def summary_of(answer: Answer, now: int, cut: int | None) -> pb.GetSummary:
     )
 
 
-def _kept_bytes(answer: Answer) -> int:
+def _kept_bytes(answer: ReadAnswer) -> int:
     """What the stored runs that an answer refers to keep of the host's memory, as far as the bound on it goes."""
     kept_bytes = 0
     for part in answer.slices:

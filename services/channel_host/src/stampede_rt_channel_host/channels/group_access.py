@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
-from stampede_rt_channel_host.core.channel import Answer, Delivery, Query, SavedCursor
+from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver, HostedChannel
+from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor, SubscriptionBatch
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,14 +23,14 @@ class GroupAsk:
 class GroupAnswer(NamedTuple):
     """An answer, and the cut that was used."""
 
-    answer: Answer
+    answer: ReadAnswer
     cut: int | None
 
 
 class Cursor(Protocol):
     """Where a subscription stands; what differs between its modes."""
 
-    def take(self, now: int, limit_bytes: int) -> Delivery:
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         """The next part, about `limit_bytes`; empty if there is nothing new."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
@@ -57,6 +57,6 @@ class GroupAccess(Protocol):
         """Block until there is an answer, for `wait_nanos` beside what the cut takes; below 0: without limit."""
 
     def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: Listener
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: ChannelObserver
     ) -> AbstractAsyncContextManager[Cursor]:
         """Where a subscription begins; as long as it is entered, `listener` hears of changes of the group."""

@@ -14,14 +14,14 @@ from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import Channel, Coming, Consumed, Pieces
+from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces
 
 SUBSCRIPTIONS_MAX = 4096
 LISTENERS_PER_PIECE = 256
 _orders = itertools.count()
 
 
-class Listener(Protocol):
+class ChannelObserver(Protocol):
     """A subscription, as the channel knows it."""
 
     def wake(self) -> None:
@@ -48,7 +48,7 @@ class HostedChannel:
         """
         self.record = record
         self.epoch: int = record.epoch
-        self.channel = Channel(
+        self.channel = ChannelCore(
             policy_from_spec(record.spec),
             incarnation=record.incarnation,
             name=record.name,
@@ -57,8 +57,8 @@ class HostedChannel:
         )
         self.gets = WaitingGets(self.channel, Coming(self.channel), now)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
-        self.listeners: dict[Listener, None] = {}
-        self.followers: dict[Listener, None] = {}  # as listeners, but no subscriptions: groups
+        self.listeners: dict[ChannelObserver, None] = {}
+        self.followers: dict[ChannelObserver, None] = {}  # as listeners, but no subscriptions: groups
         self.group_gets: set[object] = set()  # blocked gets through groups
         self.group_readers: set[object] = set()  # cut events and matches that take its items
         self.messages = SharedMessages()

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
-from stampede_rt_channel_host.channels.frames import Message
+from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice, at_once, emptying
 from stampede_rt_runtime.rpc import Context
@@ -29,7 +29,7 @@ class _Answer(NamedTuple):
     call_id: int
     kept_bytes: int
     emptying: Pieces[None]
-    messages: Iterator[Message]
+    messages: Iterator[EncodedMessage]
     on_sent: Callable[[int], None]
 
 
@@ -48,7 +48,7 @@ class Outbox:
         on_room: Callable[[], None] = lambda: None,
         begin: Callable[[Pieces[None]], None] = at_once,
     ) -> None:
-        """`begin` does long work that nobody waits for (`Turns.begin`)."""
+        """`begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
         self._context = context
         self._stream = stream
         self.queued_bytes = 0
@@ -66,7 +66,7 @@ class Outbox:
         return len(self._answers) <= ANSWERS_QUEUED_MAX and self.queued_bytes <= QUEUED_BYTES_MAX
 
     def add(
-        self, call_id: int, messages: Iterator[Message], on_sent: Callable[[int], None], kept_bytes: int = 0,
+        self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int], None], kept_bytes: int = 0,
         slices: Sequence[Slice] = (),
     ) -> None:  # fmt: skip
         """Queue an answer, which was made of `slices`; `flush` or `kick` writes it."""

@@ -11,7 +11,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
 from stampede_rt_channel_host.channels.memory import MemoryBudget
-from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, Channel, Offer, Pieces, PutOutcome
+from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Offer, Pieces, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Judging
 
@@ -118,7 +118,7 @@ class ChannelPuts:
 
     def __init__(
         self,
-        channel: Channel,
+        channel: ChannelCore,
         memory: MemoryBudget,
         now: Callable[[], int],
         on_accepted: Callable[[int], None],

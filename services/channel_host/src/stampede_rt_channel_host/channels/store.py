@@ -17,12 +17,12 @@ from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.sweep import Sweep
-from stampede_rt_channel_host.channels.turns import Turns
-from stampede_rt_channel_host.cluster.asking import Asking
-from stampede_rt_channel_host.cluster.directory import Directory
+from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.core.channel import Limits, Pieces, batched
+from stampede_rt_channel_host.cluster.single_flight import SingleFlight
+from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_runtime.clock import HostClock
 
@@ -32,33 +32,33 @@ CHANNELS_MAX = 100_000
 CHANNELS_PER_PIECE = 256
 _ID_END = b"\xff" * 17  # above every id
 DROPS_REMEMBERED_MAX = 1024
-QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
+LOOKUPS_MAX = 3  # each next one is asked because the host registered while the last was under way
 
 
 class ChannelStore:
     """Every data request comes through `find`; what is new or in doubt is asked of the directory by `bind`.
 
-    `lease_held` says whether the host may serve at this moment. `turns` are for long work.
+    `lease_held` says whether the host may serve at this moment. `scheduler` are for long work.
     """
 
     def __init__(
         self,
         identity: HostIdentity,
-        directory: Directory,
+        directory: DirectoryQueries,
         clock: HostClock,
         *,
         lease_held: Callable[[], bool],
         memory: MemoryBudget,
     ) -> None:
         self.lease_held = lease_held
-        self.turns = Turns()
+        self.scheduler = PieceScheduler()
         self._identity = identity
         self._directory = directory
         self._clock = clock
         self._time = HostTime(clock.boottime_nanos(), clock.time_unix_nano())
         self._channels: dict[bytes, HostedChannel] = {}
         self._names: Any = SortedList()  # of them, each with its id
-        self._asking = Asking()
+        self._single_flight = SingleFlight()
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
         self._registrations = 0
@@ -90,7 +90,7 @@ class ChannelStore:
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), ChannelNotFound, Overloaded, Unavailable.
         """
         if not self._knows(channel_id, epoch, spec_version):
-            async with self._asking.about(channel_id):
+            async with self._single_flight.about(channel_id):
                 if not self._knows(channel_id, epoch, spec_version):
                     await self._ask(channel_id)
         return self.find(channel_id, epoch)
@@ -162,7 +162,7 @@ class ChannelStore:
 
     def end_all(self, error: StampedeError) -> None:
         """Whoever waits for a channel or listens to it hears `error`; of many, the last ones a moment later."""
-        self.turns.begin(self._ending(self.all(), error))
+        self.scheduler.begin(self._ending(self.all(), error))
 
     def _ending(self, channels: Iterable[HostedChannel], error: StampedeError) -> Pieces[None]:
         for at, hosted in enumerate(channels):
@@ -217,7 +217,7 @@ class ChannelStore:
         An older answer may be out of date: before the host registered again its lease had ended, and the channel may
         have got a new owner. Raises what the directory answers, or StaleBinding if the host cannot keep a lease.
         """
-        for _ in range(QUESTIONS_MAX):
+        for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
             record = await self._directory.resolve(channel_id)
             if registrations == self._registrations:
@@ -247,7 +247,7 @@ class ChannelStore:
         if hosted is not None:
             self._names.remove((hosted.record.name, channel_id))
             self.sweep.forget(hosted)
-            self.turns.begin(hosted.leaving(error))
+            self.scheduler.begin(hosted.leaving(error))
 
 
 def _check_spec(held: channel_pb2.ChannelSpec, change: channel_pb2.ChannelSpec) -> None:
@@ -255,4 +255,4 @@ def _check_spec(held: channel_pb2.ChannelSpec, change: channel_pb2.ChannelSpec) 
     merged = channel_pb2.ChannelSpec()
     merged.CopyFrom(held)
     merged.MergeFrom(change)
-    Limits.of(policy_from_spec(merged))
+    ChannelLimits.of(policy_from_spec(merged))

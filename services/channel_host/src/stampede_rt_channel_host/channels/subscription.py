@@ -15,7 +15,15 @@ from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX,
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.channel import AllCursor, Channel, Delivery, Gap, NewestCursor, Pieces, SavedCursor
+from stampede_rt_channel_host.core.channel import (
+    AllCursor,
+    ChannelCore,
+    Gap,
+    NewestCursor,
+    Pieces,
+    SavedCursor,
+    SubscriptionBatch,
+)
 from stampede_rt_runtime.rpc import Context
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
@@ -27,7 +35,7 @@ class _All:
 
     skipped = 0
 
-    def __init__(self, channel: Channel, cursor: AllCursor) -> None:
+    def __init__(self, channel: ChannelCore, cursor: AllCursor) -> None:
         self._channel = channel
         self._cursor = cursor
 
@@ -35,7 +43,7 @@ class _All:
     def saved(self) -> SavedCursor:
         return self._cursor.saved(self._channel.incarnation)
 
-    def take(self, now: int, limit_bytes: int) -> Delivery:
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         return self._channel.since(self._cursor, now, limit_bytes)
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
@@ -45,7 +53,7 @@ class _All:
 class _Newest:
     """SUBSCRIBE_MODE_NEWEST."""
 
-    def __init__(self, channel: Channel, cursor: NewestCursor) -> None:
+    def __init__(self, channel: ChannelCore, cursor: NewestCursor) -> None:
         self._channel = channel
         self._cursor = cursor
 
@@ -57,16 +65,16 @@ class _Newest:
     def skipped(self) -> int:
         return self._cursor.skipped
 
-    def take(self, now: int, limit_bytes: int) -> Delivery:
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         latest = self._channel.latest(self._cursor, now)
-        return Delivery(slices=(latest,)) if latest else Delivery()
+        return SubscriptionBatch(slices=(latest,)) if latest else SubscriptionBatch()
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)
 
 
 class Subscription:
-    """Serves one subscription. A `Listener` of its channel: everything happens on the event loop."""
+    """Serves one subscription. A `ChannelObserver` of its channel: everything happens on the event loop."""
 
     def __init__(
         self, hosted: HostedChannel, store: ChannelStore, groups: GroupAccess, context: Context, stream: OpenStream
@@ -114,7 +122,7 @@ class Subscription:
                     await self._serve(cursor, begun)
             else:
                 opening = open_cursor(self._hosted.channel, begun, self._store.now())
-                cursor = await self._store.turns.do(opening)
+                cursor = await self._store.scheduler.do(opening)
                 self._store.find(begun.channel_id, begun.epoch)  # it may have gone meanwhile
                 await self._serve(cursor, begun)
         finally:
@@ -171,7 +179,7 @@ class Subscription:
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._standing(cursor))
 
-    def _about(self, part: Delivery, cursor: Cursor, now: int) -> bytes:
+    def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
         """What goes before the runs: counters that have changed, and where to go on."""
         about = pb.SubscribeResponse()
         if part.gap is not None:
@@ -225,7 +233,7 @@ class Subscription:
         self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
 
 
-def open_cursor(channel: Channel, begun: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
+def open_cursor(channel: ChannelCore, begun: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
     """Begin where it says, as of `now`, in pieces. Raises InvalidArgument, IncarnationLost."""
     where = beginning_of(begun)
     if is_newest(begun):

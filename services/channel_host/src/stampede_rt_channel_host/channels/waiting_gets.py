@@ -18,17 +18,17 @@ from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
-    Answer,
     Coming,
     Needs,
     Pending,
     Pieces,
+    ReadAnswer,
     Unfinished,
     WakeAt,
     first_of,
 )
 
-Outcome = Answer | Unfinished[Answer | WakeAt] | Unfinished[Answer] | StampedeError
+Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
 """A long answer is begun where the get is released, and finished by whoever hears of it."""
 
 WAITING_GETS_MAX = 20_000
@@ -96,11 +96,11 @@ class WaitingGet:
 class Source(Protocol):
     """What gets wait for: a channel, or what a group shows of it."""
 
-    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
-        """As `Channel.polling`."""
+    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+        """As `ChannelCore.polling`."""
 
-    def giving_up(self, pending: Pending, now: int) -> Pieces[Answer]:
-        """As `Channel.giving_up`."""
+    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
+        """As `ChannelCore.giving_up`."""
 
 
 class WaitingGets:
@@ -198,7 +198,7 @@ class WaitingGets:
         self._look(get, self._now())
 
     def _give_up(self, get: WaitingGet) -> None:
-        found: Answer | Unfinished[Answer] = first_of(self._source.giving_up(get.pending, self._now()))
+        found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
         get.finish(found)
 
 

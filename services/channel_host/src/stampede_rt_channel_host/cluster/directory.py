@@ -11,7 +11,7 @@ from stampede_rt_channel_host.cluster.supernodes import Supernodes
 CALL_SECONDS_MAX = 4.0
 
 
-class Directory:
+class DirectoryQueries:
     """Each method blocks for CALL_SECONDS_MAX at most and raises what the directory answers, or Unavailable."""
 
     def __init__(self, supernodes: Supernodes) -> None:

@@ -16,8 +16,8 @@ from typing import NoReturn
 from stampede_rt.cluster.directory_call import may_pass
 from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, Unavailable, VersionMismatch
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt_channel_host.cluster.host_lease import RENEWALS_PER_TTL, HostLease
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
-from stampede_rt_channel_host.cluster.lease_keeper import RENEWALS_PER_TTL, LeaseKeeper
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
@@ -60,7 +60,7 @@ class Registration:
         self._on_lease = on_lease
         self._has_hung = has_hung
         self._home = home or HomeCluster()
-        self._lease = LeaseKeeper()
+        self._lease = HostLease()
         self._told_held = False  # what on_lease heard last
         self._unrenewed_since_s: float | None = None  # when renewals began to fail, if they do
         self._has_ended = False  # the lease, without a registration since

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_channel_host.core.judging import Judged, Part
+from stampede_rt_channel_host.core.judging import Judged, RunPart
 
 RUNS_MAX = 1024  # far above the runs that a producer has in flight, whatever their length
 KEPT_NANOS = 600_000_000_000
@@ -68,7 +68,7 @@ class _Producer:
         if len(outcome.parts) > 1 or part.items < outcome.items:
             self.odd[first_number] = outcome
             self._odd_bytes += _odd_bytes(outcome)
-            part = Part(0, 0, 0, None)
+            part = RunPart(0, 0, 0, None)
         stamp = _NO_STAMP if part.stamped_time is None else part.stamped_time
         self._columns.extend((_signed(first_number), outcome.items, part.first_seq, stamp, outcome.time))
         self.end = max(self.end, first_number + outcome.items)
@@ -81,7 +81,7 @@ class _Producer:
             first, items, first_seq, stamp, time = columns[at : at + _FIELDS]
             first %= 2**64
             if first_seq:
-                part = Part(0, first_seq, items, None if stamp == _NO_STAMP else stamp)
+                part = RunPart(0, first_seq, items, None if stamp == _NO_STAMP else stamp)
                 yield first, Judged(items, items, (part,), (), time)
             elif first in self.odd:
                 yield first, self.odd[first]

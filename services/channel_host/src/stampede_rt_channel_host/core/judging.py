@@ -11,7 +11,7 @@ from typing import NamedTuple
 from stampede_rt.errors import StampedeError
 
 
-class Part(NamedTuple):
+class RunPart(NamedTuple):
     """Accepted items of a run, the first of them at `place`, whose seqs follow each other from `first_seq` on.
 
     `stamped_time`: the time that the host gave them; None: their producer did.
@@ -23,7 +23,7 @@ class Part(NamedTuple):
     stamped_time: int | None
 
 
-class Refusal(NamedTuple):
+class ItemRefusal(NamedTuple):
     """An item that was refused: its place in the run, and why."""
 
     place: int
@@ -38,8 +38,8 @@ class Judged(NamedTuple):
 
     items: int
     settled: int
-    parts: Sequence[Part]
-    refusals: Sequence[Refusal]
+    parts: Sequence[RunPart]
+    refusals: Sequence[ItemRefusal]
     time: int
 
     @property
@@ -66,8 +66,8 @@ class Judging:
     def __init__(self, items: int) -> None:
         self.items = items
         self.settled = 0
-        self._parts: list[Part] = []
-        self._refusals: list[Refusal] = []
+        self._parts: list[RunPart] = []
+        self._refusals: list[ItemRefusal] = []
 
     @property
     def accepted_any(self) -> bool:
@@ -90,11 +90,11 @@ class Judging:
         if last is not None and (last.first_seq + last.items, last.stamped_time) == (first_seq, stamped_time):
             self._parts[-1] = last._replace(items=last.items + items)
         else:
-            self._parts.append(Part(place, first_seq, items, stamped_time))
+            self._parts.append(RunPart(place, first_seq, items, stamped_time))
 
     def refuse(self, place: int, error: StampedeError) -> None:
         """The item at `place` is refused."""
-        self._refusals.append(Refusal(place, error))
+        self._refusals.append(ItemRefusal(place, error))
 
     def resume(self, known: Judged) -> bool:
         """Go on where the run was when it came before; False if it is further already."""

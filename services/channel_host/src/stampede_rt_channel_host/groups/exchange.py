@@ -11,10 +11,10 @@ from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
-from stampede_rt_channel_host.groups.link import Link
+from stampede_rt_channel_host.groups.link import HostLink
 from stampede_rt_channel_host.groups.messages import times_from_message, times_to_message
-from stampede_rt_channel_host.groups.peers import Dial, Peers
-from stampede_rt_channel_host.groups.table import GroupTable
+from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
+from stampede_rt_channel_host.groups.table import HostedGroups
 
 FLOORS_MAX = 10_000  # of groups that are to be learned first, from all hosts together
 FLOORS_MAX_PER_HOST = 1000
@@ -31,14 +31,14 @@ class Exchange:
         self,
         identity: HostIdentity,
         channels: ChannelStore,
-        table: GroupTable,
+        table: HostedGroups,
         dial: Dial,
         cluster_id: Callable[[], str],
         *,
         on_stale: Callable[[bytes], None],
         on_asked: Callable[[set[bytes]], None],
     ) -> None:
-        self.peers = Peers(identity, self, dial, cluster_id, channels.lease_held)
+        self.peers = PeerHosts(identity, self, dial, cluster_id, channels.lease_held)
         self._identity = identity
         self._channels = channels
         self._table = table
@@ -97,7 +97,7 @@ class Exchange:
         """See `Knowledge`."""
         return self._names.get(host_id, "")
 
-    def greeted(self, link: Link) -> None:
+    def greeted(self, link: HostLink) -> None:
         """See `Knowledge`."""
         self._told_all.discard(link.host_id)
         self.peers.greeted(link)

@@ -11,7 +11,7 @@ from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt_channel_host.channels.frames import run_bytes
 from stampede_rt_channel_host.core.channel import DeliveredSlice
-from stampede_rt_channel_host.core.group import Matched
+from stampede_rt_channel_host.core.group import FoundMatch
 
 _LENGTH_DELIMITED = 2
 _PARTS = 2  # SubscribeCutsResponse.parts
@@ -31,14 +31,14 @@ def cut_part(
     return _field(_PARTS, b"".join(fields))
 
 
-def matches(about: pb.SubscribeMatchesResponse, found: Iterable[Matched], incarnations: dict[bytes, int],
+def matches(about: pb.SubscribeMatchesResponse, found: Iterable[FoundMatch], incarnations: dict[bytes, int],
             *, without_payloads: bool) -> bytes:  # fmt: skip
     """A response with matches, and what `about` says."""
     fields = [_field(_MATCHES, _match(one, incarnations, without_payloads)) for one in found]
     return b"".join((*fields, about.SerializeToString()))
 
 
-def _match(found: Matched, incarnations: dict[bytes, int], without_payloads: bool) -> bytes:
+def _match(found: FoundMatch, incarnations: dict[bytes, int], without_payloads: bool) -> bytes:
     fields = [
         pb.ItemMatch(unmatched_channel_ids=found.missing).SerializeToString(),
         _field(_ITEM, _delivered(found.item, without_payloads)),

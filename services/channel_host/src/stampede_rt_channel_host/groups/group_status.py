@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.v1 import group_pb2
-from stampede_rt_channel_host.core.group import GroupView, Member
+from stampede_rt_channel_host.core.group import CutMember, VisibleChannel
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.messages import times_to_message
 from stampede_rt_channel_host.groups.store import GroupStore
@@ -21,13 +21,13 @@ def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatu
     )
 
 
-def _member(member: Member, group: HostedGroup, groups: GroupStore, now: int) -> group_pb2.GroupMemberStatus:
+def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int) -> group_pb2.GroupMemberStatus:
     cut, heard, own = group.cut.cut, member.heard, groups.own(member.channel_id)
     if heard is None:
         return group_pb2.GroupMemberStatus(times=group_pb2.ChannelTimes(channel_id=member.channel_id))
     newest = heard.times.newest
     lead = None if cut is None or newest is None else newest - cut
-    view = None if own is None else GroupView(own.hosted.channel)
+    view = None if own is None else VisibleChannel(own.hosted.channel)
     return group_pb2.GroupMemberStatus(
         times=times_to_message(member.channel_id, heard.times, heard.silent_nanos(now)),
         cut_unix_nano=member.cut,
@@ -39,7 +39,7 @@ def _member(member: Member, group: HostedGroup, groups: GroupStore, now: int) ->
     )
 
 
-def _is_too_short(member: Member, group: HostedGroup, lead: int | None) -> bool:
+def _is_too_short(member: CutMember, group: HostedGroup, lead: int | None) -> bool:
     """Of a channel at another host its stated age is known, and no more."""
     record = group.channels.get(member.channel_id)
     if record is None or lead is None or not record.spec.retention.HasField("max_age_nanos"):

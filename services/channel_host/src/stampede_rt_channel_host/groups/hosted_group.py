@@ -13,9 +13,9 @@ from sortedcontainers import SortedKeyList
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt.values.timeline import MIN_INSTANT
-from stampede_rt_channel_host.channels.hosted_channels import Listener
+from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver
 from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANOS
-from stampede_rt_channel_host.core.group import GroupCut, Horizon, Member, TimesBoard
+from stampede_rt_channel_host.core.group import CutMember, GroupCut, Horizon, TimesBoard
 from stampede_rt_channel_host.groups.messages import definition_of
 
 NOTHING_VISIBLE = MIN_INSTANT  # stands on the wire for the cut of a group that has none yet
@@ -42,9 +42,9 @@ class HostedGroup:
     ) -> None:
         """`on_moved` hears whenever the cut has moved, `on_idle` of each member of this host that falls idle."""
         self.cut = GroupCut(definition_of(told.group), board)
-        self.listeners: dict[Listener, None] = {}
-        self.watchers: dict[Listener, None] = {}
-        self.gets: dict[object, Listener] = {}  # by channel, whoever has blocked gets of it
+        self.listeners: dict[ChannelObserver, None] = {}
+        self.watchers: dict[ChannelObserver, None] = {}
+        self.gets: dict[object, ChannelObserver] = {}  # by channel, whoever has blocked gets of it
         self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))  # floors that are waited for, with their futures
         self.unheard: set[bytes] = set()
         self.arrangement = 0
@@ -112,7 +112,7 @@ class HostedGroup:
         """A member's name, for people."""
         return self.channels[channel_id].name if channel_id in self.channels else channel_id.hex()
 
-    def members(self) -> list[Member]:
+    def members(self) -> list[CutMember]:
         """All members as of now."""
         return list(self.cut.members(self._now()))
 

@@ -39,7 +39,7 @@ class Knowledge(Protocol):
     def name_of_host(self, host_id: bytes) -> str:
         """The name that the directory has for a host of a group known here; empty for any other host."""
 
-    def greeted(self, link: Link) -> None:
+    def greeted(self, link: HostLink) -> None:
         """The other host has said who it is."""
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
@@ -49,7 +49,7 @@ class Knowledge(Protocol):
         """Raises HostNotFound if this host may not speak for its channels."""
 
 
-class Link:
+class HostLink:
     """`write` and `read` are those of either side's call; `message` is what this side sends."""
 
     def __init__(

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.requests import position_of, position_to
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.group import OWN, Matched, Matcher, OwnTrack, Track
+from stampede_rt_channel_host.core.group import OWN, FoundMatch, Matcher, OwnTrack, Track
 from stampede_rt_channel_host.groups.far_member import FarMember
 from stampede_rt_channel_host.groups.frames import matches
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
@@ -133,7 +133,7 @@ class MatchStream:
             far.epoch, far.target = record.epoch, group.targets.get(record.host_id, far.target)
         return far
 
-    def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[Matched]:
+    def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
         """What is settled, as credit allows, about a message of it."""
         now, credit = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
 
@@ -158,7 +158,7 @@ class MatchStream:
     async def _send(
         self,
         about: pb.SubscribeMatchesResponse,
-        found: list[Matched],
+        found: list[FoundMatch],
         group: HostedGroup,
         hosted: HostedChannel,
         *,

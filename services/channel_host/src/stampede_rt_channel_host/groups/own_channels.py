@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.group import OwnTimes, TimesBoard
 
 
 class OwnChannel:
-    """Follows one channel as a `Listener` from the event loop, and enters it on the board.
+    """Follows one channel as a `ChannelObserver` from the event loop, and enters it on the board.
 
     `on_change` hears of every put and advance, `on_end` once that the host does not serve the channel any more.
     """

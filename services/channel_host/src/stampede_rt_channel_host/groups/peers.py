@@ -19,7 +19,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.groups.link import INTEREST_MAX, Knowledge, Link
+from stampede_rt_channel_host.groups.link import INTEREST_MAX, HostLink, Knowledge
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 
@@ -31,7 +31,7 @@ KNOCK_SECONDS_MAX = 2.0
 Dial = Callable[[str], grpc.aio.Channel]
 
 
-class Peer:
+class PeerHost:
     """Another host: where it listens, what is wanted of it, and a group that both share."""
 
     def __init__(self, host_id: bytes) -> None:
@@ -39,12 +39,12 @@ class Peer:
         self.target = ""
         self.wanted: frozenset[bytes] = frozenset()
         self.groups: frozenset[bytes] = frozenset()
-        self.link: Link | None = None
+        self.link: HostLink | None = None
         self.unlinked = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
 
 
-class Peers:
+class PeerHosts:
     """`knowledge` is told from and to; `lease_held` says whether this host may speak for its channels."""
 
     def __init__(
@@ -56,7 +56,7 @@ class Peers:
         self._dial = dial
         self._cluster_id = cluster_id
         self._lease_held = lease_held
-        self._peers: dict[bytes, Peer] = {}
+        self._peers: dict[bytes, PeerHost] = {}
 
     def share(self, targets: Mapping[bytes, str], wanted: Mapping[bytes, set[bytes]],
               groups: Mapping[bytes, set[bytes]]) -> None:  # fmt: skip
@@ -65,7 +65,7 @@ class Peers:
             if host_id not in groups:
                 self._drop(peer)
         for host_id, shared in groups.items():
-            peer = self._peers.setdefault(host_id, Peer(host_id))
+            peer = self._peers.setdefault(host_id, PeerHost(host_id))
             news = frozenset(shared) - peer.groups
             peer.groups = frozenset(shared)
             peer.target = targets.get(host_id, peer.target)
@@ -99,9 +99,9 @@ class Peers:
             if peer.link is not None and group_id in peer.groups:
                 peer.link.tell_floor(group_id)
 
-    def greeted(self, link: Link) -> None:
+    def greeted(self, link: HostLink) -> None:
         """A link stands: begin with all that is known. A newer link of a pair takes the place of the older."""
-        peer = self._peers.setdefault(link.host_id, Peer(link.host_id))
+        peer = self._peers.setdefault(link.host_id, PeerHost(link.host_id))
         peer.link = link
         peer.unlinked.clear()
         link.want(peer.wanted)
@@ -112,7 +112,7 @@ class Peers:
         """Serve a stream that another host opened, until it ends."""
         self._knowledge.check_lease()
         caller = caller_identity(context)
-        link = Link(
+        link = HostLink(
             self._identity,
             self._cluster_id(),
             self._knowledge,
@@ -133,7 +133,7 @@ class Peers:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _drop(self, peer: Peer) -> None:
+    def _drop(self, peer: PeerHost) -> None:
         """No group is shared any more. A stream that the other side opened stays as long as that one wants it: were it
         forgotten here, none would be opened when a group is shared again meanwhile."""
         peer.groups = frozenset()
@@ -144,7 +144,7 @@ class Peers:
         if peer.link is None:
             del self._peers[peer.host_id]
 
-    def _want(self, peer: Peer, wanted: frozenset[bytes]) -> None:
+    def _want(self, peer: PeerHost, wanted: frozenset[bytes]) -> None:
         if wanted != peer.wanted:
             if len(wanted) > INTEREST_MAX:
                 extra = {"host": peer.host_id.hex(), "channels": len(wanted), "most": INTEREST_MAX}
@@ -153,7 +153,7 @@ class Peers:
             if peer.link is not None:
                 peer.link.want(wanted)
 
-    def _unlink(self, link: Link) -> None:
+    def _unlink(self, link: HostLink) -> None:
         peer = self._peers.get(link.host_id)
         if peer is not None and peer.link is link:
             peer.link = None
@@ -161,7 +161,7 @@ class Peers:
             if peer.task is None:  # no group is shared with it
                 del self._peers[link.host_id]
 
-    async def _keep(self, peer: Peer) -> None:
+    async def _keep(self, peer: PeerHost) -> None:
         """Keep a stream to the peer, or have it opened by the peer, as long as both share a group."""
         pause_s = PAUSE_SECONDS_MIN
         while True:  # paced; ends when the peer is dropped
@@ -177,13 +177,13 @@ class Peers:
             await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
             pause_s = min(2 * pause_s, PAUSE_SECONDS_MAX)
 
-    async def _open(self, peer: Peer) -> None:
+    async def _open(self, peer: PeerHost) -> None:
         """Open the stream and serve it until it breaks."""
         channel = self._dial(peer.target)
-        link: Link | None = None
+        link: HostLink | None = None
         try:
             call = group_service_pb2_grpc.GroupServiceStub(channel).ExchangeTimes()
-            link = Link(
+            link = HostLink(
                 self._identity, self._cluster_id(), self._knowledge, pb.ExchangeTimesRequest, call.write, call.read
             )
             await _unwrapped(link.run(peer.host_id))
@@ -196,7 +196,7 @@ class Peers:
                 self._unlink(link)
             await channel.close(None)
 
-    async def _knock(self, peer: Peer) -> None:
+    async def _knock(self, peer: PeerHost) -> None:
         group_id = min(peer.groups, default=None)
         if group_id is None:
             return

@@ -14,20 +14,20 @@ from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
-from stampede_rt_channel_host.channels.hosted_channels import HostedChannel, Listener
+from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver, HostedChannel
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.core.channel import (
-    Answer,
-    Delivery,
     Pieces,
     Query,
+    ReadAnswer,
     SavedCursor,
+    SubscriptionBatch,
     Unfinished,
     WakeAt,
     first_of,
 )
-from stampede_rt_channel_host.core.group import GroupView, VisibleAll, VisibleNewest
+from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, VisibleNewest
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
@@ -49,20 +49,20 @@ class GroupReads:
         group = self._groups.known(ask.group_id)
         if group is None or not group.has_reached(_wanted(ask)):
             return None
-        view, horizon = GroupView(member_of(group, hosted).channel), group.horizon(ask.at)
-        found: Answer | WakeAt | Unfinished[Answer] | Unfinished[Answer | WakeAt]
+        view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(ask.at)
+        found: ReadAnswer | WakeAt | Unfinished[ReadAnswer] | Unfinished[ReadAnswer | WakeAt]
         if wait_nanos:
             found = first_of(view.polling(view.begin(query, horizon, now), horizon, now))
         else:
             found = first_of(view.reading(query, horizon, now))
-        return GroupAnswer(found, horizon.cut) if isinstance(found, Answer) else None
+        return GroupAnswer(found, horizon.cut) if isinstance(found, ReadAnswer) else None
 
     async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
         """See `GroupAccess`."""
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
         deadline_s = None if wait_s is None else _now_s() + wait_s
         group = await self._groups.find(ask.group_id)
-        view = GroupView(member_of(group, hosted).channel)
+        view = VisibleChannel(member_of(group, hosted).channel)
         wanted = _wanted(ask)
         if not await group.reach(wanted, None if wait_s is None else max(STALL_SECONDS_MAX, wait_s)):
             horizon = group.horizon()
@@ -79,29 +79,29 @@ class GroupReads:
             raise Overloaded(
                 f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
             )
-        channels, view = self._groups.channels, GroupView(hosted.channel)
+        channels, view = self._groups.channels, VisibleChannel(hosted.channel)
         pending = PendingAt(view.begin(query, group.horizon(at), channels.now()), at)
         while True:  # ends with an answer
             horizon, stood = group.horizon(at), _state(group, hosted)
-            found = await channels.turns.do(view.polling(pending, horizon, channels.now()))
+            found = await channels.scheduler.do(view.polling(pending, horizon, channels.now()))
             if not isinstance(found, WakeAt):
                 return GroupAnswer(found, horizon.cut)
             if _state(group, hosted) != stood:  # it has changed between the pieces
                 member_of(group, hosted)
                 continue
             left_s = -1 if deadline_s is None else max(deadline_s - _now_s(), 0.0)
-            waiting = GroupGets.of(group, hosted, channels.now, lambda: member_of(group, hosted), channels.turns)
+            waiting = GroupGets.of(group, hosted, channels.now, lambda: member_of(group, hosted), channels.scheduler)
             released, cut = await waiting.wait(pending, found, round(left_s * 1e9))
-            if isinstance(released, Answer):
+            if isinstance(released, ReadAnswer):
                 return GroupAnswer(released, cut)
-            rest: Pieces[Answer | WakeAt] = released.rest
-            found = await channels.turns.finish(rest)
+            rest: Pieces[ReadAnswer | WakeAt] = released.rest
+            found = await channels.scheduler.finish(rest)
             if not isinstance(found, WakeAt):
                 return GroupAnswer(found, cut)
 
     @asynccontextmanager
     async def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: Listener
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: ChannelObserver
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell how far the group was."""
         group = await self._groups.find(begun.group_id)
@@ -139,7 +139,7 @@ class _All:
     def saved(self) -> SavedCursor | None:
         return self._cursor.saved
 
-    def take(self, now: int, limit_bytes: int) -> Delivery:
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         member_of(self._group, self._hosted)
         return self._cursor.take(self._group.horizon(), now, limit_bytes)
 
@@ -163,7 +163,7 @@ class _Newest:
     def skipped(self) -> int:
         return self._cursor.skipped
 
-    def take(self, now: int, limit_bytes: int) -> Delivery:
+    def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
         member_of(self._group, self._hosted)
         return self._cursor.take(self._group.horizon(), now)
 

@@ -12,16 +12,16 @@ from stampede_rt.v1 import directory_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
-from stampede_rt_channel_host.cluster.asking import Asking
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched
+from stampede_rt_channel_host.groups.background_lookups import BackgroundLookups
 from stampede_rt_channel_host.groups.exchange import Exchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.own_channels import OwnChannel
 from stampede_rt_channel_host.groups.peers import Dial
-from stampede_rt_channel_host.groups.questions import Questions
-from stampede_rt_channel_host.groups.table import GroupTable
+from stampede_rt_channel_host.groups.table import HostedGroups
 
 logger = logging.getLogger(__name__)
 
@@ -47,12 +47,12 @@ class GroupStore:
         self.channels = channels
         self._identity = identity
         self._directory = directory
-        self._table = GroupTable()
+        self._table = HostedGroups()
         self.exchange = Exchange(
             identity, channels, self._table, dial, cluster_id, on_stale=self._stale, on_asked=self._learn_of
         )
-        self._asking = Asking()
-        self._questions = Questions()
+        self._single_flight = SingleFlight()
+        self._lookups = BackgroundLookups()
         self._to_learn: set[bytes] = set()  # channels that others ask for, and that no group known here has
         self.in_use = asyncio.Event()
 
@@ -93,7 +93,7 @@ class GroupStore:
 
     async def aclose(self) -> None:
         """Forget everything."""
-        self._questions.close()
+        self._lookups.close()
         for own in self._table.own.values():
             own.let_go()
         await self.exchange.peers.aclose()
@@ -113,7 +113,7 @@ class GroupStore:
 
     def end_all(self, error: StampedeError) -> None:
         """Whoever waits for a group or listens to it hears `error`; of many groups, the last ones a moment later."""
-        self.channels.turns.begin(_ending(list(self._table.groups.values()), error))
+        self.channels.scheduler.begin(_ending(list(self._table.groups.values()), error))
 
     # What the directory, and other hosts, tell by themselves.
 
@@ -136,13 +136,13 @@ class GroupStore:
         group = self._table.groups.get(group_id)
         if group is not None:
             group.is_stale = True
-        self._questions.ask(group_id, self._look_up(group_id, only_new=False))
+        self._lookups.ask(group_id, self._look_up(group_id, only_new=False))
 
     def _learn_of(self, channel_ids: set[bytes]) -> None:
         """Others know groups of these channels of which this host may not have heard, or not their last version."""
         self._to_learn |= channel_ids - self._table.own.keys()
         if self._to_learn:
-            self._questions.ask(None, self._learn_groups())
+            self._lookups.ask(None, self._learn_groups())
 
     async def _learn_groups(self) -> None:
         while self._to_learn:
@@ -175,7 +175,7 @@ class GroupStore:
             logger.debug("cannot look up a group", extra={"group": group_id.hex(), "why": str(error)})
 
     async def _look_up(self, group_id: bytes, *, only_new: bool) -> None:
-        async with self._asking.about(group_id):
+        async with self._single_flight.about(group_id):
             if not only_new or group_id not in self._table.groups:
                 await self._ask(group_id)
 

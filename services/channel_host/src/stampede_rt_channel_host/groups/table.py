@@ -10,7 +10,7 @@ from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.own_channels import OwnChannel
 
 
-class GroupTable:
+class HostedGroups:
     """`own`: the members that this host owns and serves. `idling`: groups whose members may fall idle."""
 
     def __init__(self) -> None:

@@ -8,7 +8,7 @@ from stampede_rt.errors import StampedeError
 
 
 class Waiter:
-    """A `Listener` that a coroutine waits on; register it wherever news may come from."""
+    """A `ChannelObserver` that a coroutine waits on; register it wherever news may come from."""
 
     def __init__(self) -> None:
         self._news = asyncio.Event()

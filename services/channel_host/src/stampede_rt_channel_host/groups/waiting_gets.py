@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.turns import Turns
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGets
-from stampede_rt_channel_host.core.channel import BEFORE_ALL, Answer, Coming, Pending, Pieces, Unfinished, WakeAt
-from stampede_rt_channel_host.core.group import GroupView
+from stampede_rt_channel_host.core.channel import BEFORE_ALL, Coming, Pending, Pieces, ReadAnswer, Unfinished, WakeAt
+from stampede_rt_channel_host.core.group import VisibleChannel
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 
-Released = Answer | Unfinished[Answer | WakeAt] | Unfinished[Answer]
+Released = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer]
 
 
 class PendingAt(Pending):
@@ -27,9 +27,9 @@ class PendingAt(Pending):
 
 
 class GroupGets:
-    """A `Listener` of the group and the channel as long as somebody waits, and a `Source` of answers.
+    """A `ChannelObserver` of the group and the channel as long as somebody waits, and a `Source` of answers.
 
-    `check` raises if the channel is no member any more; `turns` are for long work.
+    `check` raises if the channel is no member any more; `scheduler` are for long work.
     """
 
     def __init__(
@@ -38,14 +38,14 @@ class GroupGets:
         hosted: HostedChannel,
         now: Callable[[], int],
         check: Callable[[], object],
-        turns: Turns,
+        scheduler: PieceScheduler,
     ) -> None:
         self._group = group
-        self._turns = turns
+        self._scheduler = scheduler
         self._hosted = hosted
         self._now = now
         self._check = check
-        self._view = GroupView(hosted.channel)
+        self._view = VisibleChannel(hosted.channel)
         self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to)
 
     @classmethod
@@ -55,11 +55,11 @@ class GroupGets:
         hosted: HostedChannel,
         now: Callable[[], int],
         check: Callable[[], object],
-        turns: Turns,
+        scheduler: PieceScheduler,
     ) -> GroupGets:
         """Those that wait already, or nobody yet."""
         waiting = group.gets.get(hosted)
-        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, turns)
+        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler)
 
     async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
         """Block until the get, which was just polled, is released, or its time is over; below 0: without limit. The
@@ -89,11 +89,11 @@ class GroupGets:
             if not len(self.gets):
                 self._leave()
 
-    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
+    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `Source`."""
         return self._view.polling(pending, self._group.horizon(_at(pending)), now)
 
-    def giving_up(self, pending: Pending, now: int) -> Pieces[Answer]:
+    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """See `Source`."""
         return self._view.giving_up(pending, self._group.horizon(_at(pending)), now)
 
@@ -109,7 +109,7 @@ class GroupGets:
     def end(self, error: StampedeError) -> None:
         """The group or the channel is not served any more."""
         self._leave()
-        self._turns.begin(self.gets.ending(error))
+        self._scheduler.begin(self.gets.ending(error))
 
     def _leave(self) -> None:
         if self._group.gets.get(self._hosted) is self:

@@ -17,10 +17,10 @@ from stampede_rt_channel_host.core.queue import (
     Batch,
     Enqueue,
     PendingDelivery,
-    Queue,
+    QueueCore,
     Settlement,
     SettlementResult,
-    Taker,
+    TakerState,
 )
 from stampede_rt_channel_host.queues.refusals import shown
 from stampede_rt_channel_host.queues.specs import limits_of
@@ -66,7 +66,7 @@ class HostedQueue:
         """
         self.record = record
         self.epoch: int = record.epoch
-        self.queue = Queue(
+        self.queue = QueueCore(
             limits_of(record),
             incarnation=record.incarnation,
             name=shown(record),
@@ -80,7 +80,7 @@ class HostedQueue:
         self._charge = Charge(memory)
         self._now = now
         self._on_departures = on_departures
-        self._streams: dict[Taker, TakerStream] = {}
+        self._streams: dict[TakerState, TakerStream] = {}
         self._waiting: dict[Enqueue, asyncio.Future[None]] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due: int | None = None
@@ -128,23 +128,23 @@ class HostedQueue:
         else:
             self.queue.reject_malformed()
 
-    def attach(self, taker: Taker, stream: TakerStream) -> None:
+    def attach(self, taker: TakerState, stream: TakerStream) -> None:
         """A stream begins to take; `leave` must follow. Raises Overloaded."""
         if len(self._streams) >= TAKERS_MAX:
             raise Overloaded(f"queue {shown(self.record)} has {TAKERS_MAX} takers, which is the most")
         self._streams[taker] = stream
 
-    def grant(self, taker: Taker, credit: int) -> None:
+    def grant(self, taker: TakerState, credit: int) -> None:
         """The taker may be sent so many more; 0: it lives."""
         self.queue.grant(taker, credit, self._now())
         self._follow_up()
 
-    def sent(self, taker: Taker) -> None:
+    def sent(self, taker: TakerState) -> None:
         """What it was dealt last has been sent."""
         self.queue.sent(taker, self._now())
         self._follow_up()
 
-    def leave(self, taker: Taker) -> None:
+    def leave(self, taker: TakerState) -> None:
         """Its stream has ended: nothing is left of it but its leases."""
         del self._streams[taker]
         self.queue.leave(taker, self._now())

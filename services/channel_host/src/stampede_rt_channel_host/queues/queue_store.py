@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt.v1 import directory_pb2, queue_pb2
 from stampede_rt_channel_host.channels.memory import MemoryBudget
-from stampede_rt_channel_host.channels.turns import Turns
-from stampede_rt_channel_host.cluster.asking import Asking
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.queues import refusals
@@ -24,14 +24,14 @@ logger = logging.getLogger(__name__)
 
 QUEUES_MAX = 100_000
 QUEUES_PER_PIECE = 256
-QUESTIONS_MAX = 3  # each next one is asked because the host registered while the last was under way
+LOOKUPS_MAX = 3  # each next one is asked because the host registered while the last was under way
 
 
 class QueueStore:
     """A stream begins with `use`, which may ask the directory; every later request on it goes through `find`. Is
     `Watched`.
 
-    `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `turns` are for
+    `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `scheduler` are for
     long work. `on_departures` hears of queues with items for their dead-letter queue.
     """
 
@@ -43,7 +43,7 @@ class QueueStore:
         *,
         now: Callable[[], int],
         lease_held: Callable[[], bool],
-        turns: Turns,
+        scheduler: PieceScheduler,
         on_departures: Callable[[HostedQueue], None],
     ) -> None:
         self.now = now
@@ -51,10 +51,10 @@ class QueueStore:
         self._directory = directory
         self._memory = memory
         self._lease_held = lease_held
-        self._turns = turns
+        self._scheduler = scheduler
         self._on_departures = on_departures
         self._queues: dict[bytes, HostedQueue] = {}
-        self._asking = Asking()
+        self._single_flight = SingleFlight()
         self._closing: StampedeError | None = None
         self._registrations = 0
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
@@ -77,7 +77,7 @@ class QueueStore:
         """
         self._check_lease()
         if not self._knows(queue_id, epoch):
-            async with self._asking.about(queue_id):
+            async with self._single_flight.about(queue_id):
                 if not self._knows(queue_id, epoch):
                     await self._ask(queue_id)
         held = self._queues.get(queue_id)
@@ -145,7 +145,7 @@ class QueueStore:
 
     def end_all(self, error: StampedeError) -> None:
         """All takers and waiting producers hear `error`; of many, the last ones a moment later."""
-        self._turns.begin(_ending(self.all(), error))
+        self._scheduler.begin(_ending(self.all(), error))
 
     def all(self) -> list[HostedQueue]:
         """All queues that were used here."""
@@ -186,7 +186,7 @@ class QueueStore:
     async def _resolve(self, queue_id: bytes) -> queue_pb2.QueueRecord:
         """The queue, asked for since the last registration: an older answer may be out of date, since the lease had
         ended in between. Raises what the directory answers, or StaleBinding if the host cannot keep a lease."""
-        for _ in range(QUESTIONS_MAX):
+        for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
             record = (await self._directory.resolve(queue_id)).queue
             if registrations == self._registrations:
@@ -214,7 +214,7 @@ class QueueStore:
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:
         hosted = self._queues.pop(queue_id, None)
         if hosted is not None:
-            self._turns.begin(hosted.leaving(error))
+            self._scheduler.begin(hosted.leaving(error))
 
 
 def _ending(queues: Sequence[HostedQueue], error: StampedeError) -> Pieces[None]:

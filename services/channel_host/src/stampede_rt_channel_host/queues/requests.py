@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.queue import (
     PendingDelivery,
     Settlement,
     SettlementResult,
-    Taker,
+    TakerState,
     Terminate,
 )
 
@@ -40,7 +40,7 @@ def check_taker_id(taker_id: int) -> None:
         raise InvalidArgument("taker_id is 0; draw a random number that is not, and keep it")
 
 
-def taker_of(opened: pb.TakeOpen) -> Taker:
+def taker_of(opened: pb.TakeOpen) -> TakerState:
     """Who takes. Raises InvalidArgument."""
     check_queue_id(opened.queue_id)
     check_taker_id(opened.taker_id)
@@ -49,7 +49,7 @@ def taker_of(opened: pb.TakeOpen) -> Taker:
         _check_lease(lease_nanos)
     if len(opened.taker_name.encode()) > TAKER_NAME_BYTES_MAX:
         raise InvalidArgument(f"taker_name has more than {TAKER_NAME_BYTES_MAX} bytes of UTF-8; shorten it")
-    return Taker(opened.taker_id, lease_nanos, opened.taker_name)
+    return TakerState(opened.taker_id, lease_nanos, opened.taker_name)
 
 
 def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]:

@@ -11,7 +11,7 @@ from stampede_rt.v1 import queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.queue import Batch, Taker
+from stampede_rt_channel_host.core.queue import Batch, TakerState
 from stampede_rt_channel_host.queues.frames import take_response
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -74,7 +74,7 @@ class TakeStream:
         finally:
             hosted.leave(taker)
 
-    async def _serve(self, hosted: HostedQueue, taker: Taker, request: pb.TakeRequest) -> None:
+    async def _serve(self, hosted: HostedQueue, taker: TakerState, request: pb.TakeRequest) -> None:
         writer = self._stream.spawn(self._write_all(hosted, taker))
         try:
             await self._take(hosted, taker, request)
@@ -89,7 +89,7 @@ class TakeStream:
         finally:
             writer.cancel()
 
-    async def _take(self, hosted: HostedQueue, taker: Taker, request: pb.TakeRequest) -> None:
+    async def _take(self, hosted: HostedQueue, taker: TakerState, request: pb.TakeRequest) -> None:
         settlements = settlements_of(request.settlements)
         if settlements:
             results = hosted.settle(taker.taker_id, settlements)
@@ -103,7 +103,7 @@ class TakeStream:
             self._room.clear()
             await self._room.wait()
 
-    def _grant(self, hosted: HostedQueue, taker: Taker, credit: int) -> None:
+    def _grant(self, hosted: HostedQueue, taker: TakerState, credit: int) -> None:
         """Also without credit the taker lives; one that drains is given none."""
         credit = 0 if self._drains else credit
         if taker.credit + credit > CREDIT_MAX:
@@ -112,7 +112,7 @@ class TakeStream:
             )
         hosted.grant(taker, credit)
 
-    async def _write_all(self, hosted: HostedQueue, taker: Taker) -> None:
+    async def _write_all(self, hosted: HostedQueue, taker: TakerState) -> None:
         """What gathered while the last write was in flight goes out together; after a silence, a sign of life."""
         await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
         while not self._is_over(taker):
@@ -121,11 +121,11 @@ class TakeStream:
             elif not self._closed:
                 await self._write(hosted, b"")
 
-    def _is_over(self, taker: Taker) -> bool:
+    def _is_over(self, taker: TakerState) -> bool:
         waiting = self._batch is not None or self._results or self._owes_drained
         return self._closed and not taker.credit and not waiting
 
-    async def _write_news(self, hosted: HostedQueue, taker: Taker) -> None:
+    async def _write_news(self, hosted: HostedQueue, taker: TakerState) -> None:
         batch, self._batch = self._batch, None
         results, self._results = self._results, []
         drained, self._owes_drained = self._owes_drained, False

@@ -2,7 +2,8 @@
 
 Nothing here reads a clock, waits, locks, or knows the wire. The shell around it:
 
-- makes one `Channel` per channel from its Policy and incarnation, and passes `now` from one `HostTime` to every call;
+- makes one `ChannelCore` for each channel from its Policy and incarnation;
+- passes `now` from one `HostTime` to every call;
 - puts: `channel.put(Offer(...), now, seal) -> PutOutcome`, `seal` giving the stored bytes once the first seq is known;
   where `outcome.waiting` is set, it offers `offer.rest(waiting, now)` again after each change and at `outcome.retry_at`
   (keeping later puts behind it), or calls `give_up_put`; a retried put is recognised by `RetryWindow` before;
@@ -19,7 +20,7 @@ Nothing here reads a clock, waits, locks, or knows the wire. The shell around it
 offered again after every consume, too.
 """
 
-from stampede_rt_channel_host.core.channel.channel import Channel
+from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumption import (
     LEASE_NANOS,
     LEASE_NANOS_MAX,
@@ -29,24 +30,24 @@ from stampede_rt_channel_host.core.channel.consumption import (
     ConsumerStanding,
 )
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
-from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, at_once, batched, first_of
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
 from stampede_rt_channel_host.core.channel.values import (
-    Answer,
     Counters,
     DeliveredSlice,
-    Delivery,
     Gap,
     Offer,
     Position,
     PutOutcome,
     Query,
+    ReadAnswer,
     Rejection,
     SavedCursor,
     Seal,
+    SubscriptionBatch,
     WakeAt,
 )
 from stampede_rt_channel_host.core.channel.waiting import AFTER_ALL, BEFORE_ALL, Coming, Needs, Reach
@@ -60,8 +61,8 @@ __all__ = [
     "LEASE_NANOS_MAX",
     "SEQS_MAX",
     "AllCursor",
-    "Answer",
-    "Channel",
+    "ChannelCore",
+    "ChannelLimits",
     "ColumnRun",
     "Coming",
     "Consumed",
@@ -69,9 +70,7 @@ __all__ = [
     "ConsumerStanding",
     "Counters",
     "DeliveredSlice",
-    "Delivery",
     "Gap",
-    "Limits",
     "Needs",
     "NewestCursor",
     "Offer",
@@ -81,12 +80,14 @@ __all__ = [
     "PutOutcome",
     "Query",
     "Reach",
+    "ReadAnswer",
     "Rejection",
     "Run",
     "SavedCursor",
     "Seal",
     "Slice",
     "Slicer",
+    "SubscriptionBatch",
     "Unfinished",
     "WakeAt",
     "abandoning",

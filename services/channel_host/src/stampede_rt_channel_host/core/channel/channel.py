@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
 )
 from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
-from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
@@ -32,17 +32,17 @@ from stampede_rt_channel_host.core.channel.subscribing import (
     since,
 )
 from stampede_rt_channel_host.core.channel.values import (
-    Answer,
     Counters,
     DeliveredSlice,
-    Delivery,
     Offer,
     Position,
     PutOutcome,
     Query,
+    ReadAnswer,
     Rejection,
     SavedCursor,
     Seal,
+    SubscriptionBatch,
     WakeAt,
 )
 
@@ -56,7 +56,7 @@ PUTS_PER_SETTLING = 16
 """Puts that change nothing but the newest end leave ageing to the next read, or to every so many puts."""
 
 
-class Channel:
+class ChannelCore:
     """The items of one channel, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
 
     Every call takes `now`, the host's clock (`HostTime`), in nanoseconds since the epoch; an earlier one than before
@@ -73,7 +73,7 @@ class Channel:
         lost_before: int | None = None,
         cut: Cut | None = None,
     ) -> None:
-        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `Limits.of`).
+        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `ChannelLimits.of`).
 
         `lost_before`: when this incarnation began, if one before it was lost with its host; readers of the time before
         are told. `cut` gives the body of some items of a run, from the run's; without it a run is kept as long as any
@@ -83,7 +83,7 @@ class Channel:
         self._incarnation = incarnation
         self.lost_before = lost_before
         self._held = Holdings(cut)
-        self._retention = Retention(Limits.of(policy), self._held)
+        self._retention = Retention(ChannelLimits.of(policy), self._held)
         self.name = name
         self._acceptance = Acceptance(self._held, self._retention, name)
         self._reading = Reading(self._held, self._retention, incarnation, lost_before)
@@ -122,14 +122,14 @@ class Channel:
         """Count items that the shell refused because a bound of the host is reached."""
         self._acceptance.rejected["OVERLOADED"] += items
 
-    def read(self, query: Query, now: int) -> Answer:
+    def read(self, query: Query, now: int) -> ReadAnswer:
         """What the channel holds of the query, at once. Changes nothing that another reader could see.
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
         return at_once(self.reading(query, now))
 
-    def reading(self, query: Query, now: int) -> Pieces[Answer]:
+    def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
         self._check_positions(query)
         clock = self._settle(self._tick(now))
@@ -144,7 +144,7 @@ class Channel:
         clock = self._settle(self._tick(now))
         return Pending(query, self._reading.resolve(query, clock))
 
-    def poll(self, pending: Pending, now: int) -> Answer | WakeAt:
+    def poll(self, pending: Pending, now: int) -> ReadAnswer | WakeAt:
         """The blocking get's answer, or when to poll again.
 
         Released by the first matching item, with `complete` when the interval is finished, and in any case once
@@ -152,17 +152,17 @@ class Channel:
         """
         return at_once(self.polling(pending, now))
 
-    def polling(self, pending: Pending, now: int) -> Pieces[Answer | WakeAt]:
+    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """The same in pieces, all as of now."""
         clock = self._settle(self._tick(now))
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
-    def give_up(self, pending: Pending, now: int) -> Answer:
+    def give_up(self, pending: Pending, now: int) -> ReadAnswer:
         """What there is when the get's time is over, with its reason."""
         return at_once(self.giving_up(pending, now))
 
-    def giving_up(self, pending: Pending, now: int) -> Pieces[Answer]:
+    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
         clock = self._settle(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)
@@ -193,7 +193,7 @@ class Channel:
         low = self._start_place(start, start_exclusive, now)
         return open_all(self._held, low, None if after_place is None else after_place[1])
 
-    def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> Delivery:
+    def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
         """Take the next part, about `limit_bytes` (payload and overhead; at least one slice). Moves the cursor.
 
         What retention collected before it was taken is reported once, as a gap. Empty: wait for the next put.
@@ -238,7 +238,7 @@ class Channel:
 
         Walks the index once if it outdates much. Fewer consumers end the places whose leases end first.
         """
-        limits = Limits.of(policy)
+        limits = ChannelLimits.of(policy)
         clock = self._settle(self._tick(now))
         self._policy = policy
         self._retention.set_limits(limits)

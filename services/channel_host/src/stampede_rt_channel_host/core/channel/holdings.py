@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.channel import tally
 from stampede_rt_channel_host.core.channel.front import Front, Going, before, oldest_bytes, oldest_items
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
-from stampede_rt_channel_host.core.channel.snapshot import Snapshot
+from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
@@ -74,7 +74,7 @@ class Holdings:
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
         self._newest_is_open = False  # an item of the newest bucket came without a duration
         self._newest_longest = 0  # the longest duration that came in the newest bucket
-        self._snapshots: dict[Snapshot, None] = {}
+        self._snapshots: dict[ChannelSnapshot, None] = {}
         self._tally = Tally()  # of what is held, without the newest items
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
         self._stored_items = 0  # their items
@@ -127,9 +127,9 @@ class Holdings:
         """See `Readable`: all is shown."""
         return LAST_PLACE
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> ChannelSnapshot:
         """What is held now, to be walked while it changes."""
-        return Snapshot(self.index, self.floor, self.next_seq, self._snapshots)
+        return ChannelSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     @property
     def gone_before(self) -> int | None:

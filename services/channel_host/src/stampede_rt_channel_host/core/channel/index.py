@@ -33,7 +33,7 @@ _BUCKET_ENTRIES_SCANNED = 8
 """So many entries that begin at the same time are looked at one after the other; a place among more is bisected."""
 
 
-class Part:
+class IndexPart:
     """An entry of a run of several items: places `lo` to `hi` of it. `hi` changes when it is split, `lo` when it is
     trimmed within its first bucket; then `first_seq` stays, as the key that it is found by."""
 
@@ -56,7 +56,7 @@ class Part:
         self.run, self.lo, self.hi = run, 0, len(run)
 
 
-Entry = Part | OneRun
+Entry = IndexPart | OneRun
 
 
 def index_of(entry: Entry, place: Place) -> int:
@@ -111,7 +111,7 @@ class ChannelIndex:
             self._open(run.times[lo])
             follower = self._first_later(run.times[lo])
             end = hi if follower is None else bisect_left(run.times, follower.first_time, lo, hi)
-            self._add(Part(run, lo, end))
+            self._add(IndexPart(run, lo, end))
             lo = end
 
     def _add(self, entry: Entry) -> None:
@@ -128,8 +128,8 @@ class ChannelIndex:
         if entry.first_time < time == entry.last_time:
             self._split(entry, bisect_left(entry.run.times, time, entry.lo, entry.hi))
 
-    def _split(self, entry: Part, at: int) -> None:
-        rest = Part(entry.run, at, entry.hi)
+    def _split(self, entry: IndexPart, at: int) -> None:
+        rest = IndexPart(entry.run, at, entry.hi)
         entry.hi = at
         self._add(rest)
 
@@ -210,7 +210,7 @@ class ChannelIndex:
     def copy_from(self, low: Place) -> ChannelIndex:
         """Another index by time of the items at or above `low`, which changes of this one leave as it is."""
         copy = ChannelIndex()
-        copy._by_time.update(Part(part.run, part.lo, part.hi) for part in self.slices(low, LAST_PLACE))
+        copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, LAST_PLACE))
         return copy
 
     def slices_by_seq(self, low: int, high: int, floor: Place) -> Iterator[Slice]:
@@ -285,11 +285,11 @@ class ChannelIndex:
     def share_below(self, floor: Place) -> Slice | None:
         """The items below `floor` of the first entry, if that has others, too; None: it is whole."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
-        if not isinstance(entry, Part) or entry.first_time > floor[0]:
+        if not isinstance(entry, IndexPart) or entry.first_time > floor[0]:
             return None
         return Slice(entry.run, entry.lo, index_of(entry, floor))
 
-    def parts_of(self, run: Run, parts_max: int) -> list[Part]:
+    def parts_of(self, run: Run, parts_max: int) -> list[IndexPart]:
         """The first entries of a run of several items, at most so many."""
         end_seq = run.first_seq + len(run)
         return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
@@ -300,14 +300,14 @@ class ChannelIndex:
         at = 0 if entry is None else index_of(entry, floor)
         if entry is None or not entry.lo < at < entry.hi:
             return None
-        assert isinstance(entry, Part), "an entry of one item has nothing between its ends"
+        assert isinstance(entry, IndexPart), "an entry of one item has nothing between its ends"
         trimmed = Slice(entry.run, entry.lo, at)
         if entry.run.times[at] == entry.first_time:  # it keeps its place before the others that begin at this time
             entry.lo = at
         else:
             self._by_time.remove(entry)
             self._by_seq.remove(entry)
-            self._add(Part(entry.run, at, entry.hi))
+            self._add(IndexPart(entry.run, at, entry.hi))
         return trimmed
 
 

@@ -21,7 +21,7 @@ REJECT = "reject"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Limits:
+class ChannelLimits:
     """What a channel holds to. None: no such limit."""
 
     max_age_nanos: int | None
@@ -35,7 +35,7 @@ class Limits:
     overlap_nanos: int = 0
 
     @classmethod
-    def of(cls, policy: Policy) -> Limits:
+    def of(cls, policy: Policy) -> ChannelLimits:
         """The policy with defaults: max_age 10 s if no limit at all is stated, max_bytes 256 MiB if it is not stated.
 
         Raises InvalidArgument, naming the value, the reason and the way out.

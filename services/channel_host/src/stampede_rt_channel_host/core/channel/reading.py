@@ -10,12 +10,12 @@ from stampede_rt.values.timeline import Bound, Interval, Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import Readable, select
-from stampede_rt_channel_host.core.channel.values import Answer, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel.values import Position, Query, ReadAnswer, WakeAt
 from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
 
 class Pending:
-    """A blocking get under way. Made by `Channel.begin`; `interval` is set once its anchors are resolved."""
+    """A blocking get under way. Made by `ChannelCore.begin`; `interval` is set once its anchors are resolved."""
 
     __slots__ = ("interval", "query")
 
@@ -60,7 +60,7 @@ class Reading:
                 "now: its host was lost and items with it; start again from a time or the newest item"
             )
 
-    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[Answer]:
+    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
         """What is held of the query, all as of the first piece."""
         if within is None:
             return self._unresolved()
@@ -79,7 +79,7 @@ class Reading:
             reason = self._reason(query, region, complete, truncated, found.more)
         else:
             reason = reasons[found.more]
-        return Answer(
+        return ReadAnswer(
             slices=found.slices,
             next_time=found.next_time,
             interval=within,
@@ -90,7 +90,7 @@ class Reading:
             incarnation=self._incarnation,
         )
 
-    def poll(self, pending: Pending, clock: int) -> Pieces[Answer | WakeAt]:
+    def poll(self, pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
         """The answer if the get is released, or when to look again."""
         query = pending.query
         if pending.interval is None:
@@ -121,8 +121,8 @@ class Reading:
         """When `now` enters the interval, if it has not: an open newest item then reaches in."""
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
-    def _unresolved(self) -> Answer:
-        return Answer(
+    def _unresolved(self) -> ReadAnswer:
+        return ReadAnswer(
             slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False,
             reason=self._no_anchor(), incarnation=self._incarnation,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.core.channel.consumption import Consumers
 from stampede_rt_channel_host.core.channel.front import Going, before
 from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
-from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 SLICES_USED_UP_MAX = 256
@@ -31,14 +31,14 @@ class Retention:
         "_has_more_to_age", "_has_more_used_up", "_held", "_unknown_from", "_unknown_to", "consumers", "limits",
     )  # fmt: skip
 
-    def __init__(self, limits: Limits, held: Holdings) -> None:
+    def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._has_more_used_up = False
         self._unknown_from = self._unknown_to = 1  # consumers do not know which seqs in between are gone
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
-    def set_limits(self, limits: Limits) -> None:
+    def set_limits(self, limits: ChannelLimits) -> None:
         """Other limits from now on. If they are the first that count consumption, `learn_gone` walks the index once."""
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos

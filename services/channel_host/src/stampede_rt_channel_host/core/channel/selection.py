@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.channel.gathered import Gathered, emptying
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
-from stampede_rt_channel_host.core.channel.snapshot import Snapshot
+from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
 Fits = Callable[[int, int], bool]
@@ -56,7 +56,7 @@ class Readable(Protocol):
     def end(self) -> Place:
         """What is shown lies below it."""
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> ChannelSnapshot:
         """All that is held now, whether it is shown or not."""
 
     def next_time(self, time: int, /) -> int | None:
@@ -120,7 +120,7 @@ def select(
 class _Taking:
     """Takes slices from stretches, in one direction, until the limit is reached."""
 
-    def __init__(self, snapshot: Snapshot, limit: int | None, *, down: bool) -> None:
+    def __init__(self, snapshot: ChannelSnapshot, limit: int | None, *, down: bool) -> None:
         self._snapshot = snapshot
         self._left = limit
         self._down = down

@@ -8,7 +8,7 @@ from stampede_rt_channel_host.core.channel.index import SEQ_END, ChannelIndex, P
 from stampede_rt_channel_host.core.channel.run import Slice
 
 
-class Snapshot:
+class ChannelSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
     Nothing is copied: from `hold` to `close` their entries stay in the index, and what came since is left out by its
@@ -17,7 +17,7 @@ class Snapshot:
 
     __slots__ = ("_end_seq", "_holders", "_index", "floor", "is_held")
 
-    def __init__(self, index: ChannelIndex, floor: Place, end_seq: int, holders: dict[Snapshot, None]) -> None:
+    def __init__(self, index: ChannelIndex, floor: Place, end_seq: int, holders: dict[ChannelSnapshot, None]) -> None:
         """`holders`: the snapshots whose items must not be freed."""
         self.floor = floor
         self.is_held = False

@@ -11,10 +11,10 @@ from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
-from stampede_rt_channel_host.core.channel.limits import Limits
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
-from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Delivery, Gap, SavedCursor
+from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SavedCursor, SubscriptionBatch
 
 GAP_ENTRIES_MAX = 1024
 """What one call looks at of outdated items: a reader that is far behind stalls nobody, and hears of several gaps."""
@@ -25,7 +25,7 @@ Range = tuple[int, int]
 
 
 class AllCursor:
-    """Where a subscription in seq order stands. Made by `Channel.subscribe_all`, moved by `Channel.since`.
+    """Where a subscription in seq order stands. Made by `ChannelCore.subscribe_all`, moved by `ChannelCore.since`.
 
     `delivered`, `dropped`: items given, and items reported in gaps, up to now.
     """
@@ -151,7 +151,7 @@ def _joined(ranges: Iterable[Range]) -> Iterator[Range]:
         yield first, end
 
 
-def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -> Delivery:
+def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
     """The next part: a gap at the very front, if there is one, then slices up to the next gap or the byte limit."""
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
@@ -171,8 +171,8 @@ def since(held: Holdings, limits: Limits, cursor: AllCursor, limit_bytes: int) -
             cursor.settle(part.end_seq)
             limit_bytes -= part.charge_bytes
             if limit_bytes <= 0 or len(slices) >= pieces.STEPS_PER_PIECE:
-                return Delivery(slices=slices, gap=gap)
-    return Delivery(slices=slices, gap=gap)
+                return SubscriptionBatch(slices=slices, gap=gap)
+    return SubscriptionBatch(slices=slices, gap=gap)
 
 
 def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
@@ -183,14 +183,14 @@ def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
         low = part.end_seq
 
 
-def _gap(limits: Limits, held: Holdings, first: int, last: int) -> Gap:
+def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
     policy = limits.describe(held.last_cause)
     detail = f"the reader was slower than the channel's retention: {policy} collected the items before they were sent"
     return Gap(first_seq=first, last_seq=last, items=last - first + 1, reason=Reason("COLLECTED", detail))
 
 
 class NewestCursor:
-    """Where a subscription to the newest item stands. Made by `Channel.subscribe_newest`, moved by `Channel.latest`.
+    """Where a subscription to the newest item stands. `ChannelCore.subscribe_newest` makes it, `latest` moves it.
 
     `delivered`: items given; `skipped`: items meant for it that it was not given, as of the last `latest`, and
     `next_seq` the seq that followed then.

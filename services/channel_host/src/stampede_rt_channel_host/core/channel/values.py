@@ -68,7 +68,7 @@ class PutOutcome(NamedTuple):
 
     `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
     place `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of the
-    channel and at `retry_at`, if there is such an instant; to stop waiting, `Channel.give_up_put`.
+    channel and at `retry_at`, if there is such an instant; to stop waiting, `ChannelCore.give_up_put`.
     """
 
     run: Run | None = None
@@ -123,7 +123,7 @@ class Query:
             raise InvalidArgument(f"limit is {self.limit}; it is at least 1, or left out for all items")
 
 
-class Answer(NamedTuple):
+class ReadAnswer(NamedTuple):
     """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`.
 
     `next_time` is the time of the bucket behind the last item, None if that one is in the newest: with it a reader
@@ -168,7 +168,7 @@ class Gap:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Delivery:
+class SubscriptionBatch:
     """The next part of a subscription: first the gap, if any, then the slices in seq order. `more`: there is more to
     look at; take again soon."""
 

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE,
 from stampede_rt_channel_host.core.channel.run import ABSENT
 
 if TYPE_CHECKING:
-    from stampede_rt_channel_host.core.channel.channel import Channel
+    from stampede_rt_channel_host.core.channel.channel import ChannelCore
     from stampede_rt_channel_host.core.channel.holdings import Holdings
 
 BEFORE_ALL, AFTER_ALL = FIRST_PLACE[0], LAST_PLACE[0]
@@ -41,7 +41,7 @@ class Reach(NamedTuple):
 class Coming:
     """Follows a channel, or the part of it before a cut, for gets that wait there. Costs what came since."""
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
         self._seen_seq = 1
         self._cut = AFTER_ALL

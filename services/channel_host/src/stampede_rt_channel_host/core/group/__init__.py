@@ -6,24 +6,24 @@ Nothing here reads a clock, waits, or knows the wire. The shell around it, at ea
   `hear` as their owners tell, and by `confirm` at each sign of life;
 - keeps one `GroupCut` per group: `merge_floor` with what other hosts know, `settle` when all that live have told it,
   `refresh` after each change of the board and at `next_idle`. A client's word never goes in: a reader that has seen
-  more waits until `cut` is there, or is answered with `GroupView.stalled`;
-- reads through a group: `GroupView` like a channel, with the `Horizon` of the moment, or with an earlier cut to read
-  several channels at one; blocked gets are polled after each change of the channel and of the cut;
+  more waits until `cut` is there, or is answered with `VisibleChannel.stalled`;
+- reads through a group: `VisibleChannel` like a channel, with the `Horizon` of the moment, or with an earlier cut to
+  read several channels at one; blocked gets are polled after each change of the channel and of the cut;
 - subscriptions through a group: `VisibleAll`, `VisibleNewest`;
 - cut events: the host that decides feeds an `EventDecider`; every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has come as far. Cut and `next_seq` resume it;
 - matches: a `Matcher` at the owner of the one channel, with an `OwnTrack` or a `FarTrack` for every other;
-- status: `GroupCut.members` and `waiting_on`, `GroupView.hidden_items` and `window_too_short`.
+- status: `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
 """
 
-from stampede_rt_channel_host.core.group.cut import MAX_LEAD_NANOS_DEFAULT, GroupCut, GroupDefinition, Member
+from stampede_rt_channel_host.core.group.cut import MAX_LEAD_NANOS_DEFAULT, CutMember, GroupCut, GroupDefinition
 from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT, Boundary, EventDecider
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, Step
-from stampede_rt_channel_host.core.group.matching import OWN, Matched, Matcher
+from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, OwnTimes, TimesBoard
 from stampede_rt_channel_host.core.group.tracks import FarTrack, Nearest, OwnTrack, Track
-from stampede_rt_channel_host.core.group.visible import GroupView, Horizon
+from stampede_rt_channel_host.core.group.visible import Horizon, VisibleChannel
 
 __all__ = [
     "MAX_LEAD_NANOS_DEFAULT",
@@ -32,17 +32,16 @@ __all__ = [
     "Boundary",
     "ChannelTimes",
     "CutFollower",
+    "CutMember",
     "EventDecider",
     "FarTrack",
+    "FoundMatch",
     "GroupCut",
     "GroupDefinition",
-    "GroupView",
     "Heard",
     "Horizon",
     "Loss",
-    "Matched",
     "Matcher",
-    "Member",
     "Nearest",
     "OwnTimes",
     "OwnTrack",
@@ -50,5 +49,6 @@ __all__ = [
     "TimesBoard",
     "Track",
     "VisibleAll",
+    "VisibleChannel",
     "VisibleNewest",
 ]

@@ -42,7 +42,7 @@ class GroupDefinition:
         return cut if times.advance is None else max(cut, times.advance)
 
 
-class Member(NamedTuple):
+class CutMember(NamedTuple):
     """One member at one moment. `heard` None: its owner has told nothing yet; `cut`: its own, None if it has none."""
 
     channel_id: bytes
@@ -111,13 +111,13 @@ class GroupCut:
         reached = self._reached(now) if self._settled else None
         return reached is not None and self.merge_floor(reached)
 
-    def member(self, channel_id: bytes, now: int) -> Member:
+    def member(self, channel_id: bytes, now: int) -> CutMember:
         """One member at this moment."""
         heard = self._board.find(channel_id)
         cut = None if heard is None else self._definition.cut_of(heard.times)
-        return Member(channel_id, heard, cut, self._is_idle(heard, now))
+        return CutMember(channel_id, heard, cut, self._is_idle(heard, now))
 
-    def members(self, now: int) -> Iterator[Member]:
+    def members(self, now: int) -> Iterator[CutMember]:
         """All members, in the order of their ids."""
         return (self.member(channel_id, now) for channel_id in sorted(self._definition.members))
 

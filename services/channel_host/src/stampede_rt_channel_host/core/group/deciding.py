@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.group.cut import Member
+from stampede_rt_channel_host.core.group.cut import CutMember
 
 MAX_WAIT_NANOS_DEFAULT = 1_000_000_000
 PENDING_MAX = 256
@@ -57,7 +57,7 @@ class EventDecider:
         stretch = waited // (PENDING_MAX // 2) + 1
         self._pending = deque({reached // stretch: (cut, reached) for cut, reached in self._pending}.values())
 
-    def due(self, members: Iterable[Member], now: int) -> Boundary | None:
+    def due(self, members: Iterable[CutMember], now: int) -> Boundary | None:
         """The event that is due, if one is. A member that is idle is not waited for."""
         present = list(members)
         decided: int | None = None
@@ -73,12 +73,12 @@ class EventDecider:
         """When the first cut has waited long enough; None: none waits."""
         return self._pending[0][1] + self._max_wait_nanos if self._pending else None
 
-    def _is_due(self, cut: int, reached: int, members: list[Member], now: int) -> bool:
+    def _is_due(self, cut: int, reached: int, members: list[CutMember], now: int) -> bool:
         if now >= reached + self._max_wait_nanos:
             return True
         return not any(self._is_behind(member, cut) and not member.is_idle for member in members)
 
-    def _between(self, decided: int | None, members: list[Member]) -> int | None:
+    def _between(self, decided: int | None, members: list[CutMember]) -> int | None:
         """With a lateness: where all members have come, short of the next cut. It may be far, as after a jump."""
         last = self._decided if decided is None else decided
         come = [self._come(one) for one in members if not one.is_idle]
@@ -87,11 +87,11 @@ class EventDecider:
             return decided
         return min(known) if last is None or min(known) > last else decided
 
-    def _is_behind(self, member: Member, cut: int) -> bool:
+    def _is_behind(self, member: CutMember, cut: int) -> bool:
         come = self._come(member)
         return come is None or come < cut
 
-    def _come(self, member: Member) -> int | None:
+    def _come(self, member: CutMember) -> int | None:
         """Up to where all items of a member have come; None: unknown."""
         if member.heard is None:
             return None

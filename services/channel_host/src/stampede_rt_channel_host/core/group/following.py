@@ -12,7 +12,7 @@ from heapq import merge
 from itertools import islice
 
 from stampede_rt.values.model import Reason
-from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Slice, pieces
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
 from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
@@ -56,7 +56,7 @@ class CutFollower:
 
     def __init__(
         self,
-        channel: Channel,
+        channel: ChannelCore,
         cut: int | None,
         now: int,
         *,
@@ -219,7 +219,7 @@ def _reaches(held: Holdings, cut: int | None) -> bool:
     return gone is not None and (cut is None or gone >= cut)
 
 
-def _lost_with_host(channel: Channel, cut: int | None) -> Loss:
+def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
     before = max((one for one in (cut, channel.oldest) if one is not None), default=0)
     detail = "the channel's host was lost, and items with it that the group had not shown"
     return Loss(before=before, items=0, is_exact=False, reason=Reason("LOST", detail), first_seq=1, last_seq=1)
@@ -233,7 +233,7 @@ def _joined(unreported: Loss, since: Loss | None) -> Loss:
     return replace(unreported, before=before, items=since.items, last_seq=last_seq)
 
 
-def _collected(channel: Channel, held: Holdings, items: int, first_seq: int, *, is_exact: bool = True) -> Loss:
+def _collected(channel: ChannelCore, held: Holdings, items: int, first_seq: int, *, is_exact: bool = True) -> Loss:
     gone = newest_gone(held)
     before = channel.newest if gone is None else gone
     return Loss(

@@ -11,7 +11,7 @@ from functools import partial
 from itertools import islice
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Position, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.ledger import Ledger
@@ -24,7 +24,7 @@ OWN = b""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Matched:
+class FoundMatch:
     """One item, and what goes with it. `missing`: members that have nothing within the tolerance."""
 
     item: DeliveredSlice
@@ -46,7 +46,7 @@ class Matcher:
     """
 
     def __init__(
-        self, channel: Channel, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
+        self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
         after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, Place] | None = None,
     ) -> None:  # fmt: skip
         """From the items accepted from now on, or behind `after`, with what has `next_seq` or a later one in mind.
@@ -95,14 +95,14 @@ class Matcher:
 
     def take(
         self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED
-    ) -> list[Matched]:  # fmt: skip
+    ) -> list[FoundMatch]:  # fmt: skip
         """What is settled and not taken yet, `items_max` at the most, and as long as some credit is left before each.
 
         `has_passed(member, instant)`: nothing that is waited for can come up to `instant`; see
         `ChannelTimes.has_passed`. It is asked for OWN, too. A member that is not waited for has passed everything.
         """
         held, _ = self._channel.look(now)
-        taken: list[Matched] = []
+        taken: list[FoundMatch] = []
         for one in [*islice(_ones(held.slices(self._place)), items_max)]:  # first, since each look may free entries
             time = one.first_time
             if credit_bytes <= 0 or not self._is_settled(time, has_passed):
@@ -140,11 +140,11 @@ class Matcher:
         partners.update({member: (near.time, near.seq) for member, near in found.items() if near is not None})
         return found
 
-    def _match(self, item: DeliveredSlice, found: Mapping[bytes, Nearest | None]) -> Matched:
+    def _match(self, item: DeliveredSlice, found: Mapping[bytes, Nearest | None]) -> FoundMatch:
         matched = {member: near for member, near in found.items() if near is not None}
         missing = tuple(sorted(found.keys() - matched.keys()))
         self.unmatched += bool(missing)
-        return Matched(item=item, matched=matched, missing=missing)
+        return FoundMatch(item=item, matched=matched, missing=missing)
 
 
 def _behind(place: Place | None) -> Place:

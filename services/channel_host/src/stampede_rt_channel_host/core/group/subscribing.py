@@ -6,7 +6,15 @@ from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.timeline import MIN_INSTANT, Bound
-from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Delivery, Gap, Position, SavedCursor, Slice
+from stampede_rt_channel_host.core.channel import (
+    ChannelCore,
+    DeliveredSlice,
+    Gap,
+    Position,
+    SavedCursor,
+    Slice,
+    SubscriptionBatch,
+)
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
@@ -26,7 +34,7 @@ class VisibleAll:
 
     def __init__(
         self,
-        channel: Channel,
+        channel: ChannelCore,
         horizon: Horizon,
         now: int,
         *,
@@ -71,7 +79,7 @@ class VisibleAll:
         """Every item below it was sent or reported. Walks what is hidden."""
         return self._follower.lowest_owed_seq(now)
 
-    def take(self, horizon: Horizon, now: int, limit_bytes: int) -> Delivery:
+    def take(self, horizon: Horizon, now: int, limit_bytes: int) -> SubscriptionBatch:
         """The next part; a gap comes behind the items of its step. Empty: wait for the cut or for a late item."""
         follower = self._follower
         while self._gap is None and horizon.cut is not None and follower.has_news(horizon.cut):
@@ -82,23 +90,23 @@ class VisibleAll:
             slices = step.late + step.slices
             if slices:
                 self.delivered += sum(one.slice.items for one in slices)
-                return Delivery(slices=slices)
+                return SubscriptionBatch(slices=slices)
             if not step.is_last:
-                return Delivery(more=True)
+                return SubscriptionBatch(more=True)
         gap, self._gap = self._gap, None
         self.dropped += gap.items if gap else 0
-        return Delivery(gap=gap)
+        return SubscriptionBatch(gap=gap)
 
 
 class VisibleNewest:
     """Always the latest visible item by (time, seq), never going back; the other ones that became visible are counted.
 
-    `skipped`: of the items meant for it, how many it was not given. Begins as `Channel.subscribe_newest` does.
+    `skipped`: of the items meant for it, how many it was not given. Begins as `ChannelCore.subscribe_newest` does.
     """
 
     def __init__(
         self,
-        channel: Channel,
+        channel: ChannelCore,
         horizon: Horizon,
         now: int,
         *,
@@ -142,16 +150,16 @@ class VisibleNewest:
         """As of the last take."""
         return max(0, self._meant - self.delivered)
 
-    def take(self, horizon: Horizon, now: int) -> Delivery:
+    def take(self, horizon: Horizon, now: int) -> SubscriptionBatch:
         """The newest item, if it is later than the last one taken. What is behind it is counted in bounded parts."""
         newest = self._newest(horizon, now)
         is_news = newest is not None and (newest.last_time, newest.end_seq - 1) > self._last
         more = self._count(horizon, now)
         if newest is None or not is_news:
-            return Delivery(more=more)
+            return SubscriptionBatch(more=more)
         self._last = newest.last_time, newest.end_seq - 1
         self.delivered += 1
-        return Delivery(slices=(DeliveredSlice(newest, None),), more=more)
+        return SubscriptionBatch(slices=(DeliveredSlice(newest, None),), more=more)
 
     def _count(self, horizon: Horizon, now: int) -> bool:
         """Count what has become visible; True if there is more of it."""
@@ -168,14 +176,14 @@ class VisibleNewest:
         return None if part is None else Slice(part.run, part.hi - 1, part.hi)
 
 
-def _kept_cut(channel: Channel, horizon: Horizon, now: int, saved: SavedCursor) -> int:
+def _kept_cut(channel: ChannelCore, horizon: Horizon, now: int, saved: SavedCursor) -> int:
     VisibleReading(channel, horizon, now).check_position(Position(0, None, saved.incarnation))
     if saved.cut is None:
         raise InvalidArgument("the cursor comes from a subscription without a group; leave the group out")
     return saved.cut
 
 
-def _resume(channel: Channel, horizon: Horizon, now: int, start: Bound | None, after: Position) -> tuple[int, int]:
+def _resume(channel: ChannelCore, horizon: Horizon, now: int, start: Bound | None, after: Position) -> tuple[int, int]:
     VisibleReading(channel, horizon, now).check_position(after)
     if start is not None:
         raise InvalidArgument("a subscription has both start and after; give start to begin, after to resume")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.channel import ABSENT, Channel, Slice
+from stampede_rt_channel_host.core.channel import ABSENT, ChannelCore, Slice
 from stampede_rt_channel_host.core.group.ledger import newest_gone
 
 
@@ -64,7 +64,7 @@ class OwnTimes:
     `silent_since`: the host's clock at the last put or advance, or when this began to look.
     """
 
-    def __init__(self, channel: Channel, now: int) -> None:
+    def __init__(self, channel: ChannelCore, now: int) -> None:
         self._channel = channel
         self._newest: int | None = None
         self._newest_end: int | None = None

@@ -6,7 +6,7 @@ from bisect import bisect_left, insort
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-from stampede_rt_channel_host.core.channel import Channel, DeliveredSlice, Slice
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, Place
 
 TRACK_ITEMS_MAX = 65_536
@@ -38,7 +38,7 @@ class Track(Protocol):
 class OwnTrack:
     """A member at this host."""
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
 
     def nearest(

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, MetaTime, ResolvedInterval, format_instant
-from stampede_rt_channel_host.core.channel import Answer, Channel, Pending, Query, Slice, WakeAt
+from stampede_rt_channel_host.core.channel import ChannelCore, Pending, Query, ReadAnswer, Slice, WakeAt
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import behind, select
-from stampede_rt_channel_host.core.channel.snapshot import Snapshot
+from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 
 
 class Horizon(NamedTuple):
@@ -54,7 +54,7 @@ class VisibleHoldings:
         """What is visible lies below it."""
         return self._end
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> ChannelSnapshot:
         """All that is held now."""
         return self._held.snapshot()
 
@@ -75,7 +75,7 @@ class VisibleHoldings:
 class VisibleReading(Reading):
     """Answers one query from what a horizon leaves of a channel."""
 
-    def __init__(self, channel: Channel, horizon: Horizon, now: int) -> None:
+    def __init__(self, channel: ChannelCore, horizon: Horizon, now: int) -> None:
         """`now`: the host's clock, to which the channel is aged."""
         self._all, retention = channel.look(now)
         held = VisibleHoldings(self._all, horizon.cut)
@@ -95,7 +95,7 @@ class VisibleReading(Reading):
             return None
         return super().resolve_interval(interval, clock)
 
-    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[Answer]:
+    def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
         """What is visible of the query."""
         if within is not None:
             self._asked = query, within, clock
@@ -165,49 +165,49 @@ def _latest_of(query: Query) -> Query:
     return replace(query, limit=1, newest_first=True, after=None, newer_than=newer_than)
 
 
-class GroupView:
+class VisibleChannel:
     """The visible part of one channel, read like a channel; the horizon is given with each call, and may only grow."""
 
-    def __init__(self, channel: Channel) -> None:
+    def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
 
-    def read(self, query: Query, horizon: Horizon, now: int) -> Answer:
-        """What is visible of the query, at once. Raises IncarnationLost like `Channel.read`."""
+    def read(self, query: Query, horizon: Horizon, now: int) -> ReadAnswer:
+        """What is visible of the query, at once. Raises IncarnationLost like `ChannelCore.read`."""
         return at_once(self.reading(query, horizon, now))
 
-    def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[Answer]:
+    def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
         reading = self._reading(query, horizon, now)
         return reading.answer(query, reading.resolve(query, now), now)
 
     def begin(self, query: Query, horizon: Horizon, now: int) -> Pending:
-        """Begin a blocking get; see `Channel.begin`."""
+        """Begin a blocking get; see `ChannelCore.begin`."""
         return Pending(query, self._reading(query, horizon, now).resolve(query, now))
 
-    def poll(self, pending: Pending, horizon: Horizon, now: int) -> Answer | WakeAt:
+    def poll(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer | WakeAt:
         """Its answer, or when to poll again: also after each change of the channel and of the cut."""
         return at_once(self.polling(pending, horizon, now))
 
-    def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[Answer | WakeAt]:
+    def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """The same in pieces, all as of now."""
         reading = VisibleReading(self._channel, horizon, now)
         found = yield from reading.poll(pending, now)
         return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 
-    def give_up(self, pending: Pending, horizon: Horizon, now: int) -> Answer:
+    def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
         """What there is when the get's time is over, with its reason."""
         return at_once(self.giving_up(pending, horizon, now))
 
-    def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[Answer]:
+    def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
         return VisibleReading(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
-    def stalled(self, floor: int, horizon: Horizon) -> Answer:
+    def stalled(self, floor: int, horizon: Horizon) -> ReadAnswer:
         """The answer to a reader that has seen more than this host can show yet: nothing, rather than less."""
         cut = horizon.cut
         behind_at = "nothing is visible here yet" if cut is None else f"the cut is at {format_instant(cut)} here"
         detail = f"the reader has seen the group up to {format_instant(floor)}, but {behind_at}, {horizon.held_by()}"
-        return Answer(
+        return ReadAnswer(
             slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False,
             reason=Reason("HIDDEN", detail), incarnation=self._channel.incarnation,
         )  # fmt: skip

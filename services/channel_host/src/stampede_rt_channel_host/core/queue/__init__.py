@@ -1,8 +1,8 @@
 """The core of queues and mailboxes (paper, section 3.5). Pure."""
 
-from stampede_rt_channel_host.core.queue.dealing import BATCH_BYTES_MAX
+from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue
-from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueState, SeqRange
+from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange
 from stampede_rt_channel_host.core.queue.items import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, FailedDelivery, QueuedRun
 from stampede_rt_channel_host.core.queue.limits import (
     BLOCK,
@@ -13,8 +13,8 @@ from stampede_rt_channel_host.core.queue.limits import (
     QueueLimits,
 )
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
-from stampede_rt_channel_host.core.queue.queue import Queue
-from stampede_rt_channel_host.core.queue.takers import Taker
+from stampede_rt_channel_host.core.queue.queue import QueueCore
+from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Acknowledge,
     Batch,
@@ -51,14 +51,14 @@ __all__ = [
     "LeaseState",
     "LeasedSlice",
     "PendingDelivery",
-    "Queue",
+    "QueueCore",
     "QueueCounters",
+    "QueueHandoff",
     "QueueLimits",
-    "QueueState",
     "QueuedRun",
     "SeqRange",
     "Settlement",
     "SettlementResult",
-    "Taker",
+    "TakerState",
     "Terminate",
 ]

@@ -12,11 +12,11 @@ from itertools import islice
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged, Judging, Part
+from stampede_rt_channel_host.core.judging import Judged, Judging, RunPart
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.queue.message_ids import MessageIds
-from stampede_rt_channel_host.core.queue.shelf import Shelf
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems
 from stampede_rt_channel_host.core.queue.values import SealRun
 
 WAITING_RUNS_MAX = 10_000
@@ -84,8 +84,8 @@ class Enqueuing:
     through, until the caller takes them. `has_more`: there may be room for the first one in line, and `offer_line` is
     to be called again soon."""
 
-    def __init__(self, shelf: Shelf, queue_name: str) -> None:
-        self._shelf = shelf
+    def __init__(self, queue_items: QueueItems, queue_name: str) -> None:
+        self._queue_items = queue_items
         self._queue = queue_name
         self._line: OrderedDict[Enqueue, None] = OrderedDict()
         self._deadlines: Deadlines[Enqueue] = Deadlines()
@@ -191,9 +191,9 @@ class Enqueuing:
         """An item was accepted under the run's message id before, whose seq answers this one, too."""
         seq = self.message_ids.find(run.message_id, now) if run.message_id else None
         if seq is not None:
-            self._shelf.tally.duplicates += 1
+            self._queue_items.tally.duplicates += 1
             run.is_duplicate = True
-            run.outcome = Judged(1, 1, (Part(0, seq, 1, None),), (), now)
+            run.outcome = Judged(1, 1, (RunPart(0, seq, 1, None),), (), now)
         return run.is_duplicate
 
     def _judge_again(self, run: Enqueue, now: int) -> bool:
@@ -222,7 +222,7 @@ class Enqueuing:
     @property
     def _is_making_room(self) -> bool:
         """Those in line wait for no taker: what is in their way is being dropped."""
-        return self.has_more and self._shelf.limits.on_full == DROP_OLDEST
+        return self.has_more and self._queue_items.limits.on_full == DROP_OLDEST
 
     def _leave_line(self, run: Enqueue) -> None:
         del self._line[run]
@@ -231,17 +231,17 @@ class Enqueuing:
 
     def _offer(self, run: Enqueue, now: int) -> bool:
         """Take in what there is room for; True if the run is through."""
-        shelf, taken, judging = self._shelf, QueuedRun(self._shelf.next_seq, [], now), run.judging
+        queue_items, taken, judging = self._queue_items, QueuedRun(self._queue_items.next_seq, [], now), run.judging
         places: list[int] = []
         self._drops_left = DROPPED_PER_RUN_MAX + 2 * len(run.lengths)
         while judging.settled < len(run.lengths):
             length = run.lengths[judging.settled]
-            if length > shelf.limits.payload_bytes_max:
+            if length > queue_items.limits.payload_bytes_max:
                 self._refuse(run, self._too_large(length))
             elif self._make_room(length):
-                shelf.add(taken, length)
+                queue_items.add(taken, length)
                 places.append(judging.settled)
-            elif shelf.limits.on_full == BLOCK or self._is_making_room:
+            elif queue_items.limits.on_full == BLOCK or self._is_making_room:
                 break
             else:
                 self._refuse(run, self._full())
@@ -254,13 +254,13 @@ class Enqueuing:
         return True
 
     def _make_room(self, length: int) -> bool:
-        while not self._shelf.has_room(length):
-            if self._shelf.limits.on_full != DROP_OLDEST:
+        while not self._queue_items.has_room(length):
+            if self._queue_items.limits.on_full != DROP_OLDEST:
                 return False
             if not self._drops_left:
                 self.has_more = True
                 return False
-            if not self._shelf.drop_oldest():
+            if not self._queue_items.drop_oldest():
                 return False
             self._drops_left -= 1
         return True
@@ -268,7 +268,7 @@ class Enqueuing:
     def _seal(self, run: Enqueue, taken: QueuedRun, places: list[int], now: int) -> None:
         stamped = run.judging.stamped_time if run.judging.accepted_any else now if run.is_stamped else None
         run.judging.accept(places[0], taken.first_seq, len(places), stamped)
-        self._shelf.seal(taken, run.seal(taken.first_seq, places, stamped))
+        self._queue_items.seal(taken, run.seal(taken.first_seq, places, stamped))
 
     def _settle(self, run: Enqueue, now: int) -> None:
         run.outcome = self._remember(run, now)
@@ -288,22 +288,22 @@ class Enqueuing:
 
     def _refuse(self, run: Enqueue, error: StampedeError) -> None:
         if isinstance(error, ItemTooLarge):
-            self._shelf.tally.rejected_too_large += 1
+            self._queue_items.tally.rejected_too_large += 1
         elif isinstance(error, QueueFull):
-            self._shelf.tally.rejected_full += 1
+            self._queue_items.tally.rejected_full += 1
         run.judging.refuse(run.judging.settled, error)
 
     def _too_large(self, length: int) -> ItemTooLarge:
         return ItemTooLarge(
             f"an item of {length} bytes is too large for {self._queue}, which takes at most "
-            f"{max(0, self._shelf.limits.payload_bytes_max)}; split it, or raise the limits"
+            f"{max(0, self._queue_items.limits.payload_bytes_max)}; split it, or raise the limits"
         )
 
     def _full(self) -> QueueFull:
-        limits, shelf = self._shelf.limits, self._shelf
-        charged = shelf.payload_bytes + shelf.items * ITEM_OVERHEAD_BYTES
+        limits, queue_items = self._queue_items.limits, self._queue_items
+        charged = queue_items.payload_bytes + queue_items.items * ITEM_OVERHEAD_BYTES
         return QueueFull(
-            f"{self._queue} is full: it holds {shelf.items} items charged with {charged} bytes, {shelf.leased} of them "
-            f"leased, of at most {limits.max_items or 'any number of'} items and {limits.max_bytes} bytes; take "
-            "faster, put later, or raise its limits"
+            f"{self._queue} is full: it holds {queue_items.items} items charged with {charged} bytes, "
+            f"{queue_items.leased} of them leased, of at most {limits.max_items or 'any number of'} items and "
+            f"{limits.max_bytes} bytes; take faster, put later, or raise its limits"
         )

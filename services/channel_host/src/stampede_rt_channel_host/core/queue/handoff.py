@@ -17,8 +17,8 @@ from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
 from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Lease, Leasing
 from stampede_rt_channel_host.core.queue.message_ids import KnownMessage
-from stampede_rt_channel_host.core.queue.shelf import Shelf, Tally
-from stampede_rt_channel_host.core.queue.takers import Taker
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems, QueueTally
+from stampede_rt_channel_host.core.queue.takers import TakerState
 
 
 class LeaseState(NamedTuple):
@@ -56,13 +56,13 @@ class SeqRange(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class QueueState:
+class QueueHandoff:
     """Everything. Runs ascend, and each has an item that is held. `held` ascends; held items without a state are as
     they came. The runs' `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages."""
 
     next_seq: int
     next_delivery_id: int
-    tally: Tally
+    tally: QueueTally
     runs: Sequence[QueuedRun]
     held: Sequence[SeqRange]
     items: Sequence[ItemState]
@@ -71,26 +71,26 @@ class QueueState:
     message_ids: Sequence[KnownMessage]
 
 
-def export(shelf: Shelf, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueState:
+def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
     """The queue as it is at `now`; it shares nothing that changes."""
-    held = [item.seq for item in shelf.touched.values()]
-    fresh = [seq for run, place in shelf.fresh() for seq in range(run.first_seq + place, run.end_seq)]
-    return QueueState(
-        next_seq=shelf.next_seq,
+    held = [item.seq for item in queue_items.touched.values()]
+    fresh = [seq for run, place in queue_items.fresh() for seq in range(run.first_seq + place, run.end_seq)]
+    return QueueHandoff(
+        next_seq=queue_items.next_seq,
         next_delivery_id=leasing.next_delivery_id,
-        tally=replace(shelf.tally),
-        runs=[QueuedRun(run.first_seq, run.lengths, now - run.accepted_at, run.body) for run in _runs(shelf)],
+        tally=replace(queue_items.tally),
+        runs=[QueuedRun(run.first_seq, run.lengths, now - run.accepted_at, run.body) for run in _runs(queue_items)],
         held=_ranges(chain(held, fresh)),
-        items=[_state(item, leasing, now) for item in chain(_not_leaving(shelf), shelf.leaving.values())],
+        items=[_state(item, leasing, now) for item in chain(_not_leaving(queue_items), queue_items.leaving.values())],
         acknowledged=[one._replace(time=now - one.time) for one in leasing.acknowledged.all(now)],
         producers=[_aged(kept, now) for kept in enqueuing.retries.kept(now)],
         message_ids=[known._replace(time=now - known.time) for known in enqueuing.message_ids.all(now)],
     )
 
 
-def restore(state: QueueState, shelf: Shelf, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
+def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
     """Fill an empty queue. Times that are over by now are looked after at the next tick."""
-    shelf.tally = replace(state.tally)
+    queue_items.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}
     fresh_from = _fresh_from(state)
@@ -101,14 +101,14 @@ def restore(state: QueueState, shelf: Shelf, leasing: Leasing, enqueuing: Enqueu
             old = next(runs)
             run = QueuedRun(old.first_seq, old.lengths, now - old.accepted_at, old.body)
             run.held = 0
-        shelf.put_back(run, seq - run.first_seq, is_fresh=seq >= fresh_from)
+        queue_items.put_back(run, seq - run.first_seq, is_fresh=seq >= fresh_from)
         if seq in states:
-            _enter(shelf, leasing, states[seq], now)
+            _enter(queue_items, leasing, states[seq], now)
         elif seq < fresh_from:
-            shelf.refresh(shelf.touched[seq])
-    shelf.next_seq = state.next_seq
+            queue_items.refresh(queue_items.touched[seq])
+    queue_items.next_seq = state.next_seq
     for seq in [one.seq for one in state.items if one.is_leaving]:  # in their own order
-        shelf.set_leaving(shelf.touched[seq])
+        queue_items.set_leaving(queue_items.touched[seq])
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
     for kept in state.producers:
@@ -122,7 +122,7 @@ def _aged(kept: KeptRun, now: int) -> KeptRun:
     return kept._replace(outcome=kept.outcome._replace(time=now - kept.outcome.time))
 
 
-def _fresh_from(state: QueueState) -> int:
+def _fresh_from(state: QueueHandoff) -> int:
     """From this seq on nothing was touched: all is held up to the end. An older item may be as it came, too, having
     come back or been passed over; it counts as touched all the same."""
     if not state.held or state.held[-1].last != state.next_seq - 1:
@@ -130,10 +130,10 @@ def _fresh_from(state: QueueState) -> int:
     return max(state.held[-1].first, max((one.seq for one in state.items), default=0) + 1)
 
 
-def _runs(shelf: Shelf) -> Iterator[QueuedRun]:
+def _runs(queue_items: QueueItems) -> Iterator[QueuedRun]:
     """Each run of which an item is held, once."""
     last: QueuedRun | None = None
-    for run in chain((item.run for item in shelf.touched.values()), (run for run, _ in shelf.fresh())):
+    for run in chain((item.run for item in queue_items.touched.values()), (run for run, _ in queue_items.fresh())):
         if run is not last:
             last = run
             yield run
@@ -148,9 +148,9 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
     return found
 
 
-def _not_leaving(shelf: Shelf) -> Iterator[TouchedItem]:
+def _not_leaving(queue_items: QueueItems) -> Iterator[TouchedItem]:
     """Those with something to tell."""
-    for item in shelf.touched.values():
+    for item in queue_items.touched.values():
         told = item.returned or item.leases or item.acknowledged or item.due is not None
         if told and not item.is_leaving:
             yield item
@@ -174,15 +174,15 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
     return LeaseState(lease.order, taker.taker_id, taker.name, (lease.due or now) - now, now - lease.leased_at)
 
 
-def _enter(shelf: Shelf, leasing: Leasing, state: ItemState, now: int) -> None:
-    item = shelf.touched[state.seq]
+def _enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
+    item = queue_items.touched[state.seq]
     item.acknowledged = tuple(state.acknowledged)
     item.last = state.last
     item.returned = sorted(state.deliveries[len(state.leases) :])
     for lease, number in zip(state.leases, state.deliveries, strict=False):
-        taker = Taker(lease.taker_id, name=lease.taker_name)
+        taker = TakerState(lease.taker_id, name=lease.taker_name)
         leased = Lease(lease.delivery_id, item, number, taker, now - lease.leased_ago_nanos)
         leasing.enter(leased, now + lease.lease_nanos)
     if state.delay_nanos > 0:
-        shelf.delays.arm(item, now + state.delay_nanos)
-    shelf.refresh(item)
+        queue_items.delays.arm(item, now + state.delay_nanos)
+    queue_items.refresh(item)

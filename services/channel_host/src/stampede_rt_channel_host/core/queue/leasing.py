@@ -22,8 +22,8 @@ from stampede_rt_channel_host.core.queue.items import (
     FailedDelivery,
     TouchedItem,
 )
-from stampede_rt_channel_host.core.queue.shelf import Shelf
-from stampede_rt_channel_host.core.queue.takers import Taker
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Acknowledge,
     Extend,
@@ -41,7 +41,7 @@ class Lease:
 
     __slots__ = ("due", "item", "leased_at", "number", "order", "taker")
 
-    def __init__(self, delivery_id: int, item: TouchedItem, number: int, taker: Taker, leased_at: int) -> None:
+    def __init__(self, delivery_id: int, item: TouchedItem, number: int, taker: TakerState, leased_at: int) -> None:
         self.order = delivery_id
         self.item = item
         self.number = number
@@ -57,16 +57,16 @@ class Lease:
 class Leasing:
     """All leases of a queue. Delivery ids start at `first_delivery_id` and grow by one each."""
 
-    def __init__(self, shelf: Shelf, queue_name: str, first_delivery_id: int) -> None:
-        self._shelf = shelf
+    def __init__(self, queue_items: QueueItems, queue_name: str, first_delivery_id: int) -> None:
+        self._queue_items = queue_items
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
         self.leases: Any = SortedDict()  # delivery id -> Lease
-        self.silent: list[Taker] = []  # who let a lease end and said nothing, until the caller takes them
+        self.silent: list[TakerState] = []  # who let a lease end and said nothing, until the caller takes them
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
 
-    def deliver(self, item: TouchedItem, taker: Taker, now: int, expires: int) -> tuple[int, int]:
+    def deliver(self, item: TouchedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
         """Lease a free copy of the item; gives the delivery's id and which delivery of that copy it is.
 
         The copy that came back most often goes first: an item that no taker can cope with is soon found out.
@@ -75,13 +75,13 @@ class Leasing:
         delivery_id = self.next_delivery_id
         self.next_delivery_id += 1
         self.enter(Lease(delivery_id, item, number, taker, now), expires)
-        self._shelf.refresh(item)
-        self._shelf.tally.delivered += 1
+        self._queue_items.refresh(item)
+        self._queue_items.tally.delivered += 1
         return delivery_id, number
 
     def enter(self, lease: Lease, expires: int) -> None:
         """The lease holds from now on."""
-        self._shelf.leased += not lease.item.leases
+        self._queue_items.leased += not lease.item.leases
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
         self._deadlines.arm(lease, expires)
@@ -97,7 +97,7 @@ class Leasing:
         if isinstance(verdict, Acknowledge):
             self._acknowledge(lease, now)
         elif isinstance(verdict, GiveBack):
-            self._shelf.tally.given_back += 1
+            self._queue_items.tally.given_back += 1
             lease.number -= verdict.uncounted
             ended = None if verdict.uncounted else GIVEN_BACK
             self._take_back(lease, ended, now + verdict.delay_nanos if verdict.delay_nanos else None)
@@ -112,7 +112,7 @@ class Leasing:
         lease = self._deadlines.pop(now)
         if lease is None:
             return False
-        self._shelf.tally.leases_expired += 1
+        self._queue_items.tally.leases_expired += 1
         taker = lease.taker
         if taker.credit and not taker.is_silent and taker.heard_at <= lease.leased_at:
             taker.is_silent = True
@@ -135,7 +135,7 @@ class Leasing:
             for delivery_id in one.delivery_ids:
                 lease = self.leases.get(delivery_id)
                 if lease is not None:
-                    self._shelf.tally.delivered -= 1
+                    self._queue_items.tally.delivered -= 1
                     self._end(lease)
                     if lease.number > 1:
                         insort(lease.item.returned, lease.number - 1)
@@ -146,16 +146,16 @@ class Leasing:
 
     def settle_copies(self, item: TouchedItem) -> bool:
         """Use the item up if enough takers are done with it; True if it has gone."""
-        if len(item.acknowledged) < self._shelf.limits.copies:
+        if len(item.acknowledged) < self._queue_items.limits.copies:
             return False
         self._void(item)
-        self._shelf.tally.consumed += 1
-        self._shelf.remove(item)
+        self._queue_items.tally.consumed += 1
+        self._queue_items.remove(item)
         return True
 
     def check_again(self, item: TouchedItem) -> None:
         """Hold an item that was touched under other limits to those of now."""
-        if item.is_leaving and not self._shelf.limits.dead_letters:
+        if item.is_leaving and not self._queue_items.limits.dead_letters:
             self.expel(item)
         elif not self.settle_copies(item):
             if self.is_exhausted(item) and not item.is_leaving:
@@ -165,22 +165,22 @@ class Leasing:
 
     def is_exhausted(self, item: TouchedItem) -> bool:
         """One of its copies was delivered as often as is allowed, in vain."""
-        most = self._shelf.limits.max_deliveries
+        most = self._queue_items.limits.max_deliveries
         return most is not None and bool(item.returned) and item.returned[-1] >= most
 
     def give_up(self, item: TouchedItem) -> None:
         """It leaves, and its other leases end: for the dead-letter queue if there is one, else for good."""
-        if self._shelf.limits.dead_letters:
+        if self._queue_items.limits.dead_letters:
             self._void(item)
-            self._shelf.set_leaving(item)
+            self._queue_items.set_leaving(item)
         else:
             self.expel(item)
 
     def expel(self, item: TouchedItem) -> None:
         """It leaves the queue for good."""
         self._void(item)
-        self._shelf.tally.expelled += 1
-        self._shelf.remove(item)
+        self._queue_items.tally.expelled += 1
+        self._queue_items.remove(item)
 
     def _acknowledge(self, lease: Lease, now: int) -> None:
         item = lease.item
@@ -188,7 +188,7 @@ class Leasing:
         item.acknowledged = (*item.acknowledged, lease.taker.taker_id)
         self.acknowledged.record(lease.order, lease.taker.taker_id, now)
         if not self.settle_copies(item):
-            self._shelf.refresh(item)
+            self._queue_items.refresh(item)
 
     def _extend(self, lease: Lease, verdict: Extend, now: int) -> SettlementResult:
         self._deadlines.arm(lease, now + verdict.lease_nanos)
@@ -196,7 +196,7 @@ class Leasing:
 
     def _terminate(self, lease: Lease, reason: str) -> None:
         """The item leaves, and with it its other leases."""
-        self._shelf.tally.terminated += 1
+        self._queue_items.tally.terminated += 1
         self._end(lease)
         lease.item.last = lease.in_vain(TERMINATED, reason)
         self.give_up(lease.item)
@@ -214,12 +214,12 @@ class Leasing:
             self.give_up(item)
             return
         if not_before is not None and (item.due is None or item.due < not_before):
-            self._shelf.delays.arm(item, not_before)
+            self._queue_items.delays.arm(item, not_before)
         self._put_back(item)
 
     def _put_back(self, item: TouchedItem) -> None:
-        self._shelf.refresh(item)
-        self._shelf.log_return(item)
+        self._queue_items.refresh(item)
+        self._queue_items.log_return(item)
 
     def _void(self, item: TouchedItem) -> None:
         for delivery_id in list(item.leases.values()):
@@ -227,7 +227,7 @@ class Leasing:
 
     def _end(self, lease: Lease) -> None:
         del self.leases[lease.order], lease.item.leases[lease.taker.taker_id]
-        self._shelf.leased -= not lease.item.leases
+        self._queue_items.leased -= not lease.item.leases
         self._deadlines.disarm(lease)
 
     def _stale(self, delivery_id: int) -> LeaseExpired:

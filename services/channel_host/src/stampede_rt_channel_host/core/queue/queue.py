@@ -9,13 +9,13 @@ from itertools import islice
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.queue import handoff
-from stampede_rt_channel_host.core.queue.dealing import Dealing
+from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
-from stampede_rt_channel_host.core.queue.handoff import QueueState
+from stampede_rt_channel_host.core.queue.handoff import QueueHandoff
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
-from stampede_rt_channel_host.core.queue.shelf import Shelf
-from stampede_rt_channel_host.core.queue.takers import Taker
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import (
     Batch,
     Departure,
@@ -34,7 +34,7 @@ DUE_PER_CALL_MAX = 256
 """How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
 
 
-class Queue:
+class QueueCore:
     """The items of one queue, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
 
     Every call takes `now`, the host's clock; an earlier one than before counts as the latest seen. After each call the
@@ -56,25 +56,27 @@ class Queue:
         self._may_serve = may_serve
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
-        self._shelf = Shelf(limits)
-        self._leasing = Leasing(self._shelf, self._name, first_delivery_id)
-        self._enqueuing = Enqueuing(self._shelf, self._name)
-        self._dealing = Dealing(self._shelf, self._leasing)
+        self._queue_items = QueueItems(limits)
+        self._leasing = Leasing(self._queue_items, self._name, first_delivery_id)
+        self._enqueuing = Enqueuing(self._queue_items, self._name)
+        self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._clock: int | None = None
         self._is_paused = False
         self._unchecked: deque[int] = deque()  # seqs of items that were touched before the limits changed
 
-    def export(self, now: int) -> QueueState:
+    def export(self, now: int) -> QueueHandoff:
         """The whole queue as values. Those who wait are not in it: withdraw them, and let them go, before."""
         clock = self._tick(now)
-        return handoff.export(self._shelf, self._leasing, self._enqueuing, clock)
+        return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock)
 
     @classmethod
-    def restore(cls, limits: QueueLimits, state: QueueState, now: int, *, incarnation: int, name: str = "") -> Queue:
+    def restore(
+        cls, limits: QueueLimits, state: QueueHandoff, now: int, *, incarnation: int, name: str = ""
+    ) -> QueueCore:
         """The queue that another host exported, with its seqs, leases and counters. Takes as long as it has items."""
         queue = cls(limits, incarnation=incarnation, name=name)
-        handoff.restore(state, queue._shelf, queue._leasing, queue._enqueuing, now)
-        queue._unchecked = deque(queue._shelf.touched)  # the other host may have known other limits
+        handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
+        queue._unchecked = deque(queue._queue_items.touched)  # the other host may have known other limits
         queue._tick(now)
         return queue
 
@@ -86,7 +88,7 @@ class Queue:
         """
         clock = self._tick(now)
         self._enqueuing.enqueue(run, clock)
-        self._dealing.deal(clock)
+        self._dispatcher.deal(clock)
 
     def withdraw(self, run: Enqueue, now: int) -> None:
         """Nobody waits for the run any more. Idempotent."""
@@ -96,7 +98,7 @@ class Queue:
 
     def pause(self) -> None:
         """The queue is not served at present: nobody is dealt anything until `go_on`."""
-        self._is_paused = self._dealing.is_paused = True
+        self._is_paused = self._dispatcher.is_paused = True
 
     def end_line(self, error: StampedeError, now: int) -> bool:
         """Runs that wait are not taken, since the queue is not served any more: some of them are through. True if more
@@ -112,39 +114,39 @@ class Queue:
 
     def reject_malformed(self) -> None:
         """Count a run that the shell could not read."""
-        self._shelf.tally.rejected_malformed += 1
+        self._queue_items.tally.rejected_malformed += 1
 
     def reject_overloaded(self, items: int) -> None:
         """Count items that were refused because a bound of the host or of its waiting line is reached."""
-        self._shelf.tally.rejected_overloaded += items
+        self._queue_items.tally.rejected_overloaded += items
 
     def reject_too_large(self) -> None:
         """Count an item that the shell refused: no queue could hold it."""
-        self._shelf.tally.rejected_too_large += 1
+        self._queue_items.tally.rejected_too_large += 1
 
-    def grant(self, taker: Taker, credit: int, now: int) -> None:
+    def grant(self, taker: TakerState, credit: int, now: int) -> None:
         """The taker says that it may be sent so many more; 0: only that it is there. Was it silent, it waits again."""
         clock = self._tick(now)
         taker.credit += credit
         taker.heard_at, taker.is_silent = clock, False
-        self._dealing.wait(taker, clock)
+        self._dispatcher.wait(taker, clock)
 
-    def sending(self, taker: Taker) -> None:
+    def sending(self, taker: TakerState) -> None:
         """What it was dealt last is being sent: from now on it counts as delivered."""
         taker.unsent = None
 
-    def sent(self, taker: Taker, now: int) -> None:
+    def sent(self, taker: TakerState, now: int) -> None:
         """What it was dealt last has been sent: it waits for more."""
         clock = self._tick(now)
         taker.unsent, taker.is_busy = None, False
-        self._dealing.wait(taker, clock)
+        self._dispatcher.wait(taker, clock)
 
-    def drain(self, taker: Taker) -> None:
+    def drain(self, taker: TakerState) -> None:
         """It wants no more: its credit is void."""
         taker.credit = 0
-        self._dealing.leave(taker)
+        self._dispatcher.leave(taker)
 
-    def leave(self, taker: Taker, now: int) -> None:
+    def leave(self, taker: TakerState, now: int) -> None:
         """Its stream has ended. What it was dealt and never sent goes back; what was sent stays leased. Idempotent."""
         clock = self._tick(now)
         self.drain(taker)
@@ -167,40 +169,42 @@ class Queue:
 
     def departing(self, items_max: int) -> list[Departure]:
         """Items that wait for being moved to the dead-letter queue, those first that wait longest."""
-        leaving = islice(self._shelf.leaving.values(), items_max)
+        leaving = islice(self._queue_items.leaving.values(), items_max)
         return [Departure(item.seq, item.run, item.place, item.last) for item in leaving]
 
     def departed(self, seq: int, now: int) -> None:
         """The dead-letter queue has the item. Idempotent."""
         clock = self._tick(now)
-        item = self._shelf.leaving.get(seq)
+        item = self._queue_items.leaving.get(seq)
         if item is not None:
-            self._shelf.tally.dead_lettered += 1
-            self._shelf.remove(item)
+            self._queue_items.tally.dead_lettered += 1
+            self._queue_items.remove(item)
             self._follow_up(clock)
 
     def postpone_departure(self, seq: int) -> None:
         """The move failed: the others that wait for theirs go first."""
-        if seq in self._shelf.leaving:
-            self._shelf.leaving.move_to_end(seq)
+        if seq in self._queue_items.leaving:
+            self._queue_items.leaving.move_to_end(seq)
 
     def configure(self, limits: QueueLimits, now: int) -> None:
         """Set other limits; held items that exceed those of room stay. Touched items are looked at again, a bounded
         number in one call, and nothing is dealt before all were."""
         clock = self._tick(now)
-        self._shelf.limits = limits
-        self._unchecked = deque(dict.__iter__(self._shelf.touched))  # in their order, and quicker than by its links
+        self._queue_items.limits = limits
+        self._unchecked = deque(
+            dict.__iter__(self._queue_items.touched)
+        )  # in their order, and quicker than by its links
         self._check_again()
         self._follow_up(clock)
 
     def emptying(self) -> Pieces[None]:
         """Let go of all items, in pieces: the queue is not used any more, and is no good afterwards."""
-        while self._shelf.items:
-            for item in [*islice(self._shelf.touched.values(), EMPTIED_PER_PIECE)]:
+        while self._queue_items.items:
+            for item in [*islice(self._queue_items.touched.values(), EMPTIED_PER_PIECE)]:
                 self._leasing.expel(item)
             yield
             for _ in range(EMPTIED_PER_PIECE):
-                self._shelf.drop_oldest()
+                self._queue_items.drop_oldest()
             yield
 
     def tick(self, now: int) -> None:
@@ -212,7 +216,7 @@ class Queue:
         if self._unchecked or self._has_more:
             return self._clock
         known = self._enqueuing.message_ids.next_deadline()
-        due = (self._leasing.next_deadline(), self._shelf.delays.next(), self._enqueuing.next_deadline(), known)
+        due = (self._leasing.next_deadline(), self._queue_items.delays.next(), self._enqueuing.next_deadline(), known)
         return min((one for one in due if one is not None), default=None)
 
     def expire(self, now: int) -> None:
@@ -223,12 +227,12 @@ class Queue:
         """When `expire` is next useful."""
         return self._enqueuing.retries.next_expiry()
 
-    def take_dealt(self) -> list[tuple[Taker, Batch]]:
+    def take_dealt(self) -> list[tuple[TakerState, Batch]]:
         """Who was given what since the last call. Each batch is to be sent: say `sending`, then `sent`."""
-        dealt, self._dealing.dealt = self._dealing.dealt, []
+        dealt, self._dispatcher.dealt = self._dispatcher.dealt, []
         return dealt
 
-    def take_silent(self) -> list[Taker]:
+    def take_silent(self) -> list[TakerState]:
         """Takers that let a lease end and have said nothing since it began, found since the last call.
 
         They do not count as waiting, and are dealt nothing, until they say something (`grant`): ask them whether they
@@ -245,23 +249,23 @@ class Queue:
     def counters(self, now: int) -> QueueCounters:
         """What became of all items, at this moment."""
         self._tick(now)
-        tally, shelf = self._shelf.tally, self._shelf
+        tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
-            held=shelf.items,
-            leased=shelf.leased,
-            held_bytes=shelf.payload_bytes,
+            held=queue_items.items,
+            leased=queue_items.leased,
+            held_bytes=queue_items.payload_bytes,
             **{name: getattr(tally, name) for name in tally.__slots__},
         )
 
     @property
     def limits(self) -> QueueLimits:
         """The set-up."""
-        return self._shelf.limits
+        return self._queue_items.limits
 
     @property
     def waiting_takers(self) -> int:
         """Takers that wait for an item."""
-        return len(self._dealing)
+        return len(self._dispatcher)
 
     @property
     def waiting_enqueues(self) -> int:
@@ -271,26 +275,26 @@ class Queue:
     @property
     def is_moving_out(self) -> bool:
         """Some item waits for being moved to the dead-letter queue."""
-        return bool(self._shelf.leaving)
+        return bool(self._queue_items.leaving)
 
     @property
     def oldest_accepted_at(self) -> int | None:
         """When the oldest held item was accepted; None: the queue is empty."""
-        return self._shelf.oldest_accepted_at
+        return self._queue_items.oldest_accepted_at
 
     @property
     def footprint_bytes(self) -> int:
         """What the queue takes of the host's memory: stored runs, 64 bytes for each item, runs that wait, and what it
         knows of acknowledged deliveries, of producers' last runs and of message ids."""
-        shelf, enqueuing = self._shelf, self._enqueuing
+        queue_items, enqueuing = self._queue_items, self._enqueuing
         known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
         known += enqueuing.message_ids.footprint_bytes
-        return shelf.stored_bytes + shelf.items * 64 + enqueuing.waiting_bytes + known
+        return queue_items.stored_bytes + queue_items.items * 64 + enqueuing.waiting_bytes + known
 
     @property
     def _has_more(self) -> bool:
         """Takers or runs in line have to wait only because one call does no more."""
-        return self._dealing.has_more or self._enqueuing.has_more
+        return self._dispatcher.has_more or self._enqueuing.has_more
 
     def _tick(self, now: int) -> int:
         clock = self._clock = now if self._clock is None else max(self._clock, now)
@@ -298,7 +302,7 @@ class Queue:
         while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
             due += 1
         for taker in self._leasing.silent:
-            self._dealing.leave(taker)
+            self._dispatcher.leave(taker)
         while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
             due += 1
         if due or self._has_more:
@@ -311,22 +315,22 @@ class Queue:
         """Hold some items that were touched under other limits to those of now; how many."""
         count = min(len(self._unchecked), CHECKED_PER_CALL_MAX)
         for _ in range(count):
-            item = self._shelf.touched.get(self._unchecked.popleft())
+            item = self._queue_items.touched.get(self._unchecked.popleft())
             if item is not None:
                 self._leasing.check_again(item)
-        self._dealing.is_paused = self._is_paused or bool(self._unchecked) or not self._may_serve()
+        self._dispatcher.is_paused = self._is_paused or bool(self._unchecked) or not self._may_serve()
         return count
 
     def _end_delay(self, clock: int) -> bool:
-        item = self._shelf.delays.pop(clock)
+        item = self._queue_items.delays.pop(clock)
         if item is None:
             return False
-        self._shelf.refresh(item)
-        self._shelf.log_return(item)
+        self._queue_items.refresh(item)
+        self._queue_items.log_return(item)
         return True
 
     def _follow_up(self, clock: int) -> None:
         """Items went or came back: runs in line may have room, and takers in line something to take."""
         if self._may_serve():
             self._enqueuing.offer_line(clock)
-        self._dealing.deal(clock)
+        self._dispatcher.deal(clock)

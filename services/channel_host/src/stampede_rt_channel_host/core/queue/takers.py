@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt_channel_host.core.queue.values import Batch
 
 
-class Taker:
+class TakerState:
     """One stream that takes. `credit` is what it may still be sent; it waits whenever that is left and it is not busy.
 
     `lease_nanos` None: the queue's. `name` is for people. `unsent` was dealt to it, and nobody has begun to send it.

@@ -8,8 +8,8 @@ from itertools import islice
 
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
-from stampede_rt_channel_host.core.queue.shelf import Shelf
-from stampede_rt_channel_host.core.queue.takers import Taker
+from stampede_rt_channel_host.core.queue.queue_items import QueueItems
+from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
@@ -35,30 +35,30 @@ class View:
         self.returns_seen = returns_seen
         self.passed: list[int] = []
 
-    def next_for(self, taker_id: int, shelf: Shelf) -> TouchedItem | None:
+    def next_for(self, taker_id: int, queue_items: QueueItems) -> TouchedItem | None:
         """The oldest touched item that the taker may be given; of very many that just came back, one of the first."""
         while True:  # each round looks at returns that were not looked at before
-            is_behind = self._look_at_returns(taker_id, shelf)
+            is_behind = self._look_at_returns(taker_id, queue_items)
             while self.passed:
-                passed = shelf.touched.get(self.passed[0])
+                passed = queue_items.touched.get(self.passed[0])
                 if passed is not None and passed.is_available and passed.may_go_to(taker_id):
                     return passed
                 heappop(self.passed)
             if not is_behind:
                 break
-        while (ahead := shelf.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
+        while (ahead := queue_items.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
             self.cursor = ahead.seq + 1  # only after the view was forgotten
         return ahead
 
-    def _look_at_returns(self, taker_id: int, shelf: Shelf) -> bool:
+    def _look_at_returns(self, taker_id: int, queue_items: QueueItems) -> bool:
         """Each return is looked at once, a bounded number in one go; True if more is left."""
-        for item in islice(shelf.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
+        for item in islice(queue_items.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
             self.returns_seen = item.return_number
             if item.seq < self.cursor and item.may_go_to(taker_id):
                 heappush(self.passed, item.seq)
-        is_behind = shelf.latest_return > self.returns_seen
+        is_behind = queue_items.latest_return > self.returns_seen
         if not is_behind:
-            self.returns_seen = shelf.returns_logged
+            self.returns_seen = queue_items.returns_logged
         return is_behind
 
 
@@ -94,32 +94,32 @@ class _Draft:
         return label + run.lengths[place] + DELIVERY_BYTES
 
 
-class Dealing:
+class Dispatcher:
     """The line of waiting takers. `dealt` gathers who was given what, until the caller takes it.
 
     While it `is_paused` nobody is given anything: all wait in line. `has_more`: `deal` has given out as much as it may
     at once, and is to be called again soon.
     """
 
-    def __init__(self, shelf: Shelf, leasing: Leasing) -> None:
-        self._shelf = shelf
+    def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:
+        self._queue_items = queue_items
         self._leasing = leasing
-        self._line: OrderedDict[Taker, None] = OrderedDict()
+        self._line: OrderedDict[TakerState, None] = OrderedDict()
         self._views: OrderedDict[int, View] = OrderedDict()  # the latest used last
-        self.dealt: list[tuple[Taker, Batch]] = []
+        self.dealt: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
 
     def __len__(self) -> int:
         """How many takers wait."""
         return len(self._line)
 
-    def wait(self, taker: Taker, now: int) -> None:
+    def wait(self, taker: TakerState, now: int) -> None:
         """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
         waits = taker.credit and not taker.is_busy and not taker.is_silent and taker not in self._line
         if waits and (self.is_paused or self.has_more or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
-    def leave(self, taker: Taker) -> None:
+    def leave(self, taker: TakerState) -> None:
         """It does not wait any more. Idempotent."""
         self._line.pop(taker, None)
 
@@ -128,7 +128,7 @@ class Dealing:
         served, items = [], 0
         self.has_more = False
         for place, taker in enumerate(self._line):
-            if self.is_paused or not self._shelf.available_items:
+            if self.is_paused or not self._queue_items.available_items:
                 break
             if items >= ITEMS_DEALT_MAX:
                 self.has_more = True
@@ -140,11 +140,11 @@ class Dealing:
         for taker in served:
             del self._line[taker]
 
-    def _serve(self, taker: Taker, takers: int, now: int) -> int:
+    def _serve(self, taker: TakerState, takers: int, now: int) -> int:
         """Give it its share among so many; gives how many items that is."""
-        there = self._shelf.available_items * self._shelf.limits.copies
+        there = self._queue_items.available_items * self._queue_items.limits.copies
         share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
-        lease_nanos = taker.lease_nanos or self._shelf.limits.lease_nanos
+        lease_nanos = taker.lease_nanos or self._queue_items.limits.lease_nanos
         draft = _Draft()
         while draft.items < share and self._give_next(taker, draft, now, now + lease_nanos):
             pass
@@ -156,15 +156,15 @@ class Dealing:
         self.dealt.append((taker, taker.unsent))
         return draft.items
 
-    def _give_next(self, taker: Taker, draft: _Draft, now: int, expires: int) -> bool:
-        shelf = self._shelf
-        view = self._view(taker.taker_id) if shelf.limits.copies > 1 else None
-        item = view.next_for(taker.taker_id, shelf) if view else shelf.first_available()
+    def _give_next(self, taker: TakerState, draft: _Draft, now: int, expires: int) -> bool:
+        queue_items = self._queue_items
+        view = self._view(taker.taker_id) if queue_items.limits.copies > 1 else None
+        item = view.next_for(taker.taker_id, queue_items) if view else queue_items.first_available()
         if item is None:
-            run = shelf.fresh_run()
-            if run is None or not draft.has_room(run, shelf.fresh_place):
+            run = queue_items.fresh_run()
+            if run is None or not draft.has_room(run, queue_items.fresh_place):
                 return False
-            item = shelf.touch_fresh()
+            item = queue_items.touch_fresh()
         elif not draft.has_room(item.run, item.place):
             return False
         if view is not None:
@@ -175,7 +175,7 @@ class Dealing:
     def _view(self, taker_id: int) -> View:
         view = self._views.get(taker_id)
         if view is None:
-            view = self._views[taker_id] = View(self._shelf.returns_logged)
+            view = self._views[taker_id] = View(self._queue_items.returns_logged)
         self._views.move_to_end(taker_id)
         if len(self._views) > VIEWS_MAX:
             self._views.popitem(last=False)

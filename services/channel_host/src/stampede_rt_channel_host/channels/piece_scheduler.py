@@ -10,7 +10,7 @@ from stampede_rt_channel_host.core.channel import Pieces, Unfinished, abandoning
 Result = TypeVar("Result")
 
 
-class Turns:
+class PieceScheduler:
     """Lets all long work of a host have its pieces in turn: one piece of one of them for each turn of the event loop,
     however many there are."""
 

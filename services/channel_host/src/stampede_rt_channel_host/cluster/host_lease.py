@@ -13,7 +13,7 @@ _FENCE_NUMERATOR, _FENCE_DENOMINATOR = 4, 5
 
 
 @dataclass(slots=True)
-class LeaseKeeper:
+class HostLease:
     """One lease. Not held before the first `granted`."""
 
     ttl_nanos: int = 0

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 
-class Asking:
+class SingleFlight:
     """Keeps nothing but what somebody asks about, or waits for, at this moment."""
 
     def __init__(self) -> None:

@@ -11,11 +11,11 @@ from stampede_rt.errors import StampedeError
 
 logger = logging.getLogger(__name__)
 
-QUESTIONS_MAX = 1_000
+LOOKUPS_MAX = 1_000
 PAUSE_SECONDS = 0.2
 
 
-class Questions:
+class BackgroundLookups:
     """Whoever asks keeps what it asks for until it is answered, and asks again: a question that fails is only logged,
     and one too many is left out."""
 
@@ -25,7 +25,7 @@ class Questions:
 
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
         """Do `work`, unless something is being asked `about` this thing, or was just now."""
-        if self._closed or about in self._asked or len(self._asked) >= QUESTIONS_MAX:
+        if self._closed or about in self._asked or len(self._asked) >= LOOKUPS_MAX:
             work.close()
             return
         task = self._asked[about] = asyncio.create_task(_paced(work))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from stampede_rt_frontend.roster import Roster
+from stampede_rt_frontend.roster import SupernodeRoster
 
 START_SECONDS = 5.0
 
@@ -19,7 +19,7 @@ class Note(NamedTuple):
     facts: dict[str, str]
 
 
-class Journal:
+class StatusLog:
     """Remembers what was said last.
 
     All parts of a cluster may be starting at once: until a supernode can serve, START_SECONDS pass in silence.
@@ -30,7 +30,7 @@ class Journal:
         self._served: dict[str, bool] = {}
         self._any_served: bool | None = None
 
-    def changes(self, roster: Roster, now_s: float) -> Iterator[Note]:
+    def changes(self, roster: SupernodeRoster, now_s: float) -> Iterator[Note]:
         """What has changed since the last call; `now_s` on a clock that never goes back."""
         if self._starts_until_s is None:
             self._starts_until_s = now_s + START_SECONDS

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, Queu
 
 
 @dataclass(slots=True)
-class Tally:
+class QueueTally:
     """What became of items and deliveries until now; see QueueCounters."""
 
     accepted: int = 0
@@ -38,7 +38,7 @@ class Tally:
     rejected_overloaded: int = 0
 
 
-class Shelf:
+class QueueItems:
     """The held items. Seqs start at 1; all touched items are older than all fresh ones.
 
     `touched` is in the order of seqs. `leased` counts items with a lease, `stored_bytes` whole runs of which an item is
@@ -47,7 +47,7 @@ class Shelf:
 
     def __init__(self, limits: QueueLimits) -> None:
         self.limits = limits
-        self.tally = Tally()
+        self.tally = QueueTally()
         self.next_seq = 1
         self.items = self.payload_bytes = self.stored_bytes = 0
         self.fresh_items = self.leased = 0
