@@ -25,14 +25,14 @@ from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.replica import RaftReplica
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.threads.aside import AsideThread
+from stampede_rt_supernode.replication.threads.aside import WorkerThread
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Outgoing, Received, StreamOpened
 from stampede_rt_supernode.replication.wire.messages import InstallSnapshot
 
@@ -51,7 +51,7 @@ class Alone:
     folder: Path
     peers: tuple[str, ...] = ()
     machine: DirectoryReplica = field(default_factory=DirectoryReplica)
-    aside: AsideThread = field(default_factory=AsideThread)
+    worker: WorkerThread = field(default_factory=WorkerThread)
     proposed: int = 0
     longest_wall: float = 0.0
     longest_cpu: float = 0.0
@@ -59,14 +59,14 @@ class Alone:
     def __post_init__(self) -> None:
         members = [Member(member_id=name, address=f"{name}:1") for name in ("a", *self.peers)]
         settings = ReplicationSettings(self_member=members[0], initial_members=members, cluster_id="c")
-        self.replica = Replica(
+        self.replica = RaftReplica(
             settings,
             self.machine,
             store=SqliteStore(self.folder, cluster_id="c", member_id="a", create=True),
             network=self,
             clock=time.monotonic,
             random_source=random.Random(1),
-            run_aside=self.aside.run,
+            run_in_background=self.worker.run,
         )
 
     def release(self, messages: Sequence[Outgoing]) -> None:
@@ -147,7 +147,7 @@ class Alone:
 
     def close(self) -> None:
         self.replica.close()
-        self.aside.close()
+        self.worker.close()
 
 
 def _opening(number: int) -> OpenChannel:
@@ -192,9 +192,9 @@ def _taken(one: Alone, name: str) -> Row:
 
 def _received(folder: Path, leader: Alone) -> Row:
     """What a follower takes, from the last piece on, that a leader sends its snapshot to."""
-    stored = leader.replica._journal.snapshot
+    stored = leader.replica._log.snapshot
     assert stored is not None
-    keeper = SnapshotKeeper(leader.replica._journal, leader.machine, lambda member_id: True)
+    keeper = SnapshotKeeper(leader.replica._log, leader.machine, lambda member_id: True)
     two = Alone(folder, peers=("b", "c"))
     two.replica.deliver(Connected("b"))
     two.replica.deliver(StreamOpened("b"))

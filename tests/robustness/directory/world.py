@@ -10,9 +10,9 @@ from stampede_rt import errors
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Success
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
+from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
 from stampede_rt_supernode.replication.rules.proposals import Proposal
-from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.threads.tick_thread import STUCK_SECONDS
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
@@ -91,15 +91,15 @@ class Submission:
         later = self._later(resume)
         try:
             self._member.replica.propose(Proposal(encoded, self._world.now + timeout, later))
-        except Unavailable as full:
+        except LogUnavailable as full:
             later(full)
 
     def _read(self, timeout: float, resume: Resume) -> None:
         assert self._member.replica is not None
         later = self._later(resume)
         try:
-            self._member.replica.read(Read(self._world.now + timeout, later))
-        except Unavailable:
+            self._member.replica.read(ConfirmedRead(self._world.now + timeout, later))
+        except LogUnavailable:
             later(None)
 
 

@@ -44,9 +44,9 @@ MUTANTS = (
         file=f"{REPLICATION}/replica.py",
         edits=(
             (
-                "        self._journal.sync()\n        self._take_in()\n",
-                "        self._network.release(self._node.mailroom.take_outbox())\n"
-                "        self._journal.sync()\n        self._take_in()\n",
+                "        self._log.sync()\n        self._take_in()\n",
+                "        self._network.release(self._node.transport.take_outbox())\n"
+                "        self._log.sync()\n        self._take_in()\n",
             ),
         ),
         noticed_by="log",
@@ -57,8 +57,8 @@ MUTANTS = (
         file=f"{REPLICATION}/replica.py",
         edits=(
             (
-                "        self._journal.sync()\n        self._release()\n",
-                "        self._release()\n        self._journal.sync()\n",
+                "        self._log.sync()\n        self._release()\n",
+                "        self._release()\n        self._log.sync()\n",
             ),
         ),
         noticed_by="log",

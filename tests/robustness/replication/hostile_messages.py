@@ -15,7 +15,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import COMMAND, CONFIGURATION, NO_OP, Entry
-from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.replica import RaftReplica
 from stampede_rt_supernode.replication.wire.records import encode_configuration, encode_snapshot
 from tests.robustness.replication.machine import ListMachine
 
@@ -26,7 +26,7 @@ NAMES = "abcdexyz"
 class Liar:
     """Draws messages to one replica, whose state it knows."""
 
-    def __init__(self, dice: random.Random, victim: Replica, asked: Sequence[int] = ()) -> None:
+    def __init__(self, dice: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:
         """`asked`: ids of requests that the victim has sent."""
         self._dice = dice
         self._victim = victim
@@ -61,8 +61,8 @@ class Liar:
         return self._near(self._victim.status().term)
 
     def _index(self) -> int:
-        journal = self._victim._journal
-        return self._near(self._dice.choice((journal[0].log_index, journal.commit_index, journal.end()[1])))
+        log = self._victim._log
+        return self._near(self._dice.choice((log[0].log_index, log.commit_index, log.end()[1])))
 
     def _bytes(self, most: int = 40) -> bytes:
         return self._dice.randbytes(self._dice.randint(0, most))
@@ -80,8 +80,8 @@ class Liar:
         return bytes((kind,)) + self._bytes()
 
     def _append(self) -> pb.RaftMessage:
-        journal, previous = self._victim._journal, self._index()
-        held = journal.entry_at(previous)
+        log, previous = self._victim._log, self._index()
+        held = log.entry_at(previous)
         term = self._term()
         body = pb.RaftAppendEntries(
             term=term,

@@ -12,13 +12,13 @@ import grpc.aio
 from stampede_rt_supernode.replication import (
     CHANNEL_OPTIONS,
     ChangeUnderWay,
+    LogUnavailable,
     Member,
     NotLeading,
     RaftTiming,
     ReplicatedLog,
     ReplicationSettings,
     ReplicationStatus,
-    Unavailable,
     open_replicated_log,
 )
 from tests.robustness.replication.machine import ListMachine
@@ -105,12 +105,12 @@ class LiveCluster:
         return await self.on_leader(lambda log: log.add_member(newcomer.member, timeout=10.0))
 
     async def on_leader(self, change: Callable[[ReplicatedLog], Awaitable[int]]) -> int:
-        """Have the leader do it, and the next one if it is replaced or hands over; Unavailable says to try again."""
+        """Have the leader do it, and the next one if it is replaced or hands over; LogUnavailable says to try again."""
         async with asyncio.timeout(30.0):
             while True:
                 try:
                     return await change(running(await self.leader()))
-                except (NotLeading, ChangeUnderWay, Unavailable):
+                except (NotLeading, ChangeUnderWay, LogUnavailable):
                     continue
 
     async def remove(self, member: LiveMember) -> None:

@@ -15,9 +15,9 @@ import grpc.aio
 from stampede_rt_supernode.replication import (
     CHANNEL_OPTIONS,
     Ambiguous,
+    LogUnavailable,
     Member,
     ReplicationSettings,
-    Unavailable,
     open_replicated_log,
 )
 from tests.robustness.replication.machine import ListMachine
@@ -45,7 +45,7 @@ async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
             else:
                 await log.confirm_read(timeout=10.0)
                 answer = " ".join(command.decode() for _, command in machine.entries)
-        except (Ambiguous, Unavailable) as error:
+        except (Ambiguous, LogUnavailable) as error:
             answer = type(error).__name__
         print(answer, flush=True)
 

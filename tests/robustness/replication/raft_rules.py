@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredState
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, VoteReply, VoteRequest
 from tests.robustness.replication.machine import PromiseBroken
@@ -32,9 +32,9 @@ class Said:
         match message:
             case AppendReply(success=True):
                 self.held = max(self.held, (message.term, message.next_index - 1))
-            case VoteReply(trial=False):
+            case VoteReply(pre_vote=False):
                 self._votes(message.term, to)
-            case VoteRequest(trial=False):
+            case VoteRequest(pre_vote=False):
                 self._votes(message.term, self.member_id)
 
     def _votes(self, term: int, candidate: str) -> None:
@@ -65,7 +65,7 @@ class Committed:
         self,
         term: int,
         index: int,
-        journal: Journal,
+        log: RaftLog,
         rosters: Sequence[Sequence[Member]],
         disks: dict[str, StoredState],
     ) -> None:
@@ -74,13 +74,13 @@ class Committed:
             raise PromiseBroken(f"entry {index} of term {term} was committed without a majority of the disks")
         self.own.add(term)
         for one in range(self.highest + 1, index + 1):
-            if (entry := journal.entry_at(one)) is not None:
+            if (entry := log.entry_at(one)) is not None:
                 self.terms[one] = entry.term
         self.highest = max(self.highest, index)
 
-    def by_follower(self, member_id: str, index: int, journal: Journal) -> None:
+    def by_follower(self, member_id: str, index: int, log: RaftLog) -> None:
         """A member takes everything up to `index` for committed."""
-        entry = journal.entry_at(index)
+        entry = log.entry_at(index)
         if index > self.highest or entry is None or self.terms.get(index, entry.term) != entry.term:
             raise PromiseBroken(f"{member_id} takes entry {index} for committed, which no leader has committed")
 

@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import fields, replace
 
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
@@ -225,7 +225,7 @@ def _revive(world: World) -> None:
     world.after(0.4, lambda: _revive(world))
 
 
-def run(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> World:
+def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World:
     """One seed: storm, calm, check. Raises PromiseBroken. `rules` and `forgets` plant faults."""
     dice = random.Random(f"weather-{seed}")
     size, weather, every = dice.choice([1, 2, 3, 3, 3, 5]), weather_of(dice), OFTEN

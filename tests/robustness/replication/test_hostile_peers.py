@@ -15,9 +15,9 @@ import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.replica import InboxFull, Replica, Roster
+from stampede_rt_supernode.replication.replica import InboxFull, MemberRoster, RaftReplica
 from stampede_rt_supernode.replication.rules.proposals import Proposal
-from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.wire.codec import decode_message
@@ -62,7 +62,7 @@ class Ears:
         """A member was found at fault."""
         self.dropped.append(member_id)
 
-    def follow(self, roster: Roster) -> None:
+    def follow(self, roster: MemberRoster) -> None:
         """Everybody is connected anyway."""
 
 
@@ -98,8 +98,8 @@ class Victim:
         self.now, self.network = 100.0, Ears()
         self.replica = self._open()
 
-    def _open(self) -> Replica:
-        replica = Replica(
+    def _open(self) -> RaftReplica:
+        replica = RaftReplica(
             self._settings,
             CredulousMachine(Credulous()),
             store=SqliteStore(self._folder, cluster_id="", member_id="a", create=True),
@@ -125,7 +125,7 @@ class Victim:
         self.now += self._dice.choice((0.001, 0.03, 0.5))
         if self._dice.random() < 0.3:
             self.replica.propose(Proposal(self._dice.randbytes(8), self.now + 1.0, lambda outcome: None))
-            self.replica.read(Read(self.now + 1.0, lambda index: None))
+            self.replica.read(ConfirmedRead(self.now + 1.0, lambda index: None))
         self.replica.step()
 
     def restart(self) -> None:
@@ -147,7 +147,7 @@ def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tm
     victim.restart()
     victim.replica.close()
     assert victim.replica._node.callers_waiting_count() <= 1000
-    assert len(victim.replica._journal.promises) <= 64
+    assert len(victim.replica._log.promises) <= 64
 
 
 class Outsider:
@@ -168,7 +168,7 @@ class Outsider:
             self._bother(member.replica)
         self._world.after(self._dice.uniform(0.005, 0.05), self.begin)
 
-    def _bother(self, replica: Replica) -> None:
+    def _bother(self, replica: RaftReplica) -> None:
         name = f"outsider{self._dice.randint(0, 40)}"
         member = Member(member_id=name, address=f"{name}:1")
         if name not in replica.roster.peers:  # as a hello is refused, and remembered

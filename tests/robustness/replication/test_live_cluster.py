@@ -16,10 +16,10 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication import (
     COMMAND_BYTES_MAX,
     Ambiguous,
+    LogUnavailable,
     Member,
     RaftTiming,
     ReplicationSettings,
-    Unavailable,
     open_replicated_log,
 )
 from tests.robustness.replication import live_cluster
@@ -97,9 +97,9 @@ async def test_without_a_majority_nothing_is_promised(tmp_path: Path) -> None:
         await second.stop()
         await third.stop()
         await until(lambda: running(first).status().leader_id is None)
-        with pytest.raises(Unavailable):
+        with pytest.raises(LogUnavailable):
             await running(first).propose(b"alone", timeout=0.3)
-        with pytest.raises(Unavailable):
+        with pytest.raises(LogUnavailable):
             await running(first).confirm_read(timeout=0.3)
 
 
@@ -137,7 +137,7 @@ async def test_closing_ends_what_waits_at_once(tmp_path: Path) -> None:
         async with asyncio.timeout(5.0):
             await log.close()
             for each in waiting:
-                with pytest.raises(Unavailable):
+                with pytest.raises(LogUnavailable):
                     await each
 
 
@@ -169,7 +169,7 @@ async def test_a_closed_log_refuses_and_closing_twice_is_harmless(tmp_path: Path
         log = running(cluster.all[0])
         await log.close()
         await log.close()
-        with pytest.raises(Unavailable, match="closed"):
+        with pytest.raises(LogUnavailable, match="closed"):
             await log.propose(b"late", timeout=1.0)
 
 

@@ -14,9 +14,9 @@ from stampede_rt_supernode.replication import (
     Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
+    LogUnavailable,
     NotLeading,
     ReplicatedLog,
-    Unavailable,
 )
 from stampede_rt_supernode.replication.rules import member_changes
 from tests.robustness.replication.live_cluster import LiveCluster, LiveMember, running, until
@@ -36,7 +36,7 @@ class Load:
             command = b"load %d" % number
             try:
                 await running(member).propose(command, timeout=2.0)
-            except (Ambiguous, Unavailable, AssertionError):
+            except (Ambiguous, LogUnavailable, AssertionError):
                 continue
             self.acknowledged.append(command)
 
@@ -112,7 +112,7 @@ async def test_a_removed_member_is_told_so_and_never_comes_back(tmp_path: Path) 
         await until(lambda: running(removed).status().removed)
         with pytest.raises(ChangeRefused, match="never comes back"):
             await cluster.on_leader(lambda log: log.add_member(removed.member, timeout=5.0))
-        with pytest.raises((Unavailable, Ambiguous)):
+        with pytest.raises((LogUnavailable, Ambiguous)):
             await running(removed).propose(b"from the grave", timeout=0.5)
 
 

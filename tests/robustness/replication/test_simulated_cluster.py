@@ -8,7 +8,7 @@ import pytest
 
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
@@ -48,14 +48,14 @@ def test_a_seed_gives_the_same_run_every_time() -> None:
     assert first.history.acknowledged
 
 
-class StandsAtOnce(TrialElections):
+class StandsAtOnce(PreVoteElections):
     """A member that raises its term as soon as it hears no leader, as the unchanged library does."""
 
     def before_tick(self) -> None:
         pass
 
 
-def calm_cluster(rules: type = TrialElections) -> tuple[World, str, int]:
+def calm_cluster(rules: type = PreVoteElections) -> tuple[World, str, int]:
     """Three members in good weather that have elected: the world, its leader and the term."""
     world = World(1, size=3, weather=Weather(), rules=rules)
     for member in world.members.values():
@@ -74,7 +74,7 @@ def leader_of(world: World) -> tuple[str, int] | None:
 
 @pytest.mark.parametrize(
     "rules",
-    [TrialElections, pytest.param(StandsAtOnce, marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17"))],
+    [PreVoteElections, pytest.param(StandsAtOnce, marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17"))],
 )
 def test_a_member_that_cannot_hear_the_leader_does_not_unseat_it(rules: type) -> None:
     world, leader, term = calm_cluster(rules)
@@ -181,7 +181,7 @@ def lag(world: World, member: SimMember) -> int:
     return leader.status().applied_index - member.replica.status().applied_index
 
 
-class ForgetsWhatItSends(TrialElections):
+class ForgetsWhatItSends(PreVoteElections):
     """A leader that begins again with each snapshot that it takes, and keeps no log behind the last one."""
 
     keeper: SnapshotKeeper
@@ -195,7 +195,7 @@ class ForgetsWhatItSends(TrialElections):
 
 
 @pytest.mark.parametrize(
-    "rules", [TrialElections, pytest.param(ForgetsWhatItSends, marks=pytest.mark.xfail(strict=True))]
+    "rules", [PreVoteElections, pytest.param(ForgetsWhatItSends, marks=pytest.mark.xfail(strict=True))]
 )
 def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snapshots_are_taken(rules: type) -> None:
     """A snapshot of 12 kB takes 2 s to send, and one is taken every second."""
@@ -220,14 +220,14 @@ def test_a_member_that_lags_behind_a_slow_link_catches_up_under_load_though_snap
     world.history.check_end([member.machine for member in world.members.values()])
 
 
-class KeepsItsDistance(TrialElections):
+class KeepsItsDistance(PreVoteElections):
     """A member that takes nothing from a leader of whom nobody has told it yet."""
 
     def on_introduced(self, member: Member) -> None:
         pass
 
 
-class ForgetsWhoLedItIn(TrialElections):
+class ForgetsWhoLedItIn(PreVoteElections):
     """A newcomer that knows only whom its snapshot names, which may be from before its leader came."""
 
     def open_snapshot(self) -> None:
@@ -297,7 +297,7 @@ def serves(world: World, member: SimMember, within: float = 10.0) -> bool:
 
 
 @pytest.mark.parametrize(
-    "rules", [TrialElections, pytest.param(ForgetsWhoLedItIn, marks=pytest.mark.xfail(strict=True))]
+    "rules", [PreVoteElections, pytest.param(ForgetsWhoLedItIn, marks=pytest.mark.xfail(strict=True))]
 )
 def test_a_member_joins_after_all_whom_the_snapshot_names_were_replaced(rules: type) -> None:
     world = with_snapshot(rules)
@@ -310,7 +310,7 @@ def test_a_member_joins_after_all_whom_the_snapshot_names_were_replaced(rules: t
 
 
 @pytest.mark.parametrize(
-    "rules", [TrialElections, pytest.param(KeepsItsDistance, marks=pytest.mark.xfail(strict=True))]
+    "rules", [PreVoteElections, pytest.param(KeepsItsDistance, marks=pytest.mark.xfail(strict=True))]
 )
 def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rules: type) -> None:
     world = with_snapshot(rules)
@@ -324,7 +324,7 @@ def test_a_member_that_was_down_while_the_others_were_replaced_counts_again(rule
     assert serves(world, other)
 
 
-class CutsOffWhatAgrees(TrialElections):
+class CutsOffWhatAgrees(PreVoteElections):
     """The unchanged library's way with late appends."""
 
     def _merge(self, entries: list[Entry]) -> None:
@@ -334,7 +334,7 @@ class CutsOffWhatAgrees(TrialElections):
             self.log.append(*entry)
 
 
-class CommitsByPieces(TrialElections):
+class CommitsByPieces(PreVoteElections):
     """The unchanged library's way with the commit index of a snapshot's pieces."""
 
     def _on_install_snapshot(self, node: object, message: InstallSnapshot) -> None:
@@ -342,23 +342,23 @@ class CommitsByPieces(TrialElections):
         super()._on_install_snapshot(node, message)
 
 
-class ReadsTooEarly(TrialElections):
+class ReadsTooEarly(PreVoteElections):
     """A leader that answers reads before it has applied an entry of its own term."""
 
     def can_confirm_reads(self) -> bool:
         return self.is_leader
 
 
-class VotesTwice(TrialElections):
+class VotesTwice(PreVoteElections):
     """A member that forgets whom it voted for."""
 
     def _on_vote_request(self, node: object, message: VoteRequest) -> None:
-        if not message.trial:
+        if not message.pre_vote:
             self.voted_for = None
         super()._on_vote_request(node, message)
 
 
-class HearsMembersOnly(TrialElections):
+class HearsMembersOnly(PreVoteElections):
     """A member that takes nothing from a leader of whom its own log does not know yet."""
 
     def receive(self, node: object, message: Message) -> None:
@@ -385,7 +385,7 @@ def test_a_disk_that_forgets_what_it_acknowledged_is_found() -> None:
     assert any(is_caught(seed, forgets=1) for seed in range(60))
 
 
-def is_caught(seed: int, *, rules: type = TrialElections, forgets: int = 0) -> bool:
+def is_caught(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> bool:
     try:
         run(seed, rules=rules, forgets=forgets)
     except (PromiseBroken, InvariantViolation):

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication.interface import Ambiguous, Member, ReplicationStatus, Unavailable
+from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
 from stampede_rt_supernode.replication.network.greetings import introduction, newly_met
-from stampede_rt_supernode.replication.replica import Replica, Roster
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.replica import MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
-from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.store import StoredState
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
@@ -74,7 +74,7 @@ class LateResult(Generic[T]):
 
 
 class SimMember:
-    """One member: a disk that stays, and a replica that comes and goes. It is its replica's Network."""
+    """One member: a disk that stays, and a replica that comes and goes. It is its replica's RaftNetwork."""
 
     def __init__(self, world: World, member: Member, seeds: Sequence[Member], *, joining: bool = False) -> None:
         self.world = world
@@ -94,7 +94,7 @@ class SimMember:
         # Whether it does not know the command `FORK`, as a member of an older release.
         self.forks = False
         self.machine = ListMachine(world.history)
-        self.replica: Replica | None = None
+        self.replica: RaftReplica | None = None
         self.frozen_until = 0.0
         # Whether the disk was put back to an earlier state, and whether another member found that out.
         self.rolled_back = self.refused = False
@@ -119,8 +119,8 @@ class SimMember:
         self._next_step = float("inf")
         self._plan(0.0)
 
-    def _open(self) -> Replica:
-        return Replica(
+    def _open(self) -> RaftReplica:
+        return RaftReplica(
             self.settings,
             self.machine,
             store=DiskStore(self.disk, self._write),
@@ -129,10 +129,10 @@ class SimMember:
             random_source=random.Random(self.world.dice.getrandbits(64)),
             wake=lambda: self._plan(0.0),
             rules=self.world.rules,
-            run_aside=self._run_aside,
+            run_in_background=self._run_in_background,
         )
 
-    def _run_aside(self, work: Callable[[], T], /) -> LateResult[T]:
+    def _run_in_background(self, work: Callable[[], T], /) -> LateResult[T]:
         return LateResult(work, self.world.dice.randint(0, 20))
 
     def crash(self) -> None:
@@ -176,7 +176,7 @@ class SimMember:
 
         self.after_disk(leave)
 
-    def follow(self, roster: Roster) -> None:
+    def follow(self, roster: MemberRoster) -> None:
         for ends in self.world.wires:
             if ends[0] == self.member.member_id and ends[1] not in roster.peers:
                 self.world.break_wire(ends)
@@ -210,7 +210,7 @@ class SimMember:
             replica = self.replica
             self.world.at(at, lambda: self._step(replica, at))
 
-    def _step(self, replica: Replica | None, at: float) -> None:
+    def _step(self, replica: RaftReplica | None, at: float) -> None:
         if replica is None or replica is not self.replica or at != self._next_step:
             return
         self._next_step = float("inf")
@@ -223,33 +223,33 @@ class SimMember:
         self._judge(replica, roster, before)
         self._plan(0.0 if again else self.world.timing.tick_seconds)
 
-    def _judge(self, replica: Replica, roster: Roster, before: ReplicationStatus) -> None:
+    def _judge(self, replica: RaftReplica, roster: MemberRoster, before: ReplicationStatus) -> None:
         """Hold what it has committed in this step against the rules of Raft."""
-        status, journal, committed = replica.status(), replica._journal, self.world.committed
-        commit_index, changed_at = journal.commit_index, journal.configurations.current_index
+        status, log, committed = replica.status(), replica._log, self.world.committed
+        commit_index, changed_at = log.commit_index, log.configurations.current_index
         if status.diverged_at and not self.forks:
             raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
         # One that has heard nobody for too long commits, and leads no more, in one step.
         led = status.is_leader or (before.is_leader and before.term == status.term)
-        entry = journal.entry_at(commit_index)
+        entry = log.entry_at(commit_index)
         if commit_index <= self._checked[0]:
             pass
         elif led and entry is not None and entry.term == status.term:
             disks = {name: one.disk.durable(self.world.now) for name, one in self.world.members.items()}
             disks[self.member.member_id] = self.disk.newest
             rosters = [roster.members, replica.roster.members]
-            committed.by_leader(status.term, commit_index, journal, rosters, disks)
+            committed.by_leader(status.term, commit_index, log, rosters, disks)
         else:
-            committed.by_follower(self.member.member_id, commit_index, journal)
+            committed.by_follower(self.member.member_id, commit_index, log)
         if status.is_leader:
             for node, match in replica._node.match_index.items():
                 other = self.world.members[node.id]
                 if not other.rolled_back:
                     disk = other.disk.durable(self.world.now)
-                    check_match(status.term, node.id, match, journal.entry_at(match), disk)
-        change = journal.entry_at(changed_at)
+                    check_match(status.term, node.id, match, log.entry_at(match), disk)
+        change = log.entry_at(changed_at)
         if changed_at > self._checked[1] and status.is_leader and change is not None and change.term == status.term:
             committed.configured(status.term, changed_at)
         self._checked = (max(commit_index, self._checked[0]), changed_at)
@@ -264,7 +264,7 @@ class World:
         *,
         size: int,
         weather: Weather,
-        rules: type = TrialElections,
+        rules: type = PreVoteElections,
         snapshot_every: int = 15,
         kept_log_bytes: int = 1,
     ) -> None:
@@ -349,7 +349,7 @@ class World:
             replica.deliver(Received(sender, decode_message(pb.RaftMessage.FromString(data))))
             self._answer(sender, to, replica)
 
-    def _answer(self, sender: str, to: str, receiver: Replica) -> None:
+    def _answer(self, sender: str, to: str, receiver: RaftReplica) -> None:
         """As the stream does: every half second in which something came, the sender is told who the members are."""
         wire, replica = self.wires[sender, to], self.members[sender].replica
         if replica is not None and wire.up and not self.wires[to, sender].blocked and self.now > wire.answer_due:
@@ -475,7 +475,7 @@ class World:
             outcomes.append(outcome)
             if isinstance(outcome, bytes):
                 self.history.acknowledge(command, int(outcome))
-            elif isinstance(outcome, Unavailable):
+            elif isinstance(outcome, LogUnavailable):
                 self.history.refuse(command)
             else:
                 assert isinstance(outcome, Ambiguous)
@@ -509,5 +509,5 @@ class World:
                 self.history.read(acknowledged_before=before, index=index)
 
         assert member.replica is not None
-        member.replica.read(Read(self.now + timeout, lambda index: member.after_disk(lambda: done(index))))
+        member.replica.read(ConfirmedRead(self.now + timeout, lambda index: member.after_disk(lambda: done(index))))
         return outcomes

@@ -8,11 +8,11 @@ from enum import Enum
 
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
+    LogUnavailable,
     Member,
     ReplicationStatus,
     StateMachine,
     TakenSnapshot,
-    Unavailable,
 )
 
 SELF, OTHER = Member(member_id="s1", address="localhost:7581"), Member(member_id="s2", address="localhost:7582")
@@ -58,7 +58,7 @@ class MemoryLog:
         if fate is not None:
             self.fate_met.set()
         if fate is Fate.REFUSED or not self.quorum:
-            raise Unavailable("told so")
+            raise LogUnavailable("told so")
         if fate is Fate.LOST:
             raise Ambiguous("told so")
         if self.holds:
@@ -81,7 +81,7 @@ class MemoryLog:
 
     async def confirm_read(self, *, timeout: float) -> int:
         if not self.quorum:
-            raise Unavailable("told so")
+            raise LogUnavailable("told so")
         self.read_waits.set()
         await self.reads_may_end.wait()
         return self.index

@@ -165,7 +165,7 @@ async def test_one_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(ri
         (replication.ChangeRefused("x"), "INVALID_ARGUMENT"),
         (replication.TicketSpent("x"), "UNAUTHENTICATED"),
         (replication.ReleaseOutdated("x"), "VERSION_MISMATCH"),
-        (replication.Unavailable("x"), "NO_QUORUM"),
+        (replication.LogUnavailable("x"), "NO_QUORUM"),
         (replication.Ambiguous("x"), "AMBIGUOUS"),
     ],
 )

@@ -31,11 +31,11 @@ from stampede_rt_supernode.joining.volunteering import volunteer
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
+    LogUnavailable,
     ReleaseTooOld,
     ReplicatedLog,
     StoreDamaged,
     StoreRefused,
-    Unavailable,
     open_replicated_log,
 )
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
@@ -120,7 +120,7 @@ class _Parts:
     async def end_streams(self) -> None:
         """Tell callers to go elsewhere, and the other members that they need not wait for an election timeout."""
         self.watches.close()
-        with contextlib.suppress(Unavailable):
+        with contextlib.suppress(LogUnavailable):
             await self.log.hand_over(timeout=HAND_OVER_SECONDS)
         self.submission.close()
         await self.log.close()

@@ -6,12 +6,12 @@ import random
 
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.store import MemoryStore, Store
-from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
+from stampede_rt_supernode.replication.threads.aside import RunInBackground, run_inline
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.mailroom import Connected, Received
 from stampede_rt_supernode.replication.wire.messages import (
@@ -37,13 +37,13 @@ class LoneNode:
 
     def __init__(
         self,
-        rules: type = TrialElections,
+        rules: type = PreVoteElections,
         *,
         size: int = 3,
         store: Store | None = None,
         machine: ListMachine | None = None,
         piece_bytes: int = 100,
-        run_aside: RunAside = run_at_once,
+        run_in_background: RunInBackground = run_inline,
     ) -> None:
         members = [Member(member_id=name, address=f"{name}:1") for name in "abcdefg"[:size]]
         settings = ReplicationSettings(
@@ -51,28 +51,28 @@ class LoneNode:
         )
         self.now = 100.0
         self.machine = machine or ListMachine()
-        self.journal = Journal(store or MemoryStore())
+        self.log = RaftLog(store or MemoryStore())
         self.node = build_node(
             settings,
             self.machine,
-            journal=self.journal,
+            log=self.log,
             has_room=lambda member_id: True,
             clock=lambda: self.now,
             random_source=random.Random(1),
             rules=rules,
-            run_aside=run_aside,
+            run_in_background=run_in_background,
         )
         for member in members[1:]:
-            self.node.mailroom.deliver(Connected(member.member_id))
+            self.node.transport.deliver(Connected(member.member_id))
 
     def receive(self, sender: str, message: Message) -> list[tuple[str, Message]]:
         """Let a message come in; return what the node says to it."""
-        self.node.mailroom.deliver(Received(sender, message))
+        self.node.transport.deliver(Received(sender, message))
         return self.said()
 
     def said(self) -> list[tuple[str, Message]]:
         """What the node has said since the last look."""
-        return [(to, decode_message(encode_message(message))) for to, message in self.node.mailroom.take_outbox()]
+        return [(to, decode_message(encode_message(message))) for to, message in self.node.transport.take_outbox()]
 
     def open_snapshot(self) -> None:
         """Let the node go on with a snapshot that came in, as the steps of a replica do."""
@@ -99,7 +99,7 @@ class LoneNode:
 
     def held(self) -> list[tuple[int, int]]:
         """(position, term) of every entry."""
-        return [(entry.log_index, entry.term) for entry in self.journal[:]]
+        return [(entry.log_index, entry.term) for entry in self.log[:]]
 
 
 def append(term: int, previous: tuple[int, int], entries: list[tuple[int, int]], *, commit: int = 1) -> AppendEntries:

@@ -6,8 +6,8 @@ import asyncio
 
 import pytest
 
-from stampede_rt_supernode.replication.interface import Unavailable
-from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.interface import LogUnavailable
+from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 
@@ -16,7 +16,7 @@ class Rig:
     """The reads that were begun, to be answered by hand, as the log's thread would."""
 
     def __init__(self, *, waiting_max: int = 100) -> None:
-        self.begun: list[Read] = []
+        self.begun: list[ConfirmedRead] = []
         self.shared = SharedReads(self.begun.append, LoopBridge(asyncio.get_running_loop()), waiting_max=waiting_max)
 
     async def ask(self, timeout: float = 60.0) -> asyncio.Task[int | None]:
@@ -75,7 +75,7 @@ async def test_when_the_log_closes_all_are_told_and_no_other_read_begins() -> No
 async def test_no_more_wait_than_are_allowed() -> None:
     rig = Rig(waiting_max=2)
     waiting = [await rig.ask() for _ in range(3)]
-    with pytest.raises(Unavailable, match="slow down"):
+    with pytest.raises(LogUnavailable, match="slow down"):
         await rig.shared.confirm(1.0)
     rig.shared.close()
     rig.begun[0].done(3)

@@ -14,6 +14,7 @@ from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
+    LogUnavailable,
     Member,
     NotLeading,
     ReleaseOutdated,
@@ -23,7 +24,6 @@ from stampede_rt_supernode.replication.interface import (
     StateMachine,
     TakenSnapshot,
     TicketSpent,
-    Unavailable,
 )
 from stampede_rt_supernode.replication.library.pinned_copy import LibraryMismatch
 from stampede_rt_supernode.replication.network.links import CHANNEL_OPTIONS
@@ -43,6 +43,7 @@ __all__ = [
     "ChangeRefused",
     "ChangeUnderWay",
     "LibraryMismatch",
+    "LogUnavailable",
     "Member",
     "NotLeading",
     "RaftTiming",
@@ -56,7 +57,6 @@ __all__ = [
     "StoreRefused",
     "TakenSnapshot",
     "TicketSpent",
-    "Unavailable",
     "holds_store",
     "make_backup",
     "open_replicated_log",

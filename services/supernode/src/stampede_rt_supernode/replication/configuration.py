@@ -53,7 +53,7 @@ class Configuration:
         return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:], self.spent)
 
 
-class Change(NamedTuple):
+class ConfigurationChange(NamedTuple):
     """A configuration and the log position from which it holds."""
 
     log_index: int
@@ -67,7 +67,7 @@ class Configurations:
     """
 
     def __init__(self, base: Configuration) -> None:
-        self._changes = [Change(0, base)]
+        self._changes = [ConfigurationChange(0, base)]
         # Grows with everything that may have changed the current configuration.
         self.version = 0
 
@@ -85,12 +85,12 @@ class Configurations:
         """The one that held at a position, for positions at or past the base."""
         return next(change.configuration for change in reversed(self._changes) if self._is_at(change, log_index))
 
-    def _is_at(self, change: Change, log_index: int) -> bool:
+    def _is_at(self, change: ConfigurationChange, log_index: int) -> bool:
         return change.log_index <= log_index or change is self._changes[0]
 
     def note(self, log_index: int, configuration: Configuration) -> None:
         """A configuration was added to the log."""
-        self._changes.append(Change(log_index, configuration))
+        self._changes.append(ConfigurationChange(log_index, configuration))
         self.version += 1
 
     def cut_from(self, log_index: int) -> None:
@@ -103,7 +103,7 @@ class Configurations:
     def rebase(self, log_index: int, configuration: Configuration) -> None:
         """A snapshot up to a position says which one held there; later ones stay."""
         later = [change for change in self._changes[1:] if change.log_index > log_index]
-        self._changes = [Change(log_index, configuration), *later]
+        self._changes = [ConfigurationChange(log_index, configuration), *later]
         self.version += 1
 
     def known_members(self) -> list[Member]:

@@ -121,7 +121,7 @@ class ReleaseTooOld(Exception):
         )
 
 
-class Unavailable(Exception):
+class LogUnavailable(Exception):
     """No majority answered in time and the command was certainly not taken into the log: safe to try again."""
 
 
@@ -155,13 +155,13 @@ class ReplicatedLog(Protocol):
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
         """Replicate `command` (64 KiB at most) and return what `apply` gave for it, `timeout` seconds at most.
 
-        Raises Unavailable or Ambiguous. Works on every replica: a follower passes it on to the leader.
+        Raises LogUnavailable or Ambiguous. Works on every replica: a follower passes it on to the leader.
         """
 
     async def confirm_read(self, *, timeout: float) -> int:
         """Return an applied index that holds every write acknowledged before this call began.
 
-        After it, this replica's own state answers linearizably. Raises Unavailable.
+        After it, this replica's own state answers linearizably. Raises LogUnavailable.
         """
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
@@ -169,7 +169,7 @@ class ReplicatedLog(Protocol):
 
         It is counted once it has caught up. Idempotent: an addition under way is waited for, and goes on after
         `timeout`. A `ticket` lets one member in. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if it
-        has let another one in), Unavailable or Ambiguous.
+        has let another one in), LogUnavailable or Ambiguous.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:
@@ -184,7 +184,7 @@ class ReplicatedLog(Protocol):
     async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
         """Have this replica write a snapshot of at least what it has applied by now; the last one, if nothing is new.
 
-        Raises Unavailable; the snapshot may still be written.
+        Raises LogUnavailable; the snapshot may still be written.
         """
 
     def status(self) -> ReplicationStatus:

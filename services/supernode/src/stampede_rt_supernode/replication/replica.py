@@ -1,4 +1,4 @@
-"""One replica of the log: inbox, node, journal and outbox, driven by `step`. Clock, random source, network and store
+"""One replica of the log: inbox, node, log and outbox, driven by `step`. Clock, random source, network and store
 come from outside, so that the simulator runs the very code that runs in production.
 """
 
@@ -9,26 +9,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine, Unavailable
+from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
-from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX, TrialElections
+from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX, PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
-from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest, SnapshotRequests
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.store import REJOIN, Promise, Store, StoreDamaged
-from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
+from stampede_rt_supernode.replication.threads.aside import RunInBackground, run_inline
 from stampede_rt_supernode.replication.wire.mailroom import NetworkEvent, Outgoing, Received
 
 CHANGES_MAX = 100
 SNAPSHOTS_MAX = 10
 
 
-class Network(Protocol):
+class RaftNetwork(Protocol):
     """Where a replica's messages leave."""
 
     def release(self, messages: Sequence[Outgoing]) -> None:
@@ -40,12 +40,12 @@ class Network(Protocol):
     def drop(self, member_id: str, why: str) -> None:
         """End the stream of a member that does not keep to the rules, and log it; never blocks."""
 
-    def follow(self, roster: Roster) -> None:
+    def follow(self, roster: MemberRoster) -> None:
         """Keep a link to every peer from now on, and to nobody else; never blocks."""
 
 
 @dataclass(frozen=True, slots=True)
-class Roster:
+class MemberRoster:
     """Whom a replica wants to talk to, and to whom it says what.
 
     `members` are those of the newest configuration in the log; `removed` those of the newest one applied, for good.
@@ -91,12 +91,12 @@ class _Arrivals:
 
     events: deque[NetworkEvent] = field(default_factory=deque)
     proposals: deque[Proposal] = field(default_factory=deque)
-    reads: deque[Read] = field(default_factory=deque)
+    reads: deque[ConfirmedRead] = field(default_factory=deque)
     changes: deque[MemberChange | HandOver] = field(default_factory=deque)
     snapshots: deque[SnapshotRequest] = field(default_factory=deque)
 
 
-class Replica:
+class RaftReplica:
     """The synchronous heart of a replica.
 
     `deliver`, `propose`, `read` and `status` may be called from any thread; everything else on one thread only,
@@ -109,14 +109,14 @@ class Replica:
         state_machine: StateMachine,
         *,
         store: Store,
-        network: Network,
+        network: RaftNetwork,
         clock: Callable[[], float],
         random_source: RandomSource,
         wake: Callable[[], None] = lambda: None,
-        rules: type = TrialElections,
-        run_aside: RunAside = run_at_once,
+        rules: type = PreVoteElections,
+        run_in_background: RunInBackground = run_inline,
     ) -> None:
-        """Load the state; blocks. Snapshots are encoded and decoded by `run_aside`; tests plant faults through `rules`.
+        """Load the state; blocks. `run_in_background` encodes and decodes snapshots; tests plant faults by `rules`.
 
         Raises StoreDamaged, LibraryMismatch and what `restore` raises.
         """
@@ -128,33 +128,33 @@ class Replica:
         self._inbox = _Inbox(settings.inbox_items_max, settings.inbox_bytes_max)
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
-        self._journal = Journal(store, kept_bytes_max=settings.kept_log_bytes_max)
+        self._log = RaftLog(store, kept_bytes_max=settings.kept_log_bytes_max)
         self._state_machine = state_machine
-        self._node = self._open_node(state_machine, random_source, rules, run_aside)
+        self._node = self._open_node(state_machine, random_source, rules, run_in_background)
         self._proposals = Proposals(self._node.propose, self._completions.append, handed_max=settings.proposals_max)
         self._changes = self._make_changes()
-        self._snapshots = SnapshotRequests(self._node, self._journal, self._completions.append)
+        self._snapshots = SnapshotRequests(self._node, self._log, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
-        self.roster = Roster((), {}, frozenset())
+        self.roster = MemberRoster((), {}, frozenset())
         # Whoever opens the store again finds that it was used.
-        self._journal.sync()
+        self._log.sync()
         # (term, last log index) on stable storage: what this member can be held to.
-        self.standing = self._journal.end()
+        self.standing = self._log.end()
         self._publish_roster()
         self._status = self._observe()
 
     def _open_node(
-        self, state_machine: StateMachine, random_source: RandomSource, rules: type, run_aside: RunAside
+        self, state_machine: StateMachine, random_source: RandomSource, rules: type, run_in_background: RunInBackground
     ) -> Any:
         node = build_node(
             self._settings,
             state_machine,
-            journal=self._journal,
+            log=self._log,
             has_room=self._network.has_room,
             clock=self._clock,
             random_source=random_source,
             rules=rules,
-            run_aside=run_aside,
+            run_in_background=run_in_background,
         )
         node.open_snapshot()
         last_term, _ = node.log_end()
@@ -186,32 +186,32 @@ class Replica:
         self._wake()
 
     def propose(self, proposal: Proposal) -> None:
-        """Queue a command. Raises Unavailable when too many wait, ValueError when it is too large."""
+        """Queue a command. Raises LogUnavailable when too many wait, ValueError when it is too large."""
         if len(proposal.command) > COMMAND_BYTES_MAX:
             raise ValueError(f"a command of {len(proposal.command)} bytes is over the limit of {COMMAND_BYTES_MAX}")
         if len(self._new.proposals) >= self._settings.proposals_max:
-            raise Unavailable(f"{self._settings.proposals_max} commands wait already: slow down and try again")
+            raise LogUnavailable(f"{self._settings.proposals_max} commands wait already: slow down and try again")
         self._new.proposals.append(proposal)
         self._wake()
 
-    def read(self, read: Read) -> None:
-        """Queue a confirmed read. Raises Unavailable when too many wait."""
+    def read(self, read: ConfirmedRead) -> None:
+        """Queue a confirmed read. Raises LogUnavailable when too many wait."""
         if len(self._new.reads) >= self._settings.reads_max:
-            raise Unavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
+            raise LogUnavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
         self._new.reads.append(read)
         self._wake()
 
     def change_members(self, change: MemberChange | HandOver) -> None:
-        """Queue a change of the members, or a hand-over. Raises Unavailable when too many wait."""
+        """Queue a change of the members, or a hand-over. Raises LogUnavailable when too many wait."""
         if len(self._new.changes) >= CHANGES_MAX:
-            raise Unavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
+            raise LogUnavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
         self._new.changes.append(change)
         self._wake()
 
     def take_snapshot(self, request: SnapshotRequest) -> None:
-        """Queue a wish for a snapshot. Raises Unavailable when too many wait."""
+        """Queue a wish for a snapshot. Raises LogUnavailable when too many wait."""
         if len(self._new.snapshots) >= SNAPSHOTS_MAX:
-            raise Unavailable(f"{SNAPSHOTS_MAX} wait for a snapshot already: try again in a while")
+            raise LogUnavailable(f"{SNAPSHOTS_MAX} wait for a snapshot already: try again in a while")
         self._new.snapshots.append(request)
         self._wake()
 
@@ -221,7 +221,7 @@ class Replica:
 
     def promise_of(self, member_id: str) -> Promise:
         """What another member has said that it holds."""
-        return self._journal.promises.get(member_id, Promise(0, 0))
+        return self._log.promises.get(member_id, Promise(0, 0))
 
     def status(self) -> ReplicationStatus:
         """The view after the last step."""
@@ -245,7 +245,7 @@ class Replica:
         True when another step is due at once. Whatever it raises, the replica must not go on.
         """
         self._hear()
-        self._journal.sync()
+        self._log.sync()
         self._take_in()
         self._node.keeper.begin_step()
         self._at_risk(self._node.install_opened)
@@ -260,7 +260,7 @@ class Replica:
         if self._node.is_leader:
             self._node.note_promises()
         self._node.let_go_of_log()
-        self._journal.sync()
+        self._log.sync()
         self._release()
         return bool(self._new.events) or self._commits_alone()
 
@@ -269,7 +269,7 @@ class Replica:
             event = self._new.events.popleft()
             if isinstance(event, Received):
                 self._inbox.take(event)
-            self._at_risk(lambda event=event: self._node.mailroom.deliver(event))  # type: ignore[misc]
+            self._at_risk(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
 
     def _at_risk(self, act: Callable[[], None]) -> None:
         """Do something that rests on what a member has said; who breaks the rules is heard no more, for a while."""
@@ -290,7 +290,7 @@ class Replica:
         for read in self._new.reads:
             self._node.reads.add(self._later(read))
         self._node.reads.close()
-        self._journal.close()
+        self._log.close()
         self._run_completions()
 
     def _take_in(self) -> None:
@@ -309,14 +309,14 @@ class Replica:
         takes = self._leader_reachable() and not self._changes.hands_over
         self._proposals.advance(leader_reachable=takes, now=self._clock())
 
-    def _later(self, read: Read) -> Read:
+    def _later(self, read: ConfirmedRead) -> ConfirmedRead:
         done = read.done
-        return Read(read.deadline, lambda index: self._completions.append(lambda: done(index)))
+        return ConfirmedRead(read.deadline, lambda index: self._completions.append(lambda: done(index)))
 
     def _release(self) -> None:
-        self.standing = self._journal.end()
+        self.standing = self._log.end()
         self._publish_roster()
-        messages = self._node.mailroom.take_outbox()
+        messages = self._node.transport.take_outbox()
         if messages:
             self._network.release(messages)
         self._status = self._observe()
@@ -334,12 +334,12 @@ class Replica:
         if leader is None:
             return False
         is_self = leader.id == self._settings.self_member.member_id
-        return bool(is_self or self._node.mailroom.is_reachable(leader.id))
+        return bool(is_self or self._node.transport.is_reachable(leader.id))
 
     def _commits_alone(self) -> bool:
         """A cluster of one has nobody to wake it up after its own disk."""
         node = self._node
-        waiting = node.commit_index < self._journal.last_index
+        waiting = node.commit_index < self._log.last_index
         return bool(waiting and not node.other_voters and node.is_leader)
 
     def _observe(self) -> ReplicationStatus:
@@ -361,11 +361,11 @@ class Replica:
 
     def _publish_roster(self) -> None:
         """Say whom this node knows, if that is new."""
-        node, configurations = self._node, self._journal.configurations
+        node, configurations = self._node, self._log.configurations
         settled = configurations.at(node.last_applied)
         current = configurations.current
         if self._roster_version == (current, settled, node.peers):
             return
         self._roster_version = (current, settled, node.peers)
-        self.roster = Roster(current.members, node.peers, frozenset(settled.retired))
+        self.roster = MemberRoster(current.members, node.peers, frozenset(settled.retired))
         self._network.follow(self.roster)

@@ -14,17 +14,17 @@ import grpc.aio
 from stampede_rt.v1.raft_service_pb2 import RaftHello
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
+    LogUnavailable,
     Member,
     ReplicationStatus,
     StateMachine,
     TakenSnapshot,
-    Unavailable,
 )
 from stampede_rt_supernode.replication.network.greetings import introduction
-from stampede_rt_supernode.replication.network.links import Dial, Links
+from stampede_rt_supernode.replication.network.links import Dial, PeerLinks
 from stampede_rt_supernode.replication.network.refusals import Grounds
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
-from stampede_rt_supernode.replication.replica import Replica
+from stampede_rt_supernode.replication.replica import RaftReplica
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, HandOver, MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
@@ -33,7 +33,7 @@ from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store
 from stampede_rt_supernode.replication.storage.store import REJOIN, MemoryStore, Store, StoreRefused
-from stampede_rt_supernode.replication.threads.aside import AsideThread, RunAside
+from stampede_rt_supernode.replication.threads.aside import RunInBackground, WorkerThread
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.threads.tick_thread import TickThread, end_process
 
@@ -45,15 +45,15 @@ class PySyncObjLog:
 
     def __init__(
         self,
-        replica: Replica,
+        replica: RaftReplica,
         thread: TickThread,
         bridge: LoopBridge,
-        links: Links,
-        aside: AsideThread,
+        links: PeerLinks,
+        worker: WorkerThread,
         *,
         reads_max: int,
     ) -> None:
-        self._aside = aside
+        self._worker = worker
         self._replica = replica
         self._thread = thread
         self._bridge = bridge
@@ -100,7 +100,7 @@ class PySyncObjLog:
             proposal.abandoned = True
             if proposal.handed_over:
                 raise Ambiguous(f"no answer within {timeout} s; the command may still be applied") from None
-            raise Unavailable(f"no leader took the command within {timeout} s") from None
+            raise LogUnavailable(f"no leader took the command within {timeout} s") from None
         except asyncio.CancelledError:
             proposal.abandoned = True
             raise
@@ -113,7 +113,7 @@ class PySyncObjLog:
         self._refuse_when_closed()
         index = await self._reads.confirm(timeout)
         if index is None:
-            raise Unavailable(f"no majority confirmed the read within {timeout} s")
+            raise LogUnavailable(f"no majority confirmed the read within {timeout} s")
         return index
 
     def status(self) -> ReplicationStatus:
@@ -179,13 +179,13 @@ class PySyncObjLog:
             async with asyncio.timeout(timeout):
                 outcome = await answer
         except TimeoutError:
-            raise Unavailable(f"no snapshot was written within {timeout:.1f} s") from None
-        if isinstance(outcome, Unavailable):
+            raise LogUnavailable(f"no snapshot was written within {timeout:.1f} s") from None
+        if isinstance(outcome, LogUnavailable):
             raise outcome
         return TakenSnapshot(log_index=outcome.last_log_index, record=outcome.record)
 
     async def close(self) -> None:
-        """See ReplicatedLog. Whatever still waits ends Unavailable or Ambiguous. Safe to call twice."""
+        """See ReplicatedLog. Whatever still waits ends LogUnavailable or Ambiguous. Safe to call twice."""
         if self._closed:
             return
         self._closed = True
@@ -194,11 +194,11 @@ class PySyncObjLog:
             self._servicer.close()
         await self._links.close()
         await asyncio.get_running_loop().run_in_executor(None, self._thread.stop)
-        self._aside.close()
+        self._worker.close()
 
     def _refuse_when_closed(self) -> None:
         if self._closed:
-            raise Unavailable("this replica is closed")
+            raise LogUnavailable("this replica is closed")
 
     def _into(self, answer: asyncio.Future[T]) -> Callable[[T], None]:
         def settle(outcome: T) -> None:
@@ -226,11 +226,11 @@ async def open_replicated_log(
     Raises StoreRefused, StoreDamaged and LibraryMismatch.
     """
     bridge = LoopBridge(asyncio.get_running_loop())
-    links = Links(settings, dial, bridge, on_fatal)
+    links = PeerLinks(settings, dial, bridge, on_fatal)
     thread = TickThread(tick_seconds=settings.timing.tick_seconds, on_fatal=on_fatal)
-    aside = AsideThread()
+    worker = WorkerThread()
     had_store = settings.data_dir is not None and holds_store(settings.data_dir)
-    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, aside.run)
+    replica = await asyncio.to_thread(_open_replica, settings, state_machine, links, thread.wake, worker.run)
     try:
         stores = await asyncio.to_thread(KnownStores.open, settings.data_dir, had_store=had_store)
         if stores.refused:
@@ -238,7 +238,7 @@ async def open_replicated_log(
     except BaseException:
         replica.close()
         raise
-    log = PySyncObjLog(replica, thread, bridge, links, aside, reads_max=settings.reads_max)
+    log = PySyncObjLog(replica, thread, bridge, links, worker, reads_max=settings.reads_max)
     log.start(settings, server, stores)
     return log
 
@@ -246,13 +246,13 @@ async def open_replicated_log(
 def _open_replica(
     settings: ReplicationSettings,
     state_machine: StateMachine,
-    links: Links,
+    links: PeerLinks,
     wake: Callable[[], None],
-    run_aside: RunAside,
-) -> Replica:
+    run_in_background: RunInBackground,
+) -> RaftReplica:
     store = _open_store(settings)
     try:
-        return Replica(
+        return RaftReplica(
             settings,
             state_machine,
             store=store,
@@ -260,7 +260,7 @@ def _open_replica(
             clock=time.monotonic,
             random_source=random.SystemRandom(),
             wake=wake,
-            run_aside=run_aside,
+            run_in_background=run_in_background,
         )
     except BaseException:
         store.close()

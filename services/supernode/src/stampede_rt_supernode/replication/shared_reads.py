@@ -10,8 +10,8 @@ import asyncio
 import time
 from collections.abc import Callable
 
-from stampede_rt_supernode.replication.interface import Unavailable
-from stampede_rt_supernode.replication.rules.reads import Read
+from stampede_rt_supernode.replication.interface import LogUnavailable
+from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 
 _Waiting = tuple[float, asyncio.Future[int | None]]  # with its deadline, by time.monotonic
@@ -23,7 +23,7 @@ class SharedReads:
     Invariant: a caller is in `_waiting` or in the read that is under way until it is answered.
     """
 
-    def __init__(self, start: Callable[[Read], None], bridge: LoopBridge, *, waiting_max: int) -> None:
+    def __init__(self, start: Callable[[ConfirmedRead], None], bridge: LoopBridge, *, waiting_max: int) -> None:
         self._start = start
         self._bridge = bridge
         self._waiting_max = waiting_max
@@ -34,10 +34,10 @@ class SharedReads:
     async def confirm(self, timeout: float) -> int | None:
         """An applied index that holds every write acknowledged before this call; None if the time is up.
 
-        Raises Unavailable when too many wait.
+        Raises LogUnavailable when too many wait.
         """
         if len(self._waiting) >= self._waiting_max:
-            raise Unavailable(f"{self._waiting_max} reads wait already: slow down and try again")
+            raise LogUnavailable(f"{self._waiting_max} reads wait already: slow down and try again")
         answer: asyncio.Future[int | None] = asyncio.get_running_loop().create_future()
         self._waiting.append((time.monotonic() + timeout, answer))
         self._begin()
@@ -59,7 +59,7 @@ class SharedReads:
         callers, self._waiting = self._waiting, []
         self._under_way = True
         deadline = max(deadline for deadline, _ in callers)
-        self._start(Read(deadline, lambda index: self._bridge.post(lambda: self._finish(callers, index))))
+        self._start(ConfirmedRead(deadline, lambda index: self._bridge.post(lambda: self._finish(callers, index))))
 
     def _finish(self, callers: list[_Waiting], index: int | None) -> None:
         self._under_way = False

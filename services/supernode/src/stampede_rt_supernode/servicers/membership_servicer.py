@@ -100,7 +100,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             if not stale_ok:
                 await self._confirm(seconds)
             taken = await self._log.take_snapshot(timeout=seconds)
-        except replication.Unavailable as error:
+        except replication.LogUnavailable as error:
             raise Unavailable(str(error), reason="NO_QUORUM") from error
         took, now, member_id = self._clock.boottime_nanos() - began, self._clock.time_unix_nano(), self._members.self_id
         cluster_id = self._replica.read(lambda directory: directory.cluster_id)
@@ -120,7 +120,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
     async def _confirm(self, seconds: float) -> None:
         try:
             await self._log.confirm_read(timeout=min(seconds, QUORUM_SECONDS))
-        except replication.Unavailable as error:
+        except replication.LogUnavailable as error:
             text = f"{error}; what this supernode holds by itself can be had with stale_ok (--stale-ok)"
             raise Unavailable(text, reason="NO_QUORUM") from error
 
@@ -163,7 +163,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise VersionMismatch(str(error)) from error
         except replication.ChangeRefused as error:
             raise InvalidArgument(str(error)) from error
-        except replication.Unavailable as error:
+        except replication.LogUnavailable as error:
             raise Unavailable(str(error), reason="NO_QUORUM") from error
         except replication.Ambiguous as error:
             raise Unavailable(f"{error}; repeat it, or ask ListSupernodes", reason="AMBIGUOUS") from error

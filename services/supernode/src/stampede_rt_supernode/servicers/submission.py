@@ -13,7 +13,7 @@ from stampede_rt_supernode.codecs.command_codec import decode_result, encode_com
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 from stampede_rt_supernode.joining.members import why_diverged
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.interface import Ambiguous, ReplicatedLog, ReplicationStatus, Unavailable
+from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, ReplicatedLog, ReplicationStatus
 
 ATTEMPT_SECONDS_MAX = 2.0
 BACKOFF_SECONDS_MIN = 0.02
@@ -44,7 +44,7 @@ class Submission:
         `as_of_index`: see Command.
 
         Raises the error that the directory refuses it with; VersionMismatch if not all supernodes know such a command;
-        Unavailable with reason AMBIGUOUS if it may or may not be done, NO_QUORUM if it certainly is not.
+        LogUnavailable with reason AMBIGUOUS if it may or may not be done, NO_QUORUM if it certainly is not.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
@@ -66,15 +66,15 @@ class Submission:
     async def _propose(self, encoded: bytes, timeout: float) -> Result:
         result = decode_result(await self._log.propose(encoded, timeout=timeout))
         if isinstance(result, Refused) and result.reason == "NO_QUORUM":
-            raise Unavailable(result.message)  # the directory itself says that it is too early
+            raise LogUnavailable(result.message)  # the directory itself says that it is too early
         return result
 
     async def confirm(self, *, seconds: float) -> int:
-        """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
+        """After it, the local state holds every update acknowledged before. Raises LogUnavailable with NO_QUORUM."""
         return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds)
 
     def check_state(self) -> None:
-        """Raises Unavailable with reason SHUTTING_DOWN if this supernode's state is not the leader's."""
+        """Raises LogUnavailable with reason SHUTTING_DOWN if this supernode's state is not the leader's."""
         status = self._log.status()
         if status.diverged_at:
             text = f"{why_diverged(status)}; it serves nobody until it has joined anew; go to another one"
@@ -87,7 +87,7 @@ class Submission:
         while (left := deadline - time.monotonic()) > 0 and not self._closed:
             try:
                 return await attempt(min(left, ATTEMPT_SECONDS_MAX))
-            except Unavailable:
+            except LogUnavailable:
                 pass  # certainly not done in this attempt; an earlier one may still be
             except Ambiguous:
                 ambiguous = True

@@ -8,19 +8,19 @@ import grpc
 import pytest
 
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import Refusal, introduction, refusal_of
-from stampede_rt_supernode.replication.network.links import Links
-from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.network.greetings import HelloRefusal, introduction, refusal_of
+from stampede_rt_supernode.replication.network.links import PeerLinks
+from stampede_rt_supernode.replication.replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
 
 SELF, OTHER = Member(member_id="s1", address="s1:1"), Member(member_id="s2", address="s2:1")
-ROSTER = Roster((SELF, OTHER), {"s1": SELF, "s2": OTHER}, frozenset())
+ROSTER = MemberRoster((SELF, OTHER), {"s1": SELF, "s2": OTHER}, frozenset())
 OTHERS_STORE = "the store with which s2 came before"
 
 
-def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> Refusal | None:
+def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> HelloRefusal | None:
     """What s1, of a cluster at level `cluster`, says to s2, whose release knows level `knows`."""
     of_s2, of_s1 = (ReplicationSettings(self_member=one, initial_members=[SELF, OTHER]) for one in (OTHER, SELF))
     hello = introduction(of_s2, "s1", store_id=OTHERS_STORE, standing=(3, 7), roster=ROSTER, highest_level=knows)
@@ -40,7 +40,7 @@ def test_a_release_that_knows_less_is_refused_and_its_member_ends_with_a_folder_
     assert refusal is not None
     assert refusal.code is grpc.StatusCode.FAILED_PRECONDITION
     settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
-    links = Links(settings, lambda address: pytest.fail("nobody is called"), None, lambda error: None)  # type: ignore[arg-type]
+    links = PeerLinks(settings, lambda address: pytest.fail("nobody is called"), None, lambda error: None)  # type: ignore[arg-type]
     noted: list[object] = []
     links.on_refusal_confirmed = noted.append
     links._on_refused("s1", f"{refusal.code.name}: {refusal.why}", noted.append)

@@ -13,19 +13,25 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.greetings import introduction
-from stampede_rt_supernode.replication.network.links import Link
+from stampede_rt_supernode.replication.network.links import PeerLink
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
-from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
 from stampede_rt_supernode.replication.wire.codec import encode_message
-from stampede_rt_supernode.replication.wire.mailroom import Connected, NetworkEvent, Received, StreamEnded, StreamOpened
+from stampede_rt_supernode.replication.wire.mailroom import (
+    Connected,
+    NetworkEvent,
+    Received,
+    StreamEnded,
+    StreamOpened,
+)
 from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 
 SELF, OTHER = (Member(member_id=name, address=f"{name}:1") for name in ("self", "other"))
-ROSTER = Roster((SELF, OTHER), {"other": OTHER}, frozenset())
+ROSTER = MemberRoster((SELF, OTHER), {"other": OTHER}, frozenset())
 # The generated names carry no types.
 _pb_grpc: Any = raft_service_pb2_grpc
 
@@ -126,7 +132,7 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
             for term in (1, 1, 1) if connections == 1 else (2,):
                 link.enqueue(timeout_now(term))
 
-    link = Link(
+    link = PeerLink(
         OTHER,
         settings,
         lambda _: grpc.aio.insecure_channel(address),

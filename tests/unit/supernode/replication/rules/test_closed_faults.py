@@ -12,7 +12,7 @@ from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LibraryNode
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoredSnapshot, StoredState
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, SnapshotChunk, VoteReply, VoteRequest
@@ -25,7 +25,7 @@ ABC = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in 
 ON_BOTH = pytest.mark.parametrize(
     "rules",
     [
-        pytest.param(TrialElections, id="our rules"),
+        pytest.param(PreVoteElections, id="our rules"),
         pytest.param(LibraryNode, id="bare library", marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17")),
     ],
 )
@@ -58,7 +58,7 @@ def says_success(message: Message) -> bool:
 
 
 def trials(said: list[tuple[str, Message]]) -> list[bool]:
-    return [message.trial for _, message in said if isinstance(message, VoteRequest)]
+    return [message.pre_vote for _, message in said if isinstance(message, VoteRequest)]
 
 
 @ON_BOTH
@@ -84,7 +84,7 @@ def test_an_acknowledgement_of_an_earlier_term_commits_nothing(rules: type) -> N
     lone.receive("b", append(first_term + 1, (1, 0), []))
     term = lone.lead()
     lone.tick()
-    lone.receive("b", acknowledgement(first_term, lone.journal[-1].log_index + 1))
+    lone.receive("b", acknowledgement(first_term, lone.log[-1].log_index + 1))
     lone.tick()
     assert term > first_term
     assert lone.node.commit_index == 1
@@ -113,12 +113,12 @@ class LeftByTwoSteps(MemoryStore):
 @ON_BOTH
 def test_a_log_that_does_not_meet_its_snapshot_is_never_thrown_away_silently(rules: type) -> None:
     lone = LoneNode(rules, store=LeftByTwoSteps())
-    if rules is TrialElections:
+    if rules is PreVoteElections:
         with pytest.raises(AssertionError, match="does not begin where"):
             lone.node.open_snapshot()
     else:
         lone.node._SyncObj__loadDumpFile(clearJournal=False)
-    assert lone.journal[-1].log_index == 10
+    assert lone.log[-1].log_index == 10
 
 
 class BrokenMachine(ListMachine):
@@ -131,7 +131,7 @@ def test_a_snapshot_that_cannot_be_loaded_is_not_acknowledged(rules: type) -> No
     lone = LoneNode(rules, machine=BrokenMachine())
     *chunks, last = snapshot_pieces(last=9, term=5)
     replies = [reply for chunk in chunks for reply in lone.receive("b", piece(5, chunk, commit=9))]
-    if rules is TrialElections:
+    if rules is PreVoteElections:
         replies += lone.receive("b", piece(5, last, commit=9))
         with pytest.raises(PeerAtFault, match=r"b has sent a snapshot: .*cannot be read"):
             lone.open_snapshot()
@@ -245,12 +245,12 @@ def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
 
 def test_a_member_that_hears_its_leader_gives_no_trial_vote() -> None:
     lone = LoneNode()
-    request = VoteRequest(term=2, last_log_index=9, last_log_term=1, trial=True)
+    request = VoteRequest(term=2, last_log_index=9, last_log_term=1, pre_vote=True)
     lone.receive("b", append(1, (1, 0), []))
     assert lone.receive("c", request) == []
     lone.now += 5.0
     [(to, reply)] = lone.receive("c", request)
-    assert (to, reply) == ("c", VoteReply(term=2, trial=True, voter_term=1))
+    assert (to, reply) == ("c", VoteReply(term=2, pre_vote=True, voter_term=1))
     assert lone.node.term == 1
 
 
@@ -260,7 +260,7 @@ def test_an_election_begins_only_after_a_majority_would_vote() -> None:
     lone.node.before_tick()
     assert trials(lone.tick()) == [True, True]
     assert lone.node.term == 0
-    lone.receive("b", VoteReply(term=1, trial=True))
+    lone.receive("b", VoteReply(term=1, pre_vote=True))
     lone.node.before_tick()
     assert trials(lone.tick()) == [False, False]
     assert lone.node.term == 1

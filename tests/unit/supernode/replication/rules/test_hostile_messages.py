@@ -24,8 +24,8 @@ from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement
 X = Member(member_id="x", address="x:1")
 
 
-def vote_request(term: int, *, last: tuple[int, int] = (9, 9), trial: bool = False) -> Message:
-    return VoteRequest(term=term, last_log_index=last[0], last_log_term=last[1], trial=trial)
+def vote_request(term: int, *, last: tuple[int, int] = (9, 9), pre_vote: bool = False) -> Message:
+    return VoteRequest(term=term, last_log_index=last[0], last_log_term=last[1], pre_vote=pre_vote)
 
 
 def locked_out(lone: LoneNode) -> None:
@@ -40,10 +40,10 @@ def locked_out(lone: LoneNode) -> None:
     "message",
     [
         vote_request(TERMS_AHEAD_MAX + 1),
-        vote_request(2**62, trial=True),
+        vote_request(2**62, pre_vote=True),
         append(2**62, (1, 0), []),
         AppendReply(term=2**62, next_index=2, reset=False, success=False),
-        VoteReply(term=0, trial=True, voter_term=2**62),
+        VoteReply(term=0, pre_vote=True, voter_term=2**62),
         TimeoutNow(term=2**62),
     ],
     ids=lambda message: type(message).__name__,
@@ -53,7 +53,7 @@ def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) ->
     with pytest.raises(PeerAtFault, match="b speaks of term"):
         lone.receive("b", message)
     assert lone.node.term == 0
-    assert "b" not in lone.journal.promises
+    assert "b" not in lone.log.promises
 
 
 def test_a_claim_to_lead_does_not_end_the_leader() -> None:
@@ -76,8 +76,8 @@ def test_an_acknowledgement_beyond_the_log_counts_for_nothing() -> None:
 def test_a_stranger_that_introduces_itself_neither_votes_nor_unseats_the_leader() -> None:
     lone = LoneNode()
     term = lone.lead()
-    lone.node.mailroom.deliver(Introduced("x", X))
-    lone.node.mailroom.deliver(Connected("x"))
+    lone.node.transport.deliver(Introduced("x", X))
+    lone.node.transport.deliver(Connected("x"))
     assert lone.receive("x", vote_request(term + 5)) == []
     assert lone.receive("x", append(term + 5, (1, 0), [])) == []
     assert (lone.node.is_leader, lone.node.term) == (True, term)
@@ -86,10 +86,10 @@ def test_a_stranger_that_introduces_itself_neither_votes_nor_unseats_the_leader(
 
 def test_who_is_locked_out_hears_strangers_until_it_follows_somebody_whom_it_knows() -> None:
     lone = LoneNode()
-    lone.node.mailroom.deliver(Introduced("x", X))
+    lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
     assert "x" in lone.node.peers
-    lone.node.mailroom.deliver(Connected("x"))
+    lone.node.transport.deliver(Connected("x"))
     lone.receive("x", append(3, (1, 0), [(2, 3)]))
     lone.node.before_tick()
     assert lone.node.leader.id == "x"
@@ -101,13 +101,13 @@ def test_who_is_locked_out_hears_strangers_until_it_follows_somebody_whom_it_kno
 
 def test_whom_a_stranger_names_is_a_stranger() -> None:
     lone = LoneNode()
-    lone.node.mailroom.deliver(Introduced("x", X))
+    lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
-    lone.node.mailroom.deliver(MembersTold("x", (Member(member_id="y", address="y:1"),)))
+    lone.node.transport.deliver(MembersTold("x", (Member(member_id="y", address="y:1"),)))
     lone.receive("b", append(4, (1, 0), []))
     lone.node.before_tick()
     assert set(lone.node.peers) == {"b", "c"}
-    lone.node.mailroom.deliver(MembersTold("b", (X,)))
+    lone.node.transport.deliver(MembersTold("b", (X,)))
     assert set(lone.node.peers) == {"b", "c", "x"}
 
 
@@ -115,7 +115,7 @@ def test_however_many_strangers_come_few_are_remembered() -> None:
     lone = LoneNode()
     for number in range(1000):
         name = f"x{number}"
-        lone.node.mailroom.deliver(Introduced(name, Member(member_id=name, address=f"{name}:1")))
+        lone.node.transport.deliver(Introduced(name, Member(member_id=name, address=f"{name}:1")))
     locked_out(lone)
     assert len(lone.node.peers) < 20
     assert {"b", "c"} <= set(lone.node.peers)
@@ -123,17 +123,17 @@ def test_however_many_strangers_come_few_are_remembered() -> None:
 
 def test_nobody_pushes_out_what_a_member_has_promised() -> None:
     lone = LoneNode()
-    lone.journal.note_promise("b", 7, 70)
+    lone.log.note_promise("b", 7, 70)
     for number in range(1000):
-        lone.journal.note_promise(f"x{number}", 9, 9)
-    assert lone.journal.promises["b"] == Promise(7, 70)
-    assert len(lone.journal.promises) <= 64
+        lone.log.note_promise(f"x{number}", 9, 9)
+    assert lone.log.promises["b"] == Promise(7, 70)
+    assert len(lone.log.promises) <= 64
 
 
 def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> None:
     lone = LoneNode()
     lone.node.on_disputed("b", "an older copy")
-    assert lone.receive("c", vote_request(1, trial=True)) == []
+    assert lone.receive("c", vote_request(1, pre_vote=True)) == []
     assert lone.receive("c", vote_request(1)) == []
     lone.now += 100.0
     lone.node.before_tick()
@@ -145,7 +145,7 @@ def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> N
 
 def test_what_a_stranger_refuses_disputes_nothing() -> None:
     lone = LoneNode()
-    lone.node.mailroom.deliver(Introduced("x", X))
+    lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
     lone.node.on_disputed("x", "an older copy")
     assert lone.node.disputed_by == {}
@@ -185,6 +185,6 @@ def test_positions_that_a_leader_invents_keep_no_more_callers_than_may_wait() ->
 def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answer_only() -> None:
     lone = LoneNode()
     for number in range(1000):
-        lone.node.mailroom.deliver(Received("b", ReadIndexRequest(request_id=number)))
+        lone.node.transport.deliver(Received("b", ReadIndexRequest(request_id=number)))
     lone.node.reads.start_round()
     assert [message.request_id for _, message in lone.said()] == [999]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt_supernode.replication.interface import Ambiguous, Unavailable
+from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable
 from stampede_rt_supernode.replication.library.node import Fate, ProposalDone
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal, Proposals
 
@@ -34,7 +34,7 @@ def test_a_command_waits_for_a_leader_and_is_unavailable_when_none_comes() -> No
     library.advance(1.0, leader=False)
     assert library.handed == []
     library.advance(10.0, leader=False)
-    assert isinstance(library.outcomes[0], Unavailable)
+    assert isinstance(library.outcomes[0], LogUnavailable)
 
 
 def test_an_applied_command_gives_its_result() -> None:
@@ -54,7 +54,7 @@ def test_a_command_that_was_certainly_not_taken_is_tried_again_until_its_deadlin
     assert len(library.handed) == 2
     library.handed[1][1](Fate.NOT_TAKEN)
     library.advance(10.0)
-    assert [type(outcome) for outcome in library.outcomes] == [Unavailable]
+    assert [type(outcome) for outcome in library.outcomes] == [LogUnavailable]
 
 
 def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again() -> None:
@@ -93,4 +93,4 @@ def test_closing_ends_every_command_by_what_is_known_of_it() -> None:
     library.propose()
     library.advance(1.0)
     library.proposals.close()
-    assert {type(outcome) for outcome in library.outcomes} == {Ambiguous, Unavailable}
+    assert {type(outcome) for outcome in library.outcomes} == {Ambiguous, LogUnavailable}

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_supernode.replication.interface import Member, Unavailable
-from stampede_rt_supernode.replication.replica import SNAPSHOTS_MAX, Replica
+from stampede_rt_supernode.replication.interface import LogUnavailable, Member
+from stampede_rt_supernode.replication.replica import SNAPSHOTS_MAX, RaftReplica
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
@@ -47,7 +47,7 @@ class Alone:
         self.machine = ListMachine()
         me = Member(member_id="m", address="m:1")
         settings = ReplicationSettings(self_member=me, initial_members=[me], cluster_id="c")
-        self.replica = Replica(
+        self.replica = RaftReplica(
             settings,
             self.machine,
             store=store,
@@ -116,7 +116,7 @@ def test_no_more_than_a_few_wait() -> None:
     alone = Alone(MemoryStore())
     for _ in range(SNAPSHOTS_MAX):
         alone.ask()
-    with pytest.raises(Unavailable, match="try again"):
+    with pytest.raises(LogUnavailable, match="try again"):
         alone.ask()
 
 

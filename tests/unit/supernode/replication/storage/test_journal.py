@@ -1,4 +1,4 @@
-"""The journal over every store: what was synced comes back, what was not is gone."""
+"""The log over every store: what was synced comes back, what was not is gone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage import store as storage
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import Store, StoredSnapshot
 from tests.robustness.replication.disk import Disk, DiskStore
@@ -47,83 +47,83 @@ def reopen(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Reopen]:
         yield lambda: DiskStore(disk)
 
 
-def with_entries(store: Store, last: int) -> Journal:
-    journal = Journal(store)
+def with_entries(store: Store, last: int) -> RaftLog:
+    log = RaftLog(store)
     for index in range(1, last + 1):
-        journal.append(b"\x00%d" % index, index, 1)
-    return journal
+        log.append(b"\x00%d" % index, index, 1)
+    return log
 
 
-def adopt(journal: Journal, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
+def adopt(log: RaftLog, snapshot: StoredSnapshot, previous: Entry, last: Entry) -> None:
     for piece in snapshot.pieces():
-        journal.write_piece(piece)
-    journal.adopt_snapshot(snapshot, previous, last, NOBODY)
+        log.write_piece(piece)
+    log.adopt_snapshot(snapshot, previous, last, NOBODY)
 
 
 def test_a_new_store_is_empty(reopen: Reopen) -> None:
-    journal = Journal(reopen())
-    assert (len(journal), journal.term, journal.voted_for) == (0, 0, None)
-    assert journal.commit_index == 1
+    log = RaftLog(reopen())
+    assert (len(log), log.term, log.voted_for) == (0, 0, None)
+    assert log.commit_index == 1
 
 
 def test_what_was_synced_survives_and_the_rest_does_not(reopen: Reopen) -> None:
-    journal = with_entries(reopen(), 3)
-    journal.set_term(4, "b")
-    journal.commit_index = 2
-    assert journal.sync()
-    journal.append(b"\x00lost", 4, 4)
-    journal.set_term(5, "c")
-    again = Journal(reopen())
+    log = with_entries(reopen(), 3)
+    log.set_term(4, "b")
+    log.commit_index = 2
+    assert log.sync()
+    log.append(b"\x00lost", 4, 4)
+    log.set_term(5, "c")
+    again = RaftLog(reopen())
     assert [entry.log_index for entry in again[:]] == [1, 2, 3]
     assert (again.term, again.voted_for, again.commit_index) == (4, "b", 2)
 
 
 def test_the_commit_index_alone_costs_no_write(reopen: Reopen) -> None:
-    journal = with_entries(reopen(), 3)
-    assert journal.sync()
-    journal.commit_index = 3
-    assert not journal.sync()
+    log = with_entries(reopen(), 3)
+    assert log.sync()
+    log.commit_index = 3
+    assert not log.sync()
 
 
 def test_a_tail_that_was_replaced_stays_replaced(reopen: Reopen) -> None:
-    journal = with_entries(reopen(), 5)
-    journal.sync()
-    journal.cut_from(4)
-    journal.append(b"\x00new", 4, 2)
-    journal.sync()
-    assert [tuple(entry)[1:] for entry in Journal(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
+    log = with_entries(reopen(), 5)
+    log.sync()
+    log.cut_from(4)
+    log.append(b"\x00new", 4, 2)
+    log.sync()
+    assert [tuple(entry)[1:] for entry in RaftLog(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
 
 
 def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> None:
-    journal = with_entries(reopen(), 8)
-    journal.sync()
-    previous, last = journal[4], journal[5]
-    adopt(journal, StoredSnapshot.of(6, b"state"), previous, last)
-    before = Journal(reopen())
+    log = with_entries(reopen(), 8)
+    log.sync()
+    previous, last = log[4], log[5]
+    adopt(log, StoredSnapshot.of(6, b"state"), previous, last)
+    before = RaftLog(reopen())
     assert (len(before), before.snapshot) == (8, None)
     previous, last = before[4], before[5]
     adopt(before, StoredSnapshot.of(6, b"state"), previous, last)
     before.sync()
-    after = Journal(reopen())
+    after = RaftLog(reopen())
     assert [entry.log_index for entry in after[:]] == [5, 6, 7, 8]
     assert after.snapshot == StoredSnapshot.of(6, b"state")
 
 
 def test_a_snapshot_in_pieces_counts_from_its_seal_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 2)
-    journal = with_entries(reopen(), 8)
-    adopt(journal, StoredSnapshot.of(3, b"older"), journal[1], journal[2])
-    journal.sync()
+    log = with_entries(reopen(), 8)
+    adopt(log, StoredSnapshot.of(3, b"older"), log[1], log[2])
+    log.sync()
     coming = StoredSnapshot.of(6, b"state")
     assert [piece.data for piece in coming.pieces()] == [b"st", b"at", b"e"]
     for piece in coming.pieces():
-        journal.write_piece(piece)
-        journal.sync()
-        journal = Journal(reopen())
-        assert (journal[0].log_index, journal.snapshot) == (2, StoredSnapshot.of(3, b"older"))
-    journal.adopt_snapshot(coming, journal[3], journal[4], NOBODY)
-    journal.sync()
-    again = Journal(reopen())
+        log.write_piece(piece)
+        log.sync()
+        log = RaftLog(reopen())
+        assert (log[0].log_index, log.snapshot) == (2, StoredSnapshot.of(3, b"older"))
+    log.adopt_snapshot(coming, log[3], log[4], NOBODY)
+    log.sync()
+    again = RaftLog(reopen())
     assert (again[0].log_index, again.snapshot) == (5, coming)
 
 
@@ -131,20 +131,20 @@ def test_pieces_of_a_killed_process_do_not_disturb_the_next_snapshot(
     reopen: Reopen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 2)
-    journal = with_entries(reopen(), 8)
+    log = with_entries(reopen(), 8)
     for piece in StoredSnapshot.of(6, b"much longer").pieces():
-        journal.write_piece(piece)
-    journal.sync()
-    again = Journal(reopen())
+        log.write_piece(piece)
+    log.sync()
+    again = RaftLog(reopen())
     adopt(again, StoredSnapshot.of(6, b"state"), again[4], again[5])
     again.sync()
-    assert Journal(reopen()).snapshot == StoredSnapshot.of(6, b"state")
+    assert RaftLog(reopen()).snapshot == StoredSnapshot.of(6, b"state")
 
 
 def test_a_gap_is_refused(reopen: Reopen) -> None:
-    journal = with_entries(reopen(), 3)
+    log = with_entries(reopen(), 3)
     with pytest.raises(AssertionError, match="does not follow"):
-        journal.append(b"\x00", 5, 1)
+        log.append(b"\x00", 5, 1)
 
 
 steps = st.lists(
@@ -160,23 +160,23 @@ steps = st.lists(
 )
 
 
-def take_step(journal: Journal, step: str, number: int) -> None:
+def take_step(log: RaftLog, step: str, number: int) -> None:
     match step:
         case "add":
             for _ in range(number):
-                journal.append(b"\x00", journal[-1].log_index + 1, number)
+                log.append(b"\x00", log[-1].log_index + 1, max(number, log[-1].term))  # terms never fall
         case "cut" if number >= 2:
-            journal.cut_from(journal[0].log_index + number)
-        case "snapshot" if number > journal[0].log_index + 1:
+            log.cut_from(log[0].log_index + number)
+        case "snapshot" if number > log[0].log_index + 1:
             previous, last = Entry(b"\x00p", number - 1, 9), Entry(b"\x00l", number, 9)
-            if (held := journal.entry_at(number)) is not None:
-                previous, last = journal.entry_at(number - 1) or previous, held
-            adopt(journal, StoredSnapshot.of(number, b"%d" % number), previous, last)
+            if (held := log.entry_at(number)) is not None:
+                previous, last = log.entry_at(number - 1) or previous, held
+            adopt(log, StoredSnapshot.of(number, b"%d" % number), previous, last)
         case "piece":
-            held = 0 if journal.snapshot is None else journal.snapshot.last_log_index
-            journal.write_piece(StoredSnapshot.of(held + number, b"never sealed").piece(0))
+            held = 0 if log.snapshot is None else log.snapshot.last_log_index
+            log.write_piece(StoredSnapshot.of(held + number, b"never sealed").piece(0))
         case "sync":
-            journal.sync()
+            log.sync()
 
 
 @settings(max_examples=60, deadline=None)
@@ -185,16 +185,16 @@ def test_a_crash_takes_the_journal_back_to_its_last_sync(story: list[tuple[str, 
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr(storage, "PIECE_BYTES", 1)
         reopen = sqlite_in(Path(folder))
-        journal = with_entries(reopen(), 2)
-        journal.sync()
-        durable = (journal[:], journal.snapshot)
+        log = with_entries(reopen(), 2)
+        log.sync()
+        durable = (log[:], log.snapshot)
         for step, number in story:
-            take_step(journal, step, number)
+            take_step(log, step, number)
             if step == "sync":
-                durable = (journal[:], journal.snapshot)
+                durable = (log[:], log.snapshot)
             if step == "crash":
-                journal = Journal(reopen())
-                assert (journal[:], journal.snapshot) == durable
-        journal = Journal(reopen())
-        assert (journal[:], journal.snapshot) == durable
+                log = RaftLog(reopen())
+                assert (log[:], log.snapshot) == durable
+        log = RaftLog(reopen())
+        assert (log[:], log.snapshot) == durable
         reopen().close()

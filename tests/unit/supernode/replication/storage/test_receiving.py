@@ -18,7 +18,7 @@ from tests.unit.supernode.replication.rules.test_closed_faults import snapshot_p
 T = TypeVar("T")
 
 
-class Aside:
+class Background:
     """Another thread: does the work that it was given when it is told to."""
 
     def __init__(self) -> None:
@@ -45,8 +45,8 @@ class Slow:
     """A node that is being sent the snapshot up to entry 9 of term 5, and another thread that decodes it."""
 
     def __init__(self, store: MemoryStore | None = None) -> None:
-        self.aside = Aside()
-        self.lone = LoneNode(store=store, run_aside=self.aside)
+        self.background = Background()
+        self.lone = LoneNode(store=store, run_in_background=self.background)
 
     def receive_all(self, *, last: int = 9) -> None:
         for chunk in snapshot_pieces(last=last, term=5):
@@ -54,7 +54,7 @@ class Slow:
             assert [(reply.success, reply.reset) for reply in replies] == [(False, False)]
 
     def open_it(self) -> None:
-        self.aside.do_it()
+        self.background.do_it()
         self.lone.open_snapshot()
 
 
@@ -124,12 +124,12 @@ def test_each_step_writes_one_piece_and_the_last_one_opens_it(monkeypatch: pytes
     store = Watched()
     slow = Slow(store)
     slow.receive_all()
-    slow.aside.do_it()
+    slow.background.do_it()
     while slow.lone.node.keeper.is_opening:
         assert slow.lone.machine.entries == []
         slow.lone.node.install_opened()
-        slow.lone.journal.sync()
-    snapshot = slow.lone.journal.snapshot
+        slow.lone.log.sync()
+    snapshot = slow.lone.log.snapshot
     assert snapshot is not None
     assert store.pieces[-1] == 0
     assert [count for count in store.pieces if count] == [1] * snapshot.pieces_count
@@ -140,7 +140,7 @@ def test_each_step_writes_one_piece_and_the_last_one_opens_it(monkeypatch: pytes
 def test_a_failure_to_decode_it_rises_before_anything_is_acknowledged() -> None:
     failed: Future[object] = Future()
     failed.set_exception(ValueError("this state cannot be read"))
-    lone = LoneNode(run_aside=lambda work, /: failed)  # type: ignore[arg-type,return-value]
+    lone = LoneNode(run_in_background=lambda work, /: failed)  # type: ignore[arg-type,return-value]
     for chunk in snapshot_pieces(last=9, term=5):
         lone.receive("b", piece(5, chunk, commit=12))
     with pytest.raises(ValueError, match="cannot be read"):

@@ -14,7 +14,7 @@ import pytest
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage import store as storage
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.sqlite_store import (
     DATABASE_NAME,
@@ -37,11 +37,11 @@ def open_store(folder: Path, *, member_id: str = "m", cluster_id: str = "c", cre
 
 
 def fill(folder: Path) -> None:
-    journal = Journal(open_store(folder))
+    log = RaftLog(open_store(folder))
     for index in range(1, 6):
-        journal.append(b"\x00command %d" % index, index, 1)
-    journal.set_term(1, "m")
-    journal.close()
+        log.append(b"\x00command %d" % index, index, 1)
+    log.set_term(1, "m")
+    log.close()
 
 
 def edit(folder: Path, statement: str) -> None:
@@ -143,12 +143,12 @@ def test_a_file_that_is_no_database_is_found(tmp_path: Path) -> None:
 
 def copy_as_after_a_crash(folder: Path, to: Path) -> Path:
     """What a kill would leave of a store in use: the write-ahead log is still there."""
-    journal = Journal(open_store(folder))
+    log = RaftLog(open_store(folder))
     for index in range(1, 61):
-        journal.append(b"\x00command %d" % index, index, 1)
-        journal.sync()
+        log.append(b"\x00command %d" % index, index, 1)
+        log.sync()
     shutil.copytree(folder, to)
-    journal.close()
+    log.close()
     return to / f"{DATABASE_NAME}-wal"
 
 
@@ -180,38 +180,38 @@ def test_without_the_watermark_a_flipped_bit_would_lose_entries_in_silence(tmp_p
 
 def test_a_full_disk_fails_the_commit(tmp_path: Path) -> None:
     store = open_store(tmp_path)
-    journal = Journal(store)
+    log = RaftLog(store)
     store._db.execute("PRAGMA max_page_count = 10")
-    journal.append(b"\x00" * 60_000, 1, 1)
+    log.append(b"\x00" * 60_000, 1, 1)
     with pytest.raises(sqlite3.OperationalError, match="full"):
-        journal.sync()
+        log.sync()
     store.close()
 
 
-def adopt(journal: Journal, index: int, record: bytes) -> None:
+def adopt(log: RaftLog, index: int, record: bytes) -> None:
     snapshot = StoredSnapshot.of(index, record)
     for piece in snapshot.pieces():
-        journal.write_piece(piece)
-    previous, last = journal.entry_at(index - 1), journal.entry_at(index)
+        log.write_piece(piece)
+    previous, last = log.entry_at(index - 1), log.entry_at(index)
     assert previous
     assert last
-    journal.adopt_snapshot(snapshot, previous, last, Configuration(()))
+    log.adopt_snapshot(snapshot, previous, last, Configuration(()))
 
 
 def test_a_changed_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
     fill(tmp_path)
-    journal = Journal(open_store(tmp_path))
-    adopt(journal, 3, b"state")
-    journal.close()
+    log = RaftLog(open_store(tmp_path))
+    adopt(log, 3, b"state")
+    log.close()
     edit(tmp_path, "UPDATE snapshot_piece SET data = x'00'")
     assert "snapshot fails its checksum" in damage_found(tmp_path)
 
 
 def test_a_missing_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
     fill(tmp_path)
-    journal = Journal(open_store(tmp_path))
-    adopt(journal, 3, b"state")
-    journal.close()
+    log = RaftLog(open_store(tmp_path))
+    adopt(log, 3, b"state")
+    log.close()
     edit(tmp_path, "DELETE FROM snapshot_piece")
     assert "snapshot fails its checksum" in damage_found(tmp_path)
 
@@ -219,19 +219,19 @@ def test_a_missing_piece_of_the_snapshot_is_found(tmp_path: Path) -> None:
 def test_the_pieces_of_older_snapshots_go_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 1)
     store = open_store(tmp_path)
-    journal = Journal(store)
+    log = RaftLog(store)
     for index in range(1, 6):
-        journal.append(b"\x00", index, 1)
-    adopt(journal, 3, b"older")
-    journal.sync()
-    adopt(journal, 4, b"newer")
+        log.append(b"\x00", index, 1)
+    adopt(log, 3, b"older")
+    log.sync()
+    adopt(log, 4, b"newer")
     held = []
     for term in range(1, 6):
-        journal.set_term(term, "m")
-        journal.sync()
+        log.set_term(term, "m")
+        log.sync()
         held.append(store._db.execute("SELECT COUNT(*) FROM snapshot_piece").fetchone()[0])
     assert held == [10, 8, 6, 5, 5]
-    journal.close()
+    log.close()
     assert open_and_close(tmp_path).snapshot == StoredSnapshot.of(4, b"newer")
 
 
@@ -303,10 +303,10 @@ def test_a_database_without_term_and_entries_is_not_taken_for_a_new_one(tmp_path
 
 def test_what_others_have_promised_outlives_the_process(tmp_path: Path) -> None:
     fill(tmp_path)
-    journal = Journal(open_store(tmp_path))
-    journal.note_promise("b", 3, 0)
-    journal.note_promise("b", 1, 7)
-    journal.close()
+    log = RaftLog(open_store(tmp_path))
+    log.note_promise("b", 3, 0)
+    log.note_promise("b", 1, 7)
+    log.close()
     assert open_and_close(tmp_path).promises == {"b": Promise(3, 7)}
 
 

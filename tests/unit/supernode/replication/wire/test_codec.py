@@ -31,7 +31,7 @@ from stampede_rt_supernode.replication.wire.messages import (
 )
 from stampede_rt_supernode.replication.wire.records import (
     MalformedMessage,
-    Snapshot,
+    SnapshotContents,
     check_command,
     decode_configuration,
     decode_snapshot,
@@ -51,7 +51,7 @@ EVERY_KIND: list[Message] = [
     acknowledgement(3, 9),
     VoteRequest(term=4, last_log_index=9, last_log_term=3),
     vote(4),
-    VoteReply(term=4, trial=True, voter_term=3),
+    VoteReply(term=4, pre_vote=True, voter_term=3),
     TimeoutNow(term=4),
     ForwardedCommand(request_id=77, command=b"\x00payload"),
     ForwardedCommandReply(request_id=77, log_index=10, log_term=4),
@@ -114,7 +114,9 @@ def test_random_bytes_are_refused_or_well_formed(data: bytes) -> None:
 def test_a_snapshot_comes_out_as_it_went_in() -> None:
     previous, last = Entry(b"\x00a", 4, 1), Entry(b"\x01", 5, 2)
     record = encode_snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
-    assert decode_snapshot(record) == Snapshot(previous=previous, last=last, configuration=MEMBERS, state=b"state")
+    assert decode_snapshot(record) == SnapshotContents(
+        previous=previous, last=last, configuration=MEMBERS, state=b"state"
+    )
 
 
 def test_a_snapshot_from_before_members_could_change_has_no_configuration() -> None:

@@ -10,9 +10,9 @@ from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.library.pinned_copy import load_library
 from stampede_rt_supernode.replication.library.seams import LibraryLog, LibrarySerializer, LibraryTransport
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
 
 
 class Assembly:
@@ -37,15 +37,15 @@ class Assembly:
         settings: ReplicationSettings,
         *,
         others: Iterable[Any],
-        journal: Journal,
+        log: RaftLog,
         keeper: SnapshotKeeper,
-        mailroom: Mailroom,
+        transport: BufferedTransport,
     ) -> None:
-        """Run the library's constructor: a follower with what `journal` holds, and no snapshot open yet."""
-        serializer = LibrarySerializer(keeper, journal)
-        conf = self._conf(settings, LibraryLog(journal), serializer)
+        """Run the library's constructor: a follower with what `log` holds, and no snapshot open yet."""
+        serializer = LibrarySerializer(keeper, log)
+        conf = self._conf(settings, LibraryLog(log), serializer)
         self_member = self.make_member(settings.self_member.member_id)
-        node.__init__(self_member, others, conf=conf, transport=LibraryTransport(mailroom))
+        node.__init__(self_member, others, conf=conf, transport=LibraryTransport(transport))
 
     def _conf(self, settings: ReplicationSettings, log: LibraryLog, serializer: LibrarySerializer) -> Any:
         """The library's configuration, every value that matters named."""

@@ -18,7 +18,7 @@ from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.library.seams import LibraryLog
 from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.wire.messages import Message
 
 T = TypeVar("T")
@@ -117,9 +117,9 @@ class LibraryNode:
     conf: Any
 
     @property
-    def log(self) -> Journal:
+    def log(self) -> RaftLog:
         """Entries, term and vote on their way to the disk."""
-        return self._SyncObj__raftLog.journal
+        return self._SyncObj__raftLog.log
 
     @property
     def is_leader(self) -> bool:

@@ -1,6 +1,6 @@
 """The one door to PySyncObj: its Raft module, pinned, as a private copy whose seams are ours.
 
-The library binds its clock, its random source, its pickle, its journal and its poller as module globals. Running the
+The library binds its clock, its random source, its pickle, its log and its poller as module globals. Running the
 module's code once more in a namespace of our own lets us bind others there, and leaves the copy that anyone
 else may import as it was. Because we override private methods by name, the file itself is pinned.
 """
@@ -68,7 +68,7 @@ def load_library(*, clock: Callable[[], float], random_source: RandomSource) -> 
     """A private copy of the library's Raft module that reads `clock` (seconds, monotonic) and draws from
     `random_source`.
 
-    Raises LibraryMismatch. Journal and snapshot keeper are handed in through the configuration: as
+    Raises LibraryMismatch. RaftLog and snapshot keeper are handed in through the configuration: as
     `journalFile` and as `serializer`.
     """
     module: Any = ModuleType("pysyncobj.stampede_private_copy")
@@ -79,6 +79,6 @@ def load_library(*, clock: Callable[[], float], random_source: RandomSource) -> 
     module.random = random_source
     module.createPoller = lambda kind: _NoPoller()
     module.PIPE_NOTIFIER_ENABLED = False
-    module.createJournal = lambda journal: journal
+    module.createJournal = lambda log: log
     module.Serializer = lambda path, batch_bytes, use_fork, serializer, deserializer, checker: serializer
     return module

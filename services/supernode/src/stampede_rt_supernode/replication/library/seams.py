@@ -11,43 +11,43 @@ from typing import Any, overload
 
 from stampede_rt_supernode.replication.library.translation import LibraryMessage, from_library
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
 
 # The library's SERIALIZER_STATE numbers.
 _NOT_SERIALIZING, _SERIALIZING, _SUCCESS = 0, 1, 2
 
 
 class LibraryLog:
-    """The library's journal. It counts entries from the first one held."""
+    """The library's log. It counts entries from the first one held."""
 
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
+    def __init__(self, log: RaftLog) -> None:
+        self.log = log
 
     @overload
     def __getitem__(self, item: int) -> Entry: ...
     @overload
     def __getitem__(self, item: slice) -> list[Entry]: ...
     def __getitem__(self, item: int | slice) -> Entry | list[Entry]:
-        return self.journal[item]
+        return self.log[item]
 
     def __len__(self) -> int:
-        return len(self.journal)
+        return len(self.log)
 
     def add(self, command: bytes, idx: int, term: int) -> None:
         """Append an entry."""
-        self.journal.append(command, idx, term)
+        self.log.append(command, idx, term)
 
     def clear(self) -> None:
         """Forget every entry."""
-        self.journal.clear()
+        self.log.clear()
 
     def deleteEntriesFrom(self, entryFrom: int) -> None:
         """Forget the entries from one on."""
-        if entryFrom < len(self.journal):
-            self.journal.cut_from(self.journal[entryFrom].log_index)
+        if entryFrom < len(self.log):
+            self.log.cut_from(self.log[entryFrom].log_index)
 
     def deleteEntriesTo(self, entryTo: int) -> None:
         """Nothing: a snapshot that is adopted has cut the log off already."""
@@ -56,35 +56,35 @@ class LibraryLog:
 
     def setRaftCommitIndex(self, raftCommitIndex: int) -> None:
         """Note the commit index."""
-        self.journal.commit_index = raftCommitIndex
+        self.log.commit_index = raftCommitIndex
 
     def getRaftCommitIndex(self) -> int:
         """The commit index noted last."""
-        return self.journal.commit_index
+        return self.log.commit_index
 
     def setCurrentTerm(self, term: int, votedForNodeId: str | None) -> None:
         """Note term and vote."""
-        self.journal.set_term(term, votedForNodeId)
+        self.log.set_term(term, votedForNodeId)
 
     def getCurrentTerm(self) -> int:
         """The term noted last."""
-        return self.journal.term
+        return self.log.term
 
     def getVotedForNodeId(self) -> str | None:
         """The vote noted last."""
-        return self.journal.voted_for
+        return self.log.voted_for
 
     def onOneSecondTimer(self) -> None:
-        """Called about once a second; the library's own journal saves its commit index here."""
-        self.journal.flush_promises()
+        """Called about once a second; the library's own log saves its commit index here."""
+        self.log.flush_promises()
 
 
 class LibrarySerializer:
     """The library's serializer. Only the unchanged library has it take in snapshots; our rules do that themselves."""
 
-    def __init__(self, keeper: SnapshotKeeper, journal: Journal) -> None:
+    def __init__(self, keeper: SnapshotKeeper, log: RaftLog) -> None:
         self._keeper = keeper
-        self._journal = journal
+        self._log = log
         # The snapshot that came in last and is not open yet.
         self._received: StoredSnapshot | None = None
 
@@ -107,7 +107,7 @@ class LibrarySerializer:
 
     def deserialize(self) -> tuple[None, Entry, Entry, list[str]]:
         """Open the present snapshot into the state machine."""
-        stored, self._received = self._received or self._journal.snapshot, None
+        stored, self._received = self._received or self._log.snapshot, None
         assert stored is not None
         snapshot = self._keeper.open_at_once(stored)
         return None, snapshot.last, snapshot.previous, []
@@ -124,12 +124,12 @@ class LibraryTransport:
 
     ready = True
 
-    def __init__(self, mailroom: Mailroom) -> None:
-        self._mailroom = mailroom
+    def __init__(self, transport: BufferedTransport) -> None:
+        self._transport = transport
 
     def send(self, node: Any, message: LibraryMessage) -> bool:
         """Queue a message; False when the member is not connected."""
-        return self._mailroom.send(node, from_library(message))
+        return self._transport.send(node, from_library(message))
 
     def _ignore(self, *callbacks: Any) -> None:
         """The library offers to be called; nobody will."""

@@ -8,7 +8,7 @@ import grpc
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import STORE_ID_BYTES_MAX, KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
@@ -30,7 +30,7 @@ TOO_OLD = "is of a release that is too old"
 UNKNOWN = "is no other member of this cluster"
 
 
-class Refusal(NamedTuple):
+class HelloRefusal(NamedTuple):
     """Why an introduction is not accepted. `hears`: the caller is told of the members; it may come back as one."""
 
     code: grpc.StatusCode
@@ -44,7 +44,7 @@ def introduction(
     *,
     store_id: str,
     standing: tuple[int, int],
-    roster: Roster,
+    roster: MemberRoster,
     highest_level: int,
 ) -> pb.RaftHello:
     """What this member says of itself to another one. `standing`: term and last index on its disk."""
@@ -67,38 +67,40 @@ def refusal_of(
     hello: pb.RaftHello,
     settings: ReplicationSettings,
     *,
-    roster: Roster,
+    roster: MemberRoster,
     stores: KnownStores,
     promise: Promise,
     feature_level: int,
-) -> Refusal | None:
+) -> HelloRefusal | None:
     """Why this member does not listen to the caller; None if it does. `promise`: what the caller said before."""
     failed, denied = grpc.StatusCode.FAILED_PRECONDITION, grpc.StatusCode.PERMISSION_DENIED
     own, caller = settings.self_member.member_id, hello.member_id
     names = [(name, MEMBER_ID_BYTES_MAX) for name in (caller, hello.peer_member_id, hello.cluster_id)]
     sizes = *names, (hello.address, ADDRESS_BYTES_MAX), (hello.store_id, STORE_ID_BYTES_MAX)
     if not caller or any(len(text.encode()) > limit for text, limit in sizes):
-        return Refusal(grpc.StatusCode.INVALID_ARGUMENT, "a hello without an id, or with a text that is too long")
+        return HelloRefusal(grpc.StatusCode.INVALID_ARGUMENT, "a hello without an id, or with a text that is too long")
     if hello.protocol_version != PROTOCOL_VERSION:
-        return Refusal(failed, other_protocol(own, hello.protocol_version))
+        return HelloRefusal(failed, other_protocol(own, hello.protocol_version))
     if hello.cluster_id != settings.cluster_id:
-        return Refusal(failed, f"this member {OTHER_CLUSTER}, {settings.cluster_id!r} and not {hello.cluster_id!r}")
+        return HelloRefusal(
+            failed, f"this member {OTHER_CLUSTER}, {settings.cluster_id!r} and not {hello.cluster_id!r}"
+        )
     if hello.peer_member_id != own:
-        return Refusal(failed, f"this is member {own!r}, not {hello.peer_member_id!r}")
+        return HelloRefusal(failed, f"this is member {own!r}, not {hello.peer_member_id!r}")
     if caller in roster.removed:
-        return Refusal(denied, f"{caller!r} {REMOVED}")
+        return HelloRefusal(denied, f"{caller!r} {REMOVED}")
     if hello.highest_feature_level < feature_level:
         known = f"it knows feature level {hello.highest_feature_level}, and the cluster is at level {feature_level}"
-        return Refusal(failed, f"{caller!r} {TOO_OLD}: {known}")
+        return HelloRefusal(failed, f"{caller!r} {TOO_OLD}: {known}")
     if not stores.admits(caller, hello.store_id):
-        return Refusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has none now'}")
+        return HelloRefusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has none now'}")
     if stores.own and not hello.store_id:
-        return Refusal(denied, f"{caller!r} {NO_STORE}; start it with its --data-dir")
+        return HelloRefusal(denied, f"{caller!r} {NO_STORE}; start it with its --data-dir")
     if hello.store_id and not promise.is_kept_by(hello.term, hello.last_log_index):
         held, has = f"term {promise.term} and entry {promise.held}", f"{hello.term} and {hello.last_log_index}"
-        return Refusal(denied, f"{caller!r} {OLDER_STORE}: it has held {held}, and holds {has}")
+        return HelloRefusal(denied, f"{caller!r} {OLDER_STORE}: it has held {held}, and holds {has}")
     if caller not in roster.peers:
-        return Refusal(denied, f"{caller!r} {UNKNOWN}", hears=True)
+        return HelloRefusal(denied, f"{caller!r} {UNKNOWN}", hears=True)
     return None
 
 

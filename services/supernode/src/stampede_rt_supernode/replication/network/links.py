@@ -21,7 +21,7 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, TOO_OLD, UNKNOWN, other_protocol
 from stampede_rt_supernode.replication.network.refusals import Refusals, grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
-from stampede_rt_supernode.replication.replica import Roster
+from stampede_rt_supernode.replication.replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.wire.codec import encode_message
@@ -71,7 +71,7 @@ class LinkBroken(Exception):
     """The stream ended, or was ended by us; the link starts again."""
 
 
-class Link:
+class PeerLink:
     """The stream to one member. Everything here runs on the loop; only `queued_bytes` is read elsewhere."""
 
     def __init__(
@@ -235,8 +235,8 @@ def _brief(error: BaseException) -> str:
     return (str(error) or type(error).__name__)[:REASON_CHARACTERS_MAX]
 
 
-class Links:
-    """The links to everybody whom a replica knows: its production Network."""
+class PeerLinks:
+    """The links to everybody whom a replica knows: its production RaftNetwork."""
 
     def __init__(
         self,
@@ -249,7 +249,7 @@ class Links:
         self._dial = dial
         self._bridge = bridge
         self._on_fatal = on_fatal
-        self._links: dict[str, Link] = {}
+        self._links: dict[str, PeerLink] = {}
         self._reports = SparseReports()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._ending: set[asyncio.Task[None]] = set()
@@ -273,7 +273,7 @@ class Links:
         self._deliver, self._introduce = deliver, introduce
         self._follow(peers)
 
-    def follow(self, roster: Roster) -> None:
+    def follow(self, roster: MemberRoster) -> None:
         """Connect to these peers and to nobody else; from the tick thread."""
         self._bridge.post(lambda: self._follow(roster.peers))
 
@@ -295,7 +295,7 @@ class Links:
                 task.add_done_callback(self._on_end)
                 self._tasks[member_id] = task
 
-    def _link(self, member: Member, deliver: Callable[[NetworkEvent], None], introduce: Introduce) -> Link:
+    def _link(self, member: Member, deliver: Callable[[NetworkEvent], None], introduce: Introduce) -> PeerLink:
         member_id = member.member_id
 
         def deliver_first(event: NetworkEvent) -> None:
@@ -306,7 +306,7 @@ class Links:
         def on_refused(why: str) -> None:
             self._on_refused(member_id, why, deliver)
 
-        return Link(member, self._settings, self._dial, deliver_first, on_refused, introduce, self._reports)
+        return PeerLink(member, self._settings, self._dial, deliver_first, on_refused, introduce, self._reports)
 
     def _on_refused(self, member_id: str, why: str, deliver: Callable[[NetworkEvent], None]) -> None:
         if OTHER_CLUSTER in why:

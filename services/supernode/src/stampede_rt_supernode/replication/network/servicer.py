@@ -21,13 +21,13 @@ from stampede_rt_supernode.replication.network.greetings import (
     ANOTHER_STORE,
     OLDER_STORE,
     OTHER_CLUSTER,
-    Refusal,
+    HelloRefusal,
     newly_met,
     refusal_of,
 )
 from stampede_rt_supernode.replication.network.links import REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.network.reports import SparseReports
-from stampede_rt_supernode.replication.replica import InboxFull, Replica
+from stampede_rt_supernode.replication.replica import InboxFull, RaftReplica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.wire.codec import decode_message
@@ -49,7 +49,7 @@ _register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
 class RaftServicer:
     """Takes in the streams of the other members. Runs on the loop."""
 
-    def __init__(self, settings: ReplicationSettings, replica: Replica, stores: KnownStores) -> None:
+    def __init__(self, settings: ReplicationSettings, replica: RaftReplica, stores: KnownStores) -> None:
         self._settings = settings
         self._stores = stores
         self._replica = replica
@@ -162,7 +162,7 @@ class RaftServicer:
             await context.write(self._greeting(knows_caller=False))
         await context.abort(refusal.code, refusal.why)
 
-    def _note_outcome(self, hello: pb.RaftHello, refusal: Refusal | None) -> None:
+    def _note_outcome(self, hello: pb.RaftHello, refusal: HelloRefusal | None) -> None:
         """Remember, and say once, that a member may not come back with the store that it has."""
         if refusal is not None and OTHER_CLUSTER in refusal.why:
             self._tell_of_another_cluster(hello)

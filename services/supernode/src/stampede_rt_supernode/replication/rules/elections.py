@@ -40,7 +40,7 @@ class RaftRules(Following, Leading):
 
     def receive(self, node: Any, message: Message) -> None:
         """Hand a member's message to its rule. The library takes messages from anybody."""
-        if self.mailroom.node(node.id) is None:
+        if self.transport.node(node.id) is None:
             return
         self._check_term(node.id, message)
         self._note_promise(node.id, message)
@@ -85,7 +85,7 @@ class RaftRules(Following, Leading):
                 self.log.note_promise(member_id, message.term, message.commit_index)
             case AppendReply():
                 self.log.note_promise(member_id, message.term, 0)
-            case VoteRequest(trial=False) | VoteReply(trial=False):
+            case VoteRequest(pre_vote=False) | VoteReply(pre_vote=False):
                 self.log.note_promise(member_id, message.term, 0)
             case VoteReply():
                 self.log.note_promise(member_id, message.voter_term, 0)
@@ -116,7 +116,7 @@ class RaftRules(Following, Leading):
             return
         self.set_term(self.term, node.id)
         self.put_off_election()
-        self.mailroom.send(node, VoteReply(term=message.term))
+        self.transport.send(node, VoteReply(term=message.term))
 
     def _on_vote(self, node: Any, message: VoteReply) -> None:
         """Count a vote once per node and term. The library counts messages."""
@@ -132,16 +132,16 @@ class RaftRules(Following, Leading):
             self.become_leader()
 
 
-class TrialElections(RaftRules):
+class PreVoteElections(RaftRules):
     """The full set of rules: corrected handlers, and a trial before every election. Tick thread only."""
 
     # A leader heard of within this time is alive, and no trial finds a vote here.
     leader_alive_seconds: float
 
     # The term that is being asked about, and who would vote for this node in it.
-    _trial: tuple[int, set[str]] = (0, set())
+    _pre_vote: tuple[int, set[str]] = (0, set())
     # The last term in which a majority would vote for this node.
-    _trial_won_term: int = 0
+    _pre_vote_won_term: int = 0
 
     def before_tick(self) -> None:
         """Turn an election that is due into a trial, unless its trial was won already."""
@@ -159,14 +159,14 @@ class TrialElections(RaftRules):
             return
         term = self.term + 1
         self._lose_leader()
-        if self._trial_won_term == term:
+        if self._pre_vote_won_term == term:
             return
         self.put_off_election()
-        self._trial = (term, set())
+        self._pre_vote = (term, set())
         last_term, last_index = self.log_end()
-        request = VoteRequest(term=term, last_log_index=last_index, last_log_term=last_term, trial=True)
+        request = VoteRequest(term=term, last_log_index=last_index, last_log_term=last_term, pre_vote=True)
         for node in self.other_voters:
-            self.mailroom.send(node, request)
+            self.transport.send(node, request)
 
     def _lose_leader(self) -> None:
         """Nothing was heard of the leader for an election timeout: nobody's commands or reads go to it any more."""
@@ -176,35 +176,35 @@ class TrialElections(RaftRules):
             self.reads.on_leader_lost()
 
     def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
-        if not message.trial:
+        if not message.pre_vote:
             super()._on_vote_request(node, message)
             return
         leader_alive = self.clock() - self.last_leader_contact < self.leader_alive_seconds
         complete = (message.last_log_term, message.last_log_index) >= self.log_end()
         if leader_alive or not complete or self.is_leader or self.disputed_by:
             return
-        self.mailroom.send(node, VoteReply(term=message.term, trial=True, voter_term=self.term))
+        self.transport.send(node, VoteReply(term=message.term, pre_vote=True, voter_term=self.term))
 
     def _on_vote(self, node: Any, message: VoteReply) -> None:
-        if not message.trial:
+        if not message.pre_vote:
             super()._on_vote(node, message)
             return
         if message.voter_term > self.term:
             self.become_follower(message.voter_term)
-        term, voters = self._trial
+        term, voters = self._pre_vote
         if message.term != term or self.is_leader or node not in self.other_voters:
             return
         voters.add(node.id)
         if self.is_majority(1 + len(voters)):
-            self._trial = (0, set())
-            self._trial_won_term = self.term + 1
+            self._pre_vote = (0, set())
+            self._pre_vote_won_term = self.term + 1
             self.election_deadline = float("-inf")
 
     def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
         super()._on_timeout_now(node, message)
         if self.election_deadline == float("-inf"):
             # Those who hear the leader would refuse a trial; the leader itself has asked for this election.
-            self._trial_won_term = self.term + 1
+            self._pre_vote_won_term = self.term + 1
 
     def send_now(self) -> None:
         """Send to every member now, if this node leads."""

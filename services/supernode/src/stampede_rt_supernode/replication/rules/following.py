@@ -119,4 +119,4 @@ class Following(Membership):
         self, node: Any, message: FromLeader, *, next_index: int, reset: bool = False, success: bool = False
     ) -> None:
         reply = AppendReply(term=self.term, round=message.round, next_index=next_index, reset=reset, success=success)
-        self.mailroom.send(node, reply)
+        self.transport.send(node, reply)

@@ -70,7 +70,7 @@ class Leading(Membership):
             round=self.reads.round,
             digest=self.state_machine.digest(),
         )
-        self.mailroom.send(node, message)
+        self.transport.send(node, message)
 
     def _send_entries(self, node: Any) -> None:
         end = self.log.last_index
@@ -80,7 +80,7 @@ class Leading(Membership):
             if previous is None:
                 raise InvariantViolation(f"{node.id} is to be sent entry {next_index}, but the log ends at {end}")
             entries = self._entries_from(next_index) if self.has_room(node.id) else []
-            self.mailroom.send(
+            self.transport.send(
                 node,
                 AppendEntries(
                     term=self.term,

@@ -16,14 +16,14 @@ from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
+    LogUnavailable,
     Member,
     NotLeading,
     ReleaseOutdated,
     TicketSpent,
-    Unavailable,
 )
 
-ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | Unavailable
+ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
 # A newcomer that makes no progress for so long is given up, so that others can come.
 STALLED_SECONDS = 30.0
@@ -169,7 +169,7 @@ class MemberChanges:
 
     def close(self) -> None:
         """End everything that waits."""
-        self._end(Unavailable("this replica is closing"))
+        self._end(LogUnavailable("this replica is closing"))
 
     # -- one at a time -------------------------------------------------------------------------------------------
 
@@ -292,7 +292,7 @@ class MemberChanges:
 
     # -- outcomes ------------------------------------------------------------------------------------------------
 
-    def _end(self, outcome: NotLeading | Unavailable) -> None:
+    def _end(self, outcome: NotLeading | LogUnavailable) -> None:
         addition, self._addition = self._addition, None
         committing, self._committing = self._committing, None
         leaving, self._leaving = self._leaving, None
@@ -336,4 +336,4 @@ def _refusal(configuration: Any, member: Member, ticket: str) -> ChangeRefused |
 def _after_hand_over(left: bool) -> ChangeOutcome:
     if left:
         return NotLeading("this replica was the leader, and has handed over: ask the new one")
-    return Unavailable("this replica leads, and no other member could take over; try again")
+    return LogUnavailable("this replica leads, and no other member could take over; try again")

@@ -129,7 +129,7 @@ class Membership(NodeState):
         self.learner = learner
         self._adopt()
         if learner is not None:
-            node = self.mailroom.node(learner.member_id)
+            node = self.transport.node(learner.member_id)
             self.next_index[node] = self.log.last_index + 1
             self.match_index[node] = 0
 
@@ -148,7 +148,7 @@ class Membership(NodeState):
         for node in [node for node in self.other_voters if node.id not in voters]:
             self.other_voters.discard(node)
         for member_id in sorted(voters - self.voter_ids()):
-            node = self.mailroom.node(member_id)
+            node = self.transport.node(member_id)
             self.other_voters.add(node)
             # A learner that becomes a voter keeps what it has acknowledged.
             self.next_index.setdefault(node, self.log.last_index + 1)
@@ -167,9 +167,9 @@ class Membership(NodeState):
         for member_id in (*settled.retired, self.self_member.member_id):
             peers.pop(member_id, None)
         for member_id in self.peers.keys() - peers.keys():
-            self.mailroom.drop_node(self.mailroom.node(member_id))
+            self.transport.drop_node(self.transport.node(member_id))
         for member_id in sorted(peers.keys() - self.peers.keys()):
-            self.mailroom.add_node(self.make_member(member_id))
+            self.transport.add_node(self.make_member(member_id))
         self.peers = peers
 
     def _forget_progress(self) -> None:
@@ -180,7 +180,7 @@ class Membership(NodeState):
 
     def sent_to(self) -> list[Any]:
         """Everybody whom a leader sends its log to, in the order of the library's set."""
-        learner = self.mailroom.node(self.learner.member_id) if self.learner is not None else None
+        learner = self.transport.node(self.learner.member_id) if self.learner is not None else None
         others = list(self.other_voters)
         return others if learner is None or learner in self.other_voters else [*others, learner]
 
@@ -207,7 +207,7 @@ class Membership(NodeState):
 
     def known_levels(self) -> dict[str, int]:
         """The highest feature level of each member that has told one, and of this one."""
-        return {**self.mailroom.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
+        return {**self.transport.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
 
     def level_to_join(self) -> int:
         """The level that a newcomer's release must know: the cluster's, or the one to which it is about to rise."""
@@ -221,7 +221,7 @@ class Membership(NodeState):
 
     def held_by(self, member_id: str) -> int:
         """Up to where a member or the learner has acknowledged this leader's log; 0 for others."""
-        node = self.mailroom.node(member_id)
+        node = self.transport.node(member_id)
         return 0 if node is None else self.match_index.get(node, 0)
 
     def note_promises(self) -> None:
@@ -250,8 +250,8 @@ class Membership(NodeState):
 
     def send_timeout_now(self, member_id: str) -> bool:
         """Ask a member to lead; False when the message cannot leave."""
-        node = self.mailroom.node(member_id)
-        return node is not None and self.mailroom.send(node, TimeoutNow(term=self.term))
+        node = self.transport.node(member_id)
+        return node is not None and self.transport.send(node, TimeoutNow(term=self.term))
 
 
 def _remember(members: dict[str, Member], news: Iterable[Member], members_max: int) -> None:

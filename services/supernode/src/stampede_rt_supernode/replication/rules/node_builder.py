@@ -10,13 +10,13 @@ from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.library.assembling import Assembly
 from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.digests import Digests
-from stampede_rt_supernode.replication.rules.elections import TrialElections
+from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.reads import ConfirmedReads
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.threads.aside import RunAside, run_at_once
-from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.threads.aside import RunInBackground, run_inline
+from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
 
 APPEND_BATCH_BYTES = 1 << 20
 
@@ -25,14 +25,14 @@ def build_node(
     settings: ReplicationSettings,
     state_machine: StateMachine,
     *,
-    journal: Journal,
+    log: RaftLog,
     has_room: Callable[[str], bool],
     clock: Callable[[], float],
     random_source: RandomSource,
-    rules: type = TrialElections,
-    run_aside: RunAside = run_at_once,
+    rules: type = PreVoteElections,
+    run_in_background: RunInBackground = run_inline,
 ) -> Any:
-    """A node with its mailroom, keeper and reads attached; its snapshot is not opened yet.
+    """A node with its transport, keeper and reads attached; its snapshot is not opened yet.
 
     `rules` stands before the library's class in the order of methods. Raises LibraryMismatch.
     """
@@ -40,7 +40,7 @@ def build_node(
     self_id = settings.self_member.member_id
     peers = {member.member_id: member for member in settings.initial_members if member.member_id != self_id}
     others = [assembly.make_member(member_id) for member_id in peers]
-    journal.track_members(Configuration.of(settings.initial_members))
+    log.track_members(Configuration.of(settings.initial_members))
     node = assembly.allocate(rules)
     node.clock, node.state_machine, node.has_room, node.digests = clock, state_machine, has_room, Digests()
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
@@ -48,20 +48,20 @@ def build_node(
     node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()
     node.locked_out_seconds = 2 * settings.timing.election_timeout_max_seconds
     node.keeper = SnapshotKeeper(
-        journal, state_machine, has_room, run_aside=run_aside, chunk_bytes=settings.snapshot_piece_bytes
+        log, state_machine, has_room, run_in_background=run_in_background, chunk_bytes=settings.snapshot_piece_bytes
     )
     node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
     # Request ids of an earlier life must not be answered in this one.
     first_request_id = int(random_source.random() * 2**52)
-    node.mailroom = Mailroom(others)
+    node.transport = BufferedTransport(others)
     node.reads = ConfirmedReads(
         node,
-        node.mailroom,
+        node.transport,
         clock,
         retry_seconds=settings.timing.read_retry_seconds,
         first_request_id=first_request_id,
     )
-    assembly.construct(node, settings, others=others, journal=journal, keeper=node.keeper, mailroom=node.mailroom)
-    node.mailroom.attach(node)
+    assembly.construct(node, settings, others=others, log=log, keeper=node.keeper, transport=node.transport)
+    node.transport.attach(node)
     node.number_forwarded_after(first_request_id)
     return node

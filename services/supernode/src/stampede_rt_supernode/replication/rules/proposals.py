@@ -6,10 +6,10 @@ import heapq
 from collections import deque
 from collections.abc import Callable
 
-from stampede_rt_supernode.replication.interface import Ambiguous, Unavailable
+from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable
 from stampede_rt_supernode.replication.library.node import Fate, ProposalDone
 
-Outcome = bytes | Unavailable | Ambiguous
+Outcome = bytes | LogUnavailable | Ambiguous
 
 
 class Proposal:
@@ -73,7 +73,7 @@ class Proposals:
             self._handed -= 1
             self._finish(proposal, Ambiguous("the log did not say in time what became of the command"))
         else:
-            self._finish(proposal, Unavailable("no leader was found in time; the command was not taken"))
+            self._finish(proposal, LogUnavailable("no leader was found in time; the command was not taken"))
 
     def _hand_over_one(self, proposal: Proposal) -> None:
         if proposal.finished:
@@ -107,7 +107,7 @@ class Proposals:
         for _, _, proposal in self._deadlines:
             if proposal.finished:
                 continue
-            what = Ambiguous if proposal.handed_over else Unavailable
+            what = Ambiguous if proposal.handed_over else LogUnavailable
             self._finish(proposal, what("this replica is closing"))
         self._deadlines.clear()
         self._waiting.clear()

@@ -12,7 +12,7 @@ from typing import Any
 from stampede_rt_supernode.replication.library.node import LibraryNode
 from stampede_rt_supernode.replication.rules.digests import Digests
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
 
 
 class InvariantViolation(RuntimeError):
@@ -30,7 +30,7 @@ class PeerAtFault(Exception):
 class NodeState(LibraryNode):
     """What all rules read and change. Tick thread only."""
 
-    mailroom: Mailroom
+    transport: BufferedTransport
     has_room: Callable[[str], bool]
     keeper: SnapshotKeeper
     digests: Digests

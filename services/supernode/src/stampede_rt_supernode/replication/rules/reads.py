@@ -13,12 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from stampede_rt_supernode.replication.wire.mailroom import Mailroom
+from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
 from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, ReadIndexRequest
 
 
 @dataclass(slots=True)
-class Read:
+class ConfirmedRead:
     """One read under way. `done` is called once: with the applied index, or None when the time is up."""
 
     deadline: float
@@ -31,7 +31,7 @@ class _Round:
 
     number: int
     commit_index: int
-    reads: list[Read] = field(default_factory=list)
+    reads: list[ConfirmedRead] = field(default_factory=list)
     # (member, request id) of followers that asked.
     requests: list[tuple[Any, int]] = field(default_factory=list)
 
@@ -41,7 +41,7 @@ class _Asked:
     """Reads that wait for the leader's answer to one request."""
 
     request_id: int
-    reads: list[Read]
+    reads: list[ConfirmedRead]
     give_up_at: float
     leader_id: str
 
@@ -58,24 +58,30 @@ class ConfirmedReads:
     """
 
     def __init__(
-        self, node: Any, mailroom: Mailroom, clock: Callable[[], float], *, retry_seconds: float, first_request_id: int
+        self,
+        node: Any,
+        transport: BufferedTransport,
+        clock: Callable[[], float],
+        *,
+        retry_seconds: float,
+        first_request_id: int,
     ) -> None:
         self._node = node
-        self._mailroom = mailroom
+        self._transport = transport
         self._clock = clock
         self._retry_seconds = retry_seconds
         self._next_request_id = first_request_id
         # The newest round. The leader puts it on every append message, and the replies echo it.
         self.round = 0
-        self._new: list[Read] = []
+        self._new: list[ConfirmedRead] = []
         # Of each member the last one: whoever asks again has given up what it asked before.
         self._new_requests: dict[Any, int] = {}
         self._rounds: list[_Round] = []
         self._echoes: dict[str, int] = {}
         self._asked: _Asked | None = None
-        self._confirmed: list[tuple[int, list[Read]]] = []
+        self._confirmed: list[tuple[int, list[ConfirmedRead]]] = []
 
-    def add(self, read: Read) -> None:
+    def add(self, read: ConfirmedRead) -> None:
         """Begin a read."""
         self._new.append(read)
 
@@ -156,10 +162,10 @@ class ConfirmedReads:
         leader = self._node.leader
         if not self._new or self._asked is not None or leader is None:
             return
-        if not self._mailroom.is_reachable(leader.id):
+        if not self._transport.is_reachable(leader.id):
             return
         self._next_request_id += 1
-        self._mailroom.send(leader, ReadIndexRequest(request_id=self._next_request_id))
+        self._transport.send(leader, ReadIndexRequest(request_id=self._next_request_id))
         self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
         self._new = []
 
@@ -168,7 +174,7 @@ class ConfirmedReads:
             self._answer(node, request_id, 0)
 
     def _answer(self, node: Any, request_id: int, read_index: int) -> None:
-        self._mailroom.send(node, ReadIndexReply(request_id=request_id, read_index=read_index))
+        self._transport.send(node, ReadIndexReply(request_id=request_id, read_index=read_index))
 
     def _expire(self) -> None:
         now = self._clock()
@@ -180,7 +186,7 @@ class ConfirmedReads:
         self._confirmed = [(index, _unexpired(reads, now)) for index, reads in self._confirmed]
 
 
-def _unexpired(reads: list[Read], now: float) -> list[Read]:
+def _unexpired(reads: list[ConfirmedRead], now: float) -> list[ConfirmedRead]:
     for read in reads:
         if read.deadline <= now:
             read.done(None)

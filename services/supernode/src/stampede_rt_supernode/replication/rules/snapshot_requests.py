@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from stampede_rt_supernode.replication.interface import Unavailable
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.interface import LogUnavailable
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 
-SnapshotOutcome = StoredSnapshot | Unavailable
+SnapshotOutcome = StoredSnapshot | LogUnavailable
 
 
 class SnapshotRequest(NamedTuple):
@@ -21,9 +21,9 @@ class SnapshotRequest(NamedTuple):
 class SnapshotRequests:
     """Has snapshots taken until one holds what was applied when it was asked for. Tick thread only."""
 
-    def __init__(self, node: Any, journal: Journal, finish: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(self, node: Any, log: RaftLog, finish: Callable[[Callable[[], None]], None]) -> None:
         self._node = node
-        self._journal = journal
+        self._log = log
         self._finish_later = finish
         # (applied index when it was asked for, request)
         self._waiting: list[tuple[int, SnapshotRequest]] = []
@@ -34,7 +34,7 @@ class SnapshotRequests:
 
     def advance(self) -> None:
         """Answer those whom the present snapshot covers, and have another one taken for the rest."""
-        snapshot = self._journal.snapshot
+        snapshot = self._log.snapshot
         if snapshot is not None:
             covered = [one for since, one in self._waiting if since <= snapshot.last_log_index]
             self._waiting = [(since, one) for since, one in self._waiting if since > snapshot.last_log_index]
@@ -46,7 +46,7 @@ class SnapshotRequests:
     def close(self) -> None:
         """Finish everything."""
         for _, request in self._waiting:
-            self._finish(request, Unavailable("this replica is closing"))
+            self._finish(request, LogUnavailable("this replica is closing"))
         self._waiting = []
 
     def _finish(self, request: SnapshotRequest, outcome: SnapshotOutcome) -> None:

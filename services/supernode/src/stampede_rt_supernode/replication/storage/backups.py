@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoredSnapshot, StoredState
-from stampede_rt_supernode.replication.wire.records import MalformedMessage, Snapshot, decode_snapshot
+from stampede_rt_supernode.replication.wire.records import MalformedMessage, SnapshotContents, decode_snapshot
 
 MAGIC = b"stampede-rt directory backup 1\n"
 PART_BYTES = 1 << 20
@@ -78,7 +78,7 @@ def read_backup(path: Path) -> tuple[BackupHeader, StoredState]:
     return header, _state(snapshot, record)
 
 
-def _state(snapshot: Snapshot, record: bytes) -> StoredState:
+def _state(snapshot: SnapshotContents, record: bytes) -> StoredState:
     last = snapshot.last
     return StoredState(
         entries=[snapshot.previous, last],

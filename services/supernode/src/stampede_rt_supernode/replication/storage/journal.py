@@ -29,7 +29,7 @@ PROMISES_MAX = 64
 ENTRY_BYTES = 200
 
 
-class Journal:
+class RaftLog:
     """Log, term, vote and commit index. Entries are without gaps; positions count from the first one held."""
 
     def __init__(self, store: Store, *, kept_bytes_max: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""A leader's snapshot on its way in: its pieces, then its state decoded aside, then the disk, and at last the log.
+"""A leader's snapshot on its way in: its pieces, then its decoding on the worker thread, then the disk, then the log.
 
 None of it is done in one go. With 100,000 channels decoding alone takes half a second; for as long this member would
 answer no leader, confirm no read, and count as lost.
@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.threads.aside import Result, RunAside
+from stampede_rt_supernode.replication.threads.aside import Result, RunInBackground
 from stampede_rt_supernode.replication.wire import records
 from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
@@ -34,7 +34,7 @@ class _Decoded:
     """A whole snapshot, and what lets the state machine go on from it."""
 
     stored: StoredSnapshot
-    snapshot: records.Snapshot
+    snapshot: records.SnapshotContents
     restore: Callable[[], None]
 
 
@@ -53,10 +53,10 @@ class _Opening:
 class SnapshotReceiver:
     """Takes in and opens one snapshot at a time. Tick thread only."""
 
-    def __init__(self, journal: Journal, state_machine: StateMachine, run_aside: RunAside) -> None:
-        self._journal = journal
+    def __init__(self, log: RaftLog, state_machine: StateMachine, run_in_background: RunInBackground) -> None:
+        self._log = log
         self._state_machine = state_machine
-        self._run_aside = run_aside
+        self._run_in_background = run_in_background
         self._incoming: _Incoming | None = None
         self._opening: _Opening | None = None
 
@@ -98,7 +98,7 @@ class SnapshotReceiver:
                 return UnreadableSnapshot(f"it cannot be read: {error!r}")
             return _Decoded(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
 
-        self._opening = _Opening(self._run_aside(decode))
+        self._opening = _Opening(self._run_in_background(decode))
 
     def advance(self, *, newer_than: int, term_max: int) -> Entry | None:
         """Go on, a piece to the disk at a time; the last entry once state and log begin with the snapshot.
@@ -121,14 +121,14 @@ class SnapshotReceiver:
             self._opening = None
             return None
         if opening.pieces_written < stored.pieces_count:
-            self._journal.write_piece(stored.piece(opening.pieces_written))
+            self._log.write_piece(stored.piece(opening.pieces_written))
             opening.pieces_written += 1
             return None
         self._opening = None
         decoded.restore()
         # Without one the sender has never seen a change, and neither has this log.
-        configuration = snapshot.configuration or self._journal.configurations.current
-        self._journal.adopt_snapshot(stored, snapshot.previous, snapshot.last, configuration)
+        configuration = snapshot.configuration or self._log.configurations.current
+        self._log.adopt_snapshot(stored, snapshot.previous, snapshot.last, configuration)
         return snapshot.last
 
 

@@ -1,4 +1,4 @@
-"""Snapshots over the journal: in the store's own transaction, and in pieces on the wire."""
+"""Snapshots over the log: in the store's own transaction, and in pieces on the wire."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import Journal
+from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.receiving import SnapshotReceiver
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.threads.aside import Result, RunAside, run_at_once
+from stampede_rt_supernode.replication.threads.aside import Result, RunInBackground, run_inline
 from stampede_rt_supernode.replication.wire import records
 from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
@@ -40,27 +40,27 @@ class SnapshotKeeper:
 
     def __init__(
         self,
-        journal: Journal,
+        log: RaftLog,
         state_machine: StateMachine,
         has_room: Callable[[str], bool],
         *,
-        run_aside: RunAside = run_at_once,
+        run_in_background: RunInBackground = run_inline,
         chunk_bytes: int = 256 * 1024,
         chunks_per_step: int = 8,
     ) -> None:
-        self._journal = journal
+        self._log = log
         self._state_machine = state_machine
         self._has_room = has_room
         self._chunk_bytes = chunk_bytes
         self._chunks_per_step = chunks_per_step
         # What is still allowed in this step, for all members together: the library would send all in one go.
         self._chunks_left = chunks_per_step
-        self._run_aside = run_aside
+        self._run_in_background = run_in_background
         # The snapshot that another thread encodes, and what it is of.
         self._taking: _Taking | None = None
         # Member id -> the snapshot that it is being sent.
         self._sending: dict[str, _Sending] = {}
-        self._receiver = SnapshotReceiver(journal, state_machine, run_aside)
+        self._receiver = SnapshotReceiver(log, state_machine, run_in_background)
 
     def begin_step(self) -> None:
         """Allow the next pieces to be sent."""
@@ -76,13 +76,13 @@ class SnapshotKeeper:
         if taking is None or not taking.encoded.done():
             return None
         stored = taking.encoded.result()
-        present = self._journal.snapshot
+        present = self._log.snapshot
         if present is None or stored.last_log_index > present.last_log_index:  # else a leader has sent a newer one
             if taking.pieces_written < stored.pieces_count:
-                self._journal.write_piece(stored.piece(taking.pieces_written))
+                self._log.write_piece(stored.piece(taking.pieces_written))
                 taking.pieces_written += 1
                 return None
-            self._journal.adopt_snapshot(stored, taking.previous, taking.last, taking.configuration)
+            self._log.adopt_snapshot(stored, taking.previous, taking.last, taking.configuration)
         self._taking = None
         return taking.previous
 
@@ -98,7 +98,7 @@ class SnapshotKeeper:
 
     def begin_taking(self, *, previous: Entry, last: Entry) -> None:
         """Begin a snapshot as of the last applied entry."""
-        configuration = self._journal.configurations.at(last.log_index)
+        configuration = self._log.configurations.at(last.log_index)
         encode_state = self._state_machine.begin_snapshot()
 
         def encode() -> StoredSnapshot:
@@ -106,9 +106,9 @@ class SnapshotKeeper:
             record = records.encode_snapshot(previous=previous, last=last, configuration=configuration, state=state)
             return StoredSnapshot.of(last.log_index, record)
 
-        self._taking = _Taking(self._run_aside(encode), previous, last, configuration)
+        self._taking = _Taking(self._run_in_background(encode), previous, last, configuration)
 
-    def open_at_once(self, stored: StoredSnapshot) -> records.Snapshot:
+    def open_at_once(self, stored: StoredSnapshot) -> records.SnapshotContents:
         """Open a snapshot into the state machine, whatever the log holds."""
         snapshot = records.decode_snapshot(stored.record)
         self._state_machine.prepare_restore(snapshot.state)()
@@ -119,13 +119,13 @@ class SnapshotKeeper:
 
         Raises what decoding and the state machine raise: a replica must not go on without its state.
         """
-        if self._journal.snapshot is None:
+        if self._log.snapshot is None:
             return None
-        snapshot = records.decode_snapshot(self._journal.snapshot.record)
-        if self._journal[0] != snapshot.previous or self._journal[1] != snapshot.last:
+        snapshot = records.decode_snapshot(self._log.snapshot.record)
+        if self._log[0] != snapshot.previous or self._log[1] != snapshot.last:
             raise AssertionError("the stored log does not begin where the stored snapshot ends")
         if snapshot.configuration is not None:
-            self._journal.configurations.rebase(snapshot.last.log_index, snapshot.configuration)
+            self._log.configurations.rebase(snapshot.last.log_index, snapshot.configuration)
         self._state_machine.prepare_restore(snapshot.state)()
         return snapshot.last
 
@@ -176,8 +176,8 @@ class SnapshotKeeper:
 
     def _sending_to(self, member_id: str) -> _Sending | None:
         """What is being sent to a member: the present snapshot, or an older one behind which the log is kept."""
-        sending, present = self._sending.get(member_id), self._journal.snapshot
-        if sending is not None and sending.snapshot.last_log_index >= self._journal.first_sendable:
+        sending, present = self._sending.get(member_id), self._log.snapshot
+        if sending is not None and sending.snapshot.last_log_index >= self._log.first_sendable:
             return sending
         if present is None:
             return None

@@ -142,7 +142,7 @@ class MemoryStore:
         return StoredState()
 
     def commit(self, changes: StoreChanges) -> None:
-        """Nothing to do: the journal itself is the only copy."""
+        """Nothing to do: the log itself is the only copy."""
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -1,4 +1,4 @@
-"""Work that is done aside, so that the log's own thread need not stand still for it."""
+"""Long work on a thread of its own, so that the log's thread goes on meanwhile."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class Result(Protocol[T_co]):
-    """What becomes of it."""
+    """The result of work on another thread."""
 
     def done(self) -> bool:
-        """Whether it is finished."""
+        """Whether the work is finished."""
 
     def result(self) -> T_co:
-        """What it gave, once it is finished. Raises what it raised."""
+        """What the work gave, once it is finished. Raises what the work raised."""
 
 
-class RunAside(Protocol):
-    """Has work done elsewhere, one piece of it after the other."""
+class RunInBackground(Protocol):
+    """Has another thread do work, one piece after the other."""
 
     def __call__(self, work: Callable[[], T], /) -> Result[T]:
         """Begin; never blocks."""
 
 
-def run_at_once(work: Callable[[], T], /) -> Result[T]:
+def run_inline(work: Callable[[], T], /) -> Result[T]:
     """Do the work here and now."""
     finished: Future[T] = Future()
     finished.set_result(work())
     return finished
 
 
-class AsideThread:
-    """A thread for it, which gives way to the others soon.
+class WorkerThread:
+    """One thread for long work, which gives way to the other threads soon.
 
     The log's thread waits for the disk many times in a step, and after each for the thread that computes: with the 5 ms
     of Python's default the longest step beside the encoding of 100,000 channels took 200 ms, now 20. At other times the
@@ -46,14 +46,14 @@ class AsideThread:
     """
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="aside")
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="replicated-log-worker")
 
     def run(self, work: Callable[[], T], /) -> Result[T]:
-        """See RunAside."""
+        """See RunInBackground."""
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin nothing any more; the thread ends with the process, and what it gives is thrown away."""
+        """Begin no more work. The thread ends with the process, and its results are thrown away."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

@@ -108,7 +108,7 @@ class Handler(Protocol):
         """A stranger has said that it is a member."""
 
 
-class Mailroom:
+class BufferedTransport:
     """The messages of one node, in and out. Tick thread only."""
 
     def __init__(self, nodes: Iterable[Any]) -> None:

@@ -19,7 +19,7 @@ NO_DIGEST: StateDigest = (0, b"")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendEntries:
-    """A leader's entries after `previous_index`, or a heartbeat. The reply echoes `round` (see rules/reads.py)."""
+    """A leader's entries after `previous_index`, or a heartbeat. The reply echoes `round`: see `ConfirmedReads`."""
 
     term: int
     commit_index: int
@@ -70,20 +70,20 @@ class AppendReply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteRequest:
-    """A candidate asks for a vote in `term`; in a `trial`, whether it would get one."""
+    """A candidate asks for a vote in `term`; in a `pre_vote`, whether it would get one."""
 
     term: int
     last_log_index: int
     last_log_term: int
-    trial: bool = False
+    pre_vote: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteReply:
-    """A vote in `term`, or in a `trial` of it. `voter_term` is the voter's own, in a trial."""
+    """A vote in `term`, or in a `pre_vote` of it. `voter_term` is the voter's own, in a trial."""
 
     term: int
-    trial: bool = False
+    pre_vote: bool = False
     voter_term: int = 0
 
 

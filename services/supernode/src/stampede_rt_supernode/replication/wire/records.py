@@ -107,7 +107,7 @@ def decode_entry(entry: pb.RaftLogEntry) -> Entry:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Snapshot:
+class SnapshotContents:
     """A snapshot taken apart. `configuration` is None in one from before members could change."""
 
     previous: Entry
@@ -127,7 +127,7 @@ def encode_snapshot(*, previous: Entry, last: Entry, configuration: Configuratio
     ).SerializeToString(deterministic=True)
 
 
-def decode_snapshot(record: bytes) -> Snapshot:
+def decode_snapshot(record: bytes) -> SnapshotContents:
     """An encoded snapshot, taken apart and checked. Raises MalformedMessage."""
     try:
         snapshot = pb.RaftSnapshot.FromString(record)
@@ -137,4 +137,4 @@ def decode_snapshot(record: bytes) -> Snapshot:
     if last.log_index != previous.log_index + 1 or last.term < previous.term:
         raise MalformedMessage("a snapshot's last two entries are not neighbours")
     configuration = _configuration(snapshot.configuration) if snapshot.HasField("configuration") else None
-    return Snapshot(previous=previous, last=last, configuration=configuration, state=snapshot.state)
+    return SnapshotContents(previous=previous, last=last, configuration=configuration, state=snapshot.state)
