@@ -49,7 +49,7 @@ def layers(contracts: Iterable[Mapping[str, Any]]) -> str:
 
 def _drawn(contract: Mapping[str, Any]) -> str:
     if contract["type"] == "layers":
-        rows = [", ".join(_short(row.split(" : "), contract)) for row in contract["layers"]]
+        rows = [", ".join(_short(re.split(r" [:|] ", row), contract)) for row in contract["layers"]]
         return "\n".join(_indented(row, "    " if row is rows[0] else "  ↓ ") for row in rows)
     if contract["type"] == "independence":
         return _indented(" | ".join(contract["modules"]))

@@ -12,10 +12,9 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 from stampede_rt_supernode.replication.interface import ReleaseTooOld
-from stampede_rt_supernode.replication.replica import Replica
 
 logger = logging.getLogger(__name__)
 
@@ -44,6 +43,16 @@ def end_process(error: BaseException) -> NoReturn:
     os._exit(EXIT_TOO_OLD if isinstance(error, ReleaseTooOld) else EXIT_CODE)
 
 
+class Ticked(Protocol):
+    """What the thread drives: a replica of the log."""
+
+    def step(self) -> bool:
+        """Do what is due; True when another step is due at once. Whatever it raises ends the thread."""
+
+    def close(self) -> None:
+        """Let go of everything."""
+
+
 class TickThread:
     """Drives a replica. `wake` may be called from any thread; `start` and `stop` from the one that owns it."""
 
@@ -67,7 +76,7 @@ class TickThread:
         """Have the next step done now."""
         self._work.set()
 
-    def start(self, replica: Replica) -> None:
+    def start(self, replica: Ticked) -> None:
         """Begin to tick; from now on the replica belongs to this thread."""
         self._thread = threading.Thread(target=self._run, args=(replica,), name="replicated-log", daemon=True)
         self._thread.start()
@@ -80,7 +89,7 @@ class TickThread:
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, replica: Replica) -> None:
+    def _run(self, replica: Ticked) -> None:
         try:
             while not self._stopping:
                 # Cleared before the step: whatever comes in during it has the next one done at once.
