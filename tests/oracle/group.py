@@ -121,16 +121,16 @@ class OracleGroup:
     by_end: bool
     max_lead: int
     idle_after: int | None
-    is_settled: bool = False
+    is_confirmed: bool = False
     floor: int | None = None
 
     @property
     def cut(self) -> int | None:
-        return self.floor if self.is_settled else None
+        return self.floor if self.is_confirmed else None
 
     def observe(self, clock: int) -> None:
         reached = self.reached(clock)
-        if self.is_settled and reached is not None:
+        if self.is_confirmed and reached is not None:
             self.raise_to(reached)
 
     def raise_to(self, cut: int) -> None:

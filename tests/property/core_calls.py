@@ -56,31 +56,31 @@ class WaitingPut:
 
     @property
     def payloads(self) -> Sequence[bytes]:
-        return self.run.payloads[self.judging.settled :]
+        return self.run.payloads[self.judging.judged_items :]
 
-    def settle(self, outcome: PutOutcome, now: int) -> bool:
+    def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
         """True if none of its items has to wait."""
-        settled = self.judging.settled
+        judged_items = self.judging.judged_items
         for one in outcome.rejections:
-            self.judging.refuse(settled + one.index, one.error)
-        self.judging.settled = len(self.run.payloads)
+            self.judging.refuse(judged_items + one.index, one.error)
+        self.judging.judged_items = len(self.run.payloads)
         if outcome.waiting is not None:
             self.offer, self.retry_at = self.offer.rest(outcome.waiting, now), outcome.retry_at
-            self.judging.settled = settled + outcome.waiting
+            self.judging.judged_items = judged_items + outcome.waiting
         return outcome.waiting is None
 
     def resume(self, known: Judged, now: int) -> None:
         """The run came before, and its front was judged then."""
-        settled = self.judging.settled
+        judged_items = self.judging.judged_items
         if self.judging.resume(known) and not known.is_whole:
-            self.offer = self.offer.rest(known.settled - settled, now)
+            self.offer = self.offer.rest(known.judged_items - judged_items, now)
 
     def fail(self, error: st.StampedeError, now: int) -> None:
         """The rest is not taken; if nothing was, the run is refused as a whole."""
         if not self.judging.accepted_any:
             self.call.finish(error)
         else:
-            for place in range(self.judging.settled, len(self.run.payloads)):
+            for place in range(self.judging.judged_items, len(self.run.payloads)):
                 self.judging.refuse(place, error)
             self.call.finish(ack_of(self.judging.outcome(now)))
 

@@ -66,11 +66,11 @@ class CoreOwner:
             places = range(len(put.payloads)) if kept is None else kept
             for seq, place in enumerate(places, first_seq):
                 self._payloads[seq] = put.payloads[place]
-            put.judging.accept(put.judging.settled + places[0], first_seq, len(places), stamped_time)
+            put.judging.accept(put.judging.judged_items + places[0], first_seq, len(places), stamped_time)
             return b""
 
         outcome = self.channel.put(put.offer, self._now(), seal)
-        is_through = put.settle(outcome, self._now())
+        is_through = put.take_outcome(outcome, self._now())
         if is_through:
             self._finish(put)
         if outcome.run is not None:
@@ -90,7 +90,7 @@ class CoreOwner:
         self._advance_line()
 
     def _refuse_rest(self, put: WaitingPut) -> None:
-        put.settle(self.channel.give_up_put(put.offer), self._now())
+        put.take_outcome(self.channel.give_up_put(put.offer), self._now())
         self._finish(put)
 
     def withdraw(self, run: Run) -> None:

@@ -70,12 +70,12 @@ class Host:
     def horizon(self, group: int) -> Horizon:
         return Horizon(self.cuts[group].cut, lambda: "somebody holds it back")
 
-    def settle(self, others: set[int]) -> None:
+    def confirm(self, others: set[int]) -> None:
         """Once all that live have told."""
         for cut, oracle in zip(self.cuts, self.oracles, strict=True):
-            if not cut.is_settled and others <= self.told_by:
-                cut.settle()
-                oracle.is_settled = True
+            if not cut.is_confirmed and others <= self.told_by:
+                cut.confirm()
+                oracle.is_confirmed = True
 
     def look(self, clock: int) -> None:
         """Every cut moves as the oracle's does, and never back."""
@@ -90,7 +90,7 @@ class Host:
 
     def _agree(self, cut: GroupCut, oracle: OracleGroup, clock: int) -> None:
         assert cut.cut == oracle.cut
-        assert cut.is_settled == oracle.is_settled
+        assert cut.is_confirmed == oracle.is_confirmed
         assert cut.waiting_on(clock) == oracle.waiting_on(clock)
         assert cut.next_idle(clock) == oracle.next_idle(clock)
         for member in cut.members(clock):
@@ -179,7 +179,7 @@ class World:
                     if (known := host.board.find(channel_id)) is not None and known.times.epoch >= one.epoch:
                         host.board.tell_own(channel_id, stale, self.clock)
             if host.is_up:
-                host.settle(set(self.up) - {at})
+                host.confirm(set(self.up) - {at})
                 host.look(self.clock)
         self._look_at_all()
 
@@ -279,7 +279,7 @@ class World:
         for other in self.hosts:
             other.told_by.discard(host)
         for group, former in enumerate(self.definitions):
-            if not any(self.hosts[at].cuts[group].is_settled for at in self.up):
+            if not any(self.hosts[at].cuts[group].is_confirmed for at in self.up):
                 self._begin_anew(group, replace(former, incarnation=former.incarnation + 1))
         for channel_id in lost:
             former_pair = self.pair(channel_id)

@@ -62,7 +62,7 @@ class QueuePair:
     clock: int
     core: QueueCore = field(init=False)
     oracle: oracle.OracleQueue = field(init=False)
-    takers: list[tuple[TakerState, oracle.TakerState]] = field(default_factory=list)
+    takers: list[tuple[TakerState, oracle.Taker]] = field(default_factory=list)
     waiting: list[tuple[Enqueue, oracle.Run]] = field(default_factory=list)
     deliveries: list[tuple[int, int]] = field(default_factory=list)  # taker id, delivery id
     runs: list[oracle.Run] = field(default_factory=list)
@@ -106,7 +106,7 @@ class QueuePair:
             self.check()
 
     def attach(self, taker_id: int, lease: int | None) -> None:
-        self.takers.append((TakerState(taker_id, lease, f"taker {taker_id}"), oracle.TakerState(taker_id, lease)))
+        self.takers.append((TakerState(taker_id, lease, f"taker {taker_id}"), oracle.Taker(taker_id, lease)))
 
     def grant(self, place: int, credit: int) -> None:
         if place < len(self.takers):

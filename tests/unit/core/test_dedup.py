@@ -20,8 +20,8 @@ def accepted(items: int, first_seq: int, now: int = 0, stamped: int | None = Non
     return Judged(items, items, (RunPart(0, first_seq, items, stamped),), (), now)
 
 
-def half(items: int, settled: int, first_seq: int, now: int = 0) -> Judged:
-    return Judged(items, settled, (RunPart(0, first_seq, settled, None),), (), now)
+def half(items: int, judged_items: int, first_seq: int, now: int = 0) -> Judged:
+    return Judged(items, judged_items, (RunPart(0, first_seq, judged_items, None),), (), now)
 
 
 def test_a_retried_run_is_answered_as_before() -> None:
@@ -203,5 +203,5 @@ def test_parts_whose_seqs_follow_each_other_are_one() -> None:
     judging.accept(0, 1, 2, None)
     judging.accept(2, 3, 1, None)
     judging.accept(3, 9, 2, None)
-    judging.settled = 5
+    judging.judged_items = 5
     assert judging.outcome(0).parts == (RunPart(0, 1, 3, None), RunPart(3, 9, 2, None))

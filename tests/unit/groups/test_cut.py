@@ -22,7 +22,7 @@ def defined(definition: GroupDefinition, **told: ChannelTimes) -> tuple[GroupCut
     for name, times in told.items():
         board.hear(name.encode(), times, 0, 0)
     cut = GroupCut(definition, board)
-    cut.settle()
+    cut.confirm()
     cut.refresh(0)
     return cut, board
 
@@ -103,7 +103,7 @@ def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
     board.tell_own(A, at(100), 0)
     board.tell_own(B, at(70), 0)
     cut = GroupCut(definition, board)
-    cut.settle()
+    cut.confirm()
     cut.refresh(0)
     assert (cut.cut, cut.next_idle(0)) == (70, S)
     board.tell_own(A, at(120), S)
@@ -121,7 +121,7 @@ def test_if_all_are_silent_the_last_one_to_speak_decides() -> None:
     board.tell_own(A, at(100), 0)
     board.tell_own(B, at(70), -1)
     cut = GroupCut(definition, board)
-    cut.settle()
+    cut.confirm()
     assert cut.refresh(5 * S)  # nobody looked in between, when only A was left
     assert (cut.cut, cut.waiting_on(5 * S), cut.next_idle(5 * S)) == (100, [A], None)
 
@@ -147,7 +147,7 @@ def test_what_another_host_has_shown_counts_and_nothing_is_shown_before_that_is_
     assert cut.merge_floor(300)
     assert not cut.merge_floor(200)
     assert cut.cut is None
-    cut.settle()
+    cut.confirm()
     assert cut.cut == 300
 
 
@@ -155,7 +155,7 @@ def test_another_incarnation_begins_anew() -> None:
     cut, _ = group(a=at(100), b=at(70))
     cut.define(GroupDefinition(members=frozenset((A, B)), incarnation=2))
     assert cut.cut is None
-    cut.settle()
+    cut.confirm()
     cut.refresh(0)
     assert cut.cut == 70
 
@@ -206,7 +206,7 @@ def test_the_lowest_of_many_is_found_however_they_move_and_whoever_begins_anew()
     draw, ids = random.Random(3), [bytes([number]) for number in range(9)]
     board, known = TimesBoard(), dict.fromkeys(ids, at(0))
     cut = GroupCut(GroupDefinition(members=frozenset(ids[:6])), board)
-    cut.settle()
+    cut.confirm()
     highest = 0
     for step in range(3_000):
         moving = draw.choice(ids)

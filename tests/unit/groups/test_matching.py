@@ -44,13 +44,13 @@ def test_many_items_are_taken_together_and_settled_once_as_far_as_credit_goes(mo
     far.add((time, time) for time in range(10, 120))
     matcher.set_tracks({RIGHT: OwnTrack(right), b"far": far})
     settled: list[int] = []
-    settle = Ledger.settle
+    mark_read = Ledger.mark_read
 
     def counting(self: Ledger, *args: Any, **named: Any) -> int:
         settled.append(1)
-        return settle(self, *args, **named)
+        return mark_read(self, *args, **named)
 
-    monkeypatch.setattr(Ledger, "settle", counting)
+    monkeypatch.setattr(Ledger, "mark_read", counting)
     taken = matcher.take(lambda channel_id, instant: True, NOW, 64)
     assert ([one.item.slice.first_time for one in taken], len(settled)) == ([*range(10, 74)], 1)
     each = taken[0].charge_bytes

@@ -30,7 +30,7 @@ class MatchSubscription(BoundToProcess):
 
     The host sends as much ahead as the reader takes in a tenth of a second, 1 MiB at most. `unmatched` counts items
     that some member had nothing for, `dropped` those that retention took before they could be matched or before a slow
-    reader asked for them, or that came after their place had been settled. Goes on by itself when a host is lost:
+    reader asked for them, or that came after their time had been decided. Goes on by itself when a host is lost:
     `losses` counts how often the host of the matched channel was lost with what it held, `reconnects` how often it came
     back after its connection broke; `connected` says whether it is open. Raises GroupNotFound once the group is
     deleted, IncarnationLost if all its hosts were lost.

@@ -50,40 +50,40 @@ class IncomingRun:
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """The bytes to store, of the items that were accepted (see `core.Seal`)."""
-        rest = range(self.judging.settled, self.items)
+        rest = range(self.judging.judged_items, self.items)
         places = rest if kept is None else [rest[place] for place in kept]
         self.judging.accept(places[0], first_seq, len(places), stamped_time)
         encoded = self._encoded if len(places) == self.items else select_items(self._encoded, places)
         return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
 
-    def settle(self, outcome: PutOutcome, now: int) -> bool:
+    def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
         """Take in what became of the offer; True if none of its items has to wait."""
-        offered = self.judging.settled
+        offered = self.judging.judged_items
         for one in outcome.rejections:
             self.judging.refuse(offered + one.index, one.error)
         if outcome.waiting is None:
-            self.judging.settled = self.items
+            self.judging.judged_items = self.items
             return True
-        self.judging.settled += outcome.waiting
+        self.judging.judged_items += outcome.waiting
         self.offer = self.offer.rest(outcome.waiting, now)
         return False
 
     def resume(self, known: Judged, now: int) -> None:
         """The run came before: only the items behind those that were judged then are still to be put."""
-        offered = self.judging.settled
+        offered = self.judging.judged_items
         if self.judging.resume(known) and not known.is_whole:
-            self.offer = self.offer.rest(known.settled - offered, now)
+            self.offer = self.offer.rest(known.judged_items - offered, now)
 
     @property
-    def unsettled(self) -> int:
+    def undecided_items(self) -> int:
         """How many of its items are neither accepted nor refused."""
-        return self.items - self.judging.settled
+        return self.items - self.judging.judged_items
 
     def refuse_rest(self, error: StampedeError) -> None:
-        """What has not been settled never will be."""
-        for index in range(self.judging.settled, self.items):
+        """Refuse the items that are neither accepted nor refused."""
+        for index in range(self.judging.judged_items, self.items):
             self.judging.refuse(index, error)
-        self.judging.settled = self.items
+        self.judging.judged_items = self.items
 
     def finish(self, ack: pb.PutAck) -> None:
         """The run is through: whoever waits for it goes on."""
@@ -199,7 +199,7 @@ class ChannelPuts:
             if offered >= ITEMS_OFFERED_MAX:
                 self._arm(now, now)
                 break
-            offered += self._line[0].unsettled
+            offered += self._line[0].undecided_items
             if not self._offer_waiting(self._line[0], now):
                 break
             self._leave_line(self._line[0])
@@ -256,8 +256,8 @@ class ChannelPuts:
             return True
 
     def _count_overloaded(self, run: IncomingRun, error: Overloaded) -> None:
-        self._channel.reject_overloaded(run.unsettled)
-        self._memory.refused(self._channel.name, run.unsettled, error)
+        self._channel.reject_overloaded(run.undecided_items)
+        self._memory.refused(self._channel.name, run.undecided_items, error)
 
     def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
         """A run that waits is not taken.
@@ -291,17 +291,17 @@ class ChannelPuts:
     def _offer(self, run: IncomingRun, now: int) -> bool:
         """Offer what is left of the run, which has its memory; True if it is through, with its ack."""
         outcome = self._channel.put(run.offer, now, run.seal)
-        settled = run.settle(outcome, now)
-        if settled:
+        is_through = run.take_outcome(outcome, now)
+        if is_through:
             self._finish(run, now)
         else:
             self._arm(outcome.retry_at, now)
         if outcome.run is not None:
             self._on_accepted(now)
-        return settled
+        return is_through
 
     def _refuse_rest(self, run: IncomingRun, now: int) -> pb.PutAck:
-        run.settle(self._channel.give_up_put(run.offer), now)
+        run.take_outcome(self._channel.give_up_put(run.offer), now)
         return self._finish(run, now)
 
     def _finish(self, run: IncomingRun, now: int) -> pb.PutAck:

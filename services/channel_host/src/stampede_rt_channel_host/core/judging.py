@@ -31,13 +31,13 @@ class ItemRefusal(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What is known of a run of `items`: those before place `settled` were accepted or refused, by `time`.
+    """What is known of a run of `items`: those before `judged_items` were accepted or refused, by `time`.
 
     `parts` and `refusals` ascend. Nearly every run has one part and no refusals.
     """
 
     items: int
-    settled: int
+    judged_items: int
     parts: Sequence[RunPart]
     refusals: Sequence[ItemRefusal]
     time: int
@@ -45,7 +45,7 @@ class Judged(NamedTuple):
     @property
     def is_whole(self) -> bool:
         """Every item is judged."""
-        return self.settled == self.items
+        return self.judged_items == self.items
 
     @property
     def first_seq(self) -> int | None:
@@ -59,13 +59,13 @@ class Judged(NamedTuple):
 
 
 class Judging:
-    """A run that is being judged. `settled`: items before this place are."""
+    """A run that is being judged. `judged_items`: so many of its first items are judged."""
 
-    __slots__ = ("_parts", "_refusals", "items", "settled")
+    __slots__ = ("_parts", "_refusals", "items", "judged_items")
 
     def __init__(self, items: int) -> None:
         self.items = items
-        self.settled = 0
+        self.judged_items = 0
         self._parts: list[RunPart] = []
         self._refusals: list[ItemRefusal] = []
 
@@ -98,12 +98,12 @@ class Judging:
 
     def resume(self, known: Judged) -> bool:
         """Go on where the run was when it came before; False if it is further already."""
-        if known.settled <= self.settled:
+        if known.judged_items <= self.judged_items:
             return False
-        self.settled = known.settled
+        self.judged_items = known.judged_items
         self._parts, self._refusals = list(known.parts), list(known.refusals)
         return True
 
     def outcome(self, now: int) -> Judged:
         """As far as it is judged at `now`."""
-        return Judged(self.items, self.settled, tuple(self._parts), tuple(self._refusals), now)
+        return Judged(self.items, self.judged_items, tuple(self._parts), tuple(self._refusals), now)

@@ -68,8 +68,8 @@ class Exchange:
     def look(self, group: HostedGroup) -> None:
         """Settle the group if all have told, and see where its cut is."""
         group.unheard = {one for one in group.unheard if one not in self._told_all or not self.peers.is_linked(one)}
-        if not group.unheard and not group.cut.is_settled:
-            group.cut.settle()
+        if not group.unheard and not group.cut.is_confirmed:
+            group.cut.confirm()
             self.peers.tell_floor(group.record.group_id)
         group.changed()
 

@@ -93,7 +93,7 @@ class HostedGroup:
 
     def held_by(self) -> str:
         """Who holds the cut back, in a few words."""
-        if not self.cut.is_settled:
+        if not self.cut.is_confirmed:
             hosts = ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.unheard)) or "the directory"
             return f"until {hosts} has told how far it was"
         names = [self.name_of(one) for one in self.cut.waiting_on(self._now())]
@@ -102,7 +102,7 @@ class HostedGroup:
     def waiting_on(self) -> list[bytes]:
         """The members that hold the cut back; while hosts have yet to tell how far it was, those that are there."""
         untold = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
-        return untold if untold and not self.cut.is_settled else self.cut.waiting_on(self._now())
+        return untold if untold and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
 
     def ownerless(self) -> list[bytes]:
         """Members whose host has lost its lease: until they have another one, nothing can be put there."""
@@ -120,7 +120,7 @@ class HostedGroup:
         """A member or what is known of it has changed: look at the cut and wake those whom that may concern."""
         if self.cut.refresh(self._now()):
             self._on_moved(self.record.group_id)
-        shown = self.cut.cut, self.cut.is_settled, self.arrangement
+        shown = self.cut.cut, self.cut.is_confirmed, self.arrangement
         woken = [*self.watchers] if shown == self._shown else [*self.listeners, *self.watchers]
         self._shown = shown
         self._release_reached()
@@ -139,7 +139,7 @@ class HostedGroup:
                 reached.set_exception(error)
 
     async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
-        """Block until the group is settled and its cut has come to `floor`; False after `timeout_s`, if it is given.
+        """Block until the group's cut is confirmed and has come to `floor`. Returns False after `timeout_s`, if given.
 
         Raises what ends the group.
         """
@@ -164,9 +164,9 @@ class HostedGroup:
                 reached.set_result(None)
 
     def has_reached(self, floor: int | None) -> bool:
-        """The group is settled and its cut is at or past `floor`."""
+        """The group's cut is confirmed and its cut is at or past `floor`."""
         cut = self.cut.cut
-        return self.cut.is_settled and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
+        return self.cut.is_confirmed and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
 
     def floor(self) -> group_pb2.CutFloor | None:
         """What this host stands by, as it tells others."""

@@ -134,7 +134,7 @@ class MatchStream:
         return far
 
     def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
-        """What is settled, as credit allows, about a message of it."""
+        """Take decided matches for about one message, as credit allows."""
         now, credit = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
 
         def has_passed(channel_id: bytes, instant: int) -> bool:

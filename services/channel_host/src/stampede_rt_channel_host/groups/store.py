@@ -228,7 +228,7 @@ class GroupStore:
                 self.exchange.peers.tell_floor(group_id)  # with it goes the version, so that the others ask, too
         for host_id, floor in self.exchange.take_floors(group_id).items():
             group.merge_floor(host_id, floor)
-        if not group.cut.is_settled:
+        if not group.cut.is_confirmed:
             group.unheard = {one for one in group.targets if one != self._identity.host_id}
         return group
 

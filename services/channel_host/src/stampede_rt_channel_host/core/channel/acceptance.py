@@ -62,7 +62,7 @@ class Acceptance:
         payload_bytes = sum(lengths)
         if self._retention.has_room(len(times), payload_bytes):
             return True
-        self._retention.settle(clock)
+        self._retention.apply_time(clock)
         if self._retention.has_room(len(times), payload_bytes):
             return True
         sheds = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
@@ -196,7 +196,7 @@ class _ItemByItem:
         for index, time in enumerate(self._times):
             duration = ABSENT if self._offer.durations is None else self._offer.durations[index]
             length = self._offer.lengths[index]
-            self._retention.settle(self._clock)
+            self._retention.apply_time(self._clock)
             fault = self._to.fault(time, duration, length, self._clock)
             as_if = self._as_if_put_at(time)
             if fault is None and not self._has_room(min(as_if, time), length):
@@ -235,7 +235,7 @@ class _ItemByItem:
             column.append(value)
         self._kept.append(index)
         self._held.store_item(self._run, len(self._kept) - 1, length)
-        self._retention.settle(self._clock)
+        self._retention.apply_time(self._clock)
         self._retention.drop_excess(self._clock)
         if self._offer.since is not None and not (
             self._retention.limits.drops_oldest or self._retention.has_room(0, 0)

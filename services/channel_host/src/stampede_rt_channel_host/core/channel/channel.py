@@ -390,7 +390,7 @@ class ChannelCore:
 
     def _age(self) -> None:
         if self._clock is not None:
-            self._retention.settle(self._clock)
+            self._retention.apply_time(self._clock)
 
     def _settle(self, clock: int) -> int:
         """Let go what time has outdated, and free a little."""
@@ -398,7 +398,7 @@ class ChannelCore:
         if self._retention.consumers is None:
             self._retention.age_out(clock)
         else:
-            self._retention.settle(clock)
+            self._retention.apply_time(clock)
             self._reading.consumed_up_to = self._held.newest_consumed
         self._held.free(FREED_ENTRIES_PER_CALL)
         return clock

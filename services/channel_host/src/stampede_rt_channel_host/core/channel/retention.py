@@ -76,8 +76,8 @@ class Retention:
         """There may be more to collect at once, which the next call does."""
         return self._has_more_to_age or self._has_more_used_up
 
-    def settle(self, clock: int) -> None:
-        """What time alone brings about: leases end, buckets grow too old, and what nobody holds back any more goes."""
+    def apply_time(self, clock: int) -> None:
+        """Apply the passing of time: end leases, and collect buckets that are too old or not held back any more."""
         if self.consumers is None:
             self.age_out(clock)
             return

@@ -63,8 +63,8 @@ class AllCursor:
             self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
         return self._owed
 
-    def settle(self, seq: int) -> None:
-        """Everything below `seq`, which lies in or at the end of the first range, is dealt with."""
+    def mark_done(self, seq: int) -> None:
+        """The reader has received or lost all items below `seq`, which lies in the first range or at its end."""
         assert self._owed is not None, "something is owed"
         end = self._owed[1]
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
@@ -162,13 +162,13 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
                 break
             gap = _gap(limits, held, owed[0], low - 1)
             cursor.dropped += gap.items
-            cursor.settle(low)
+            cursor.mark_done(low)
             continue
         for held_part in _contiguous(held, *owed):
             part = held_part.within(limit_bytes)
             slices.append(DeliveredSlice(part, held.next_time(part.last_time)))
             cursor.delivered += part.items
-            cursor.settle(part.end_seq)
+            cursor.mark_done(part.end_seq)
             limit_bytes -= part.charge_bytes
             if limit_bytes <= 0 or len(slices) >= pieces.STEPS_PER_PIECE:
                 return SubscriptionBatch(slices=slices, gap=gap)

@@ -4,7 +4,7 @@ Nothing here reads a clock, waits, or knows the wire. The shell around it, at ea
 
 - keeps one `TimesBoard`: own channels by `OwnTimes.observe` after each change, then `tell_own`; those of other hosts by
   `hear` as their owners tell, and by `confirm` at each sign of life;
-- keeps one `GroupCut` per group: `merge_floor` with what other hosts know, `settle` when all that live have told it,
+- keeps one `GroupCut` per group: `merge_floor` with what other hosts know, `confirm` when all that live have told it,
   `refresh` after each change of the board and at `next_idle`. A client's word never goes in: a reader that has seen
   more waits until `cut` is there, or is answered with `VisibleChannel.stalled`;
 - reads through a group: `VisibleChannel` like a channel, with the `Horizon` of the moment, or with an earlier cut to

@@ -59,7 +59,7 @@ class CutMember(NamedTuple):
 class GroupCut:
     """The cut of one group as one host knows it: a lower bound that only grows within an incarnation.
 
-    Order of use: make; `merge_floor` what the other hosts of the group know; `settle` when all of them that live have
+    Order of use: make; `merge_floor` what the other hosts of the group know; `confirm` when all of them that live have
     told it. Until then nothing is visible, since somebody may have seen more. `refresh` after each change of the board
     and at `next_idle`.
     """
@@ -68,7 +68,7 @@ class GroupCut:
         self._definition = definition
         self._board = board
         self._floor: int | None = None
-        self._settled = False
+        self._confirmed = False
         self._holder = b""  # the member whose cut was the lowest when all were last looked at
         self._lows: list[tuple[int, bytes]] = []  # a heap: for each member a cut that it had once, and is not behind
         self._setbacks = -1  # of the board, when the heap was made
@@ -79,19 +79,19 @@ class GroupCut:
         return self._definition
 
     @property
-    def is_settled(self) -> bool:
+    def is_confirmed(self) -> bool:
         """All other hosts have told how far the cut was."""
-        return self._settled
+        return self._confirmed
 
     @property
     def cut(self) -> int | None:
         """Items with a time before it are visible; None: none are. As of the last refresh."""
-        return self._floor if self._settled else None
+        return self._floor if self._confirmed else None
 
     def define(self, definition: GroupDefinition) -> None:
-        """Members came or went: the cut stays where it is. Another incarnation: it begins anew, unsettled."""
+        """Members came or went: the cut stays where it is. Another incarnation: it begins anew, unconfirmed."""
         if definition.incarnation != self._definition.incarnation:
-            self._floor, self._settled = None, False
+            self._floor, self._confirmed = None, False
         self._definition = definition
         self._holder, self._setbacks = b"", -1
 
@@ -102,13 +102,13 @@ class GroupCut:
         self._floor = cut
         return True
 
-    def settle(self) -> None:
-        """What the other hosts know is merged."""
-        self._settled = True
+    def confirm(self) -> None:
+        """All other hosts have told their cuts: from now on the cut may rise and be shown."""
+        self._confirmed = True
 
     def refresh(self, now: int) -> bool:
         """Raise the cut to where the reference is; True if it moved."""
-        reached = self._reached(now) if self._settled else None
+        reached = self._reached(now) if self._confirmed else None
         return reached is not None and self.merge_floor(reached)
 
     def member(self, channel_id: bytes, now: int) -> CutMember:

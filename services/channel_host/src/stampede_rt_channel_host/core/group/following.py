@@ -190,7 +190,7 @@ class CutFollower:
 
     def _finish(self, held: Holdings) -> Loss | None:
         first_seq = self._ledger.lowest_seq
-        lost = self._ledger.settle(
+        lost = self._ledger.mark_read(
             held,
             self._target,
             self._seq_end,

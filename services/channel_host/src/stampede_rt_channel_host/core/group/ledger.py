@@ -19,7 +19,7 @@ LOOKED_AT_MAX = 4096
 
 
 class Ledger:
-    """Of one reader of one channel. Costs what was put and given since the last settling, at the most.
+    """Of one reader of one channel. Costs what was put and given since the last call, at the most.
 
     `lowest_seq`: whatever is lost at the next settling has this seq or a later one.
     """
@@ -33,14 +33,14 @@ class Ledger:
         self._held_from = self.lowest_seq  # what is owed and held has this seq or a later one
         self._remember(held, low, next_seq)
 
-    def settle(
+    def mark_read(
         self, held: Holdings, low: Place, next_seq: int, *, given_above: int, given_below: int,
         came_above: int | None = None,
     ) -> int:  # fmt: skip
         """The reader has dealt with everything below `low` that has a seq below `next_seq`: how many items it lost.
 
         `given_above`, `given_below`: of the items it was given, how many were at or above the former `low`, and below.
-        `came_above`: how many came at or above it since the last settling; None: count them.
+        `came_above`: how many came at or above it since the last call; None: count them.
         """
         owed = self._owed + next_seq - self.next_seq
         intact = held.floor <= max(self._low, self._floor) and held.collected[CONSUMPTION] == self._consumed

@@ -42,7 +42,7 @@ class Matcher:
     """Matches one channel's items in time order. It keeps a place and no items: what waits, waits in the channel.
 
     `unmatched`: items for which some member had nothing. `dropped`: items that went before they could be matched, or
-    came after their place had been settled; as of the last `take`.
+    came after their time had been decided; as of the last `take`.
     """
 
     def __init__(
@@ -70,13 +70,13 @@ class Matcher:
 
     @property
     def place(self) -> Position:
-        """Everything up to it is settled: begun `after` this, another goes on."""
+        """The matcher has decided everything up to here. Another one that begins `after` it goes on."""
         time, end_seq = self._place
         return Position(clamp(time), end_seq - 1 if end_seq else None, self._channel.incarnation)
 
     @property
     def next_seq(self) -> int:
-        """Of the items with a lower seq those below `place` are settled; it goes with that."""
+        """The matcher has decided the items with a lower seq that lie below `place`."""
         return self._ledger.next_seq
 
     @property
@@ -96,7 +96,7 @@ class Matcher:
     def take(
         self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED
     ) -> list[FoundMatch]:  # fmt: skip
-        """What is settled and not taken yet, `items_max` at the most, and as long as some credit is left before each.
+        """Take decided matches, at most `items_max`, and only while some credit is left before each.
 
         `has_passed(member, instant)`: nothing that is waited for can come up to `instant`; see
         `ChannelTimes.has_passed`. It is asked for OWN, too. A member that is not waited for has passed everything.
@@ -114,7 +114,7 @@ class Matcher:
             taken.append(self._match(DeliveredSlice(one, held.next_time(time)), found))
             credit_bytes -= taken[-1].charge_bytes
             self._place = time, one.end_seq
-        self.dropped += self._ledger.settle(
+        self.dropped += self._ledger.mark_read(
             held, self._place, self._channel.next_seq, given_above=len(taken), given_below=0
         )
         for track in self._tracks.values():

@@ -234,23 +234,23 @@ class Enqueuing:
         queue_items, taken, judging = self._queue_items, QueuedRun(self._queue_items.next_seq, [], now), run.judging
         places: list[int] = []
         self._drops_left = DROPPED_PER_RUN_MAX + 2 * len(run.lengths)
-        while judging.settled < len(run.lengths):
-            length = run.lengths[judging.settled]
+        while judging.judged_items < len(run.lengths):
+            length = run.lengths[judging.judged_items]
             if length > queue_items.limits.payload_bytes_max:
                 self._refuse(run, self._too_large(length))
             elif self._make_room(length):
                 queue_items.add(taken, length)
-                places.append(judging.settled)
+                places.append(judging.judged_items)
             elif queue_items.limits.on_full == BLOCK or self._is_making_room:
                 break
             else:
                 self._refuse(run, self._full())
-            judging.settled += 1
+            judging.judged_items += 1
         if places:
             self._seal(run, taken, places, now)
-        if judging.settled < len(run.lengths):
+        if judging.judged_items < len(run.lengths):
             return False
-        self._settle(run, now)
+        self._resolve(run, now)
         return True
 
     def _make_room(self, length: int) -> bool:
@@ -270,7 +270,7 @@ class Enqueuing:
         run.judging.accept(places[0], taken.first_seq, len(places), stamped)
         self._queue_items.seal(taken, run.seal(taken.first_seq, places, stamped))
 
-    def _settle(self, run: Enqueue, now: int) -> None:
+    def _resolve(self, run: Enqueue, now: int) -> None:
         run.outcome = self._remember(run, now)
         if run.message_id and run.judging.accepted_any:
             self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now)
@@ -281,17 +281,17 @@ class Enqueuing:
         return judged
 
     def _refuse_rest(self, run: Enqueue, error: StampedeError, now: int) -> None:
-        while run.judging.settled < len(run.lengths):
+        while run.judging.judged_items < len(run.lengths):
             self._refuse(run, error)
-            run.judging.settled += 1
-        self._settle(run, now)
+            run.judging.judged_items += 1
+        self._resolve(run, now)
 
     def _refuse(self, run: Enqueue, error: StampedeError) -> None:
         if isinstance(error, ItemTooLarge):
             self._queue_items.tally.rejected_too_large += 1
         elif isinstance(error, QueueFull):
             self._queue_items.tally.rejected_full += 1
-        run.judging.refuse(run.judging.settled, error)
+        run.judging.refuse(run.judging.judged_items, error)
 
     def _too_large(self, length: int) -> ItemTooLarge:
         return ItemTooLarge(
