@@ -7,7 +7,7 @@ import struct
 from collections.abc import Mapping
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
-DATA, HEADERS, RST_STREAM, SETTINGS, GOAWAY, WINDOW_UPDATE = 0, 1, 3, 4, 7, 8
+DATA, HEADERS, RST_STREAM, SETTINGS, PING, GOAWAY, WINDOW_UPDATE = 0, 1, 3, 4, 6, 7, 8
 ACK, END_HEADERS = 1, 4
 INITIAL_WINDOW_BYTES = 65_535
 
@@ -21,6 +21,8 @@ class RawConnection:
         self.greeted = asyncio.Event()  # the server has told its settings
         self.streams_max = 0
         self._initial_bytes = INITIAL_WINDOW_BYTES
+        self._connection_bytes = INITIAL_WINDOW_BYTES  # that may still be sent, on all streams together
+        self._more_allowed = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._next_stream = 1
         self._reading = asyncio.create_task(self._read_all())
@@ -57,6 +59,26 @@ class RawConnection:
             self._writer.write(_frame(DATA, 0, stream, body[begin : begin + 16_384]))
         await self._writer.drain()
 
+    async def send_as_allowed(self, stream: int, message_bytes: int, sent_bytes: int) -> None:
+        """As `begin_message`, but never more than the server allows; returns early if it ends the stream."""
+        body, sent = memoryview(struct.pack("!BI", 0, message_bytes) + bytes(sent_bytes)), 0
+        while sent < len(body) and not self.ended[stream].is_set():
+            self._more_allowed.clear()
+            room = min(16_384, self.allowed_bytes[stream] - sent, self._connection_bytes)
+            if room <= 0:
+                await self._more_allowed.wait()
+                continue
+            piece = body[sent : sent + room]
+            sent, self._connection_bytes = sent + len(piece), self._connection_bytes - len(piece)
+            self._writer.write(_frame(DATA, 0, stream, piece))
+            await self._writer.drain()
+
+    async def reset(self, stream: int) -> None:
+        """Take the call back (RST_STREAM, CANCEL)."""
+        self._writer.write(_frame(RST_STREAM, 0, stream, (8).to_bytes(4, "big")))
+        self.ended[stream].set()
+        await self._writer.drain()
+
     async def aclose(self) -> None:
         self._reading.cancel()
         self._writer.close()
@@ -71,10 +93,15 @@ class RawConnection:
                 self._adopt(body)
                 self.greeted.set()
                 self._writer.write(_frame(SETTINGS, ACK, 0, b""))
-            elif kind == WINDOW_UPDATE and stream:
+            elif kind == PING and not flags & ACK:
+                self._writer.write(_frame(PING, ACK, 0, body))
+            elif kind == WINDOW_UPDATE and not stream:
+                self._connection_bytes += int.from_bytes(body, "big")
+            elif kind == WINDOW_UPDATE:
                 self.allowed_bytes[stream] += int.from_bytes(body, "big")
             elif stream and (kind == RST_STREAM or (kind == HEADERS and flags & 1)):
                 self.ended[stream].set()
+            self._more_allowed.set()
 
     def _adopt(self, settings: bytes) -> None:
         for begin in range(0, len(settings), 6):
@@ -86,8 +113,8 @@ class RawConnection:
                 self.allowed_bytes = {stream: allowed + grown for stream, allowed in self.allowed_bytes.items()}
 
 
-def _frame(kind: int, flags: int, stream: int, body: bytes) -> bytes:
-    return len(body).to_bytes(3, "big") + bytes((kind, flags)) + stream.to_bytes(4, "big") + body
+def _frame(kind: int, flags: int, stream: int, body: bytes | memoryview) -> bytes:
+    return len(body).to_bytes(3, "big") + bytes((kind, flags)) + stream.to_bytes(4, "big") + bytes(body)
 
 
 def _literal(name: str, value: str) -> bytes:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles
-from stampede_rt_runtime import open_files
+from stampede_rt_runtime import allocator, open_files
 from stampede_rt_runtime.auth import Secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
@@ -102,6 +102,7 @@ def run_service(
         return _complain(service, error, EXIT_BAD_SETTINGS)
     set_up_logging(settings.log_level)
     open_files.raise_limit()
+    allocator.give_back_memory()
     _tell_of_clients_certificates(settings, service)
     try:
         return run_loop(serve(settings)) or 0

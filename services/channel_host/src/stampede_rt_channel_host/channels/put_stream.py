@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
+from typing import Any, NamedTuple
 
 from grpc.aio import EOF
 
@@ -22,6 +24,22 @@ REQUEST_BYTES_MAX = 4 * 2**20
 _FRAMING_BYTES_MAX = 4096
 
 
+class _Put(NamedTuple):
+    """One run of a request. `wait_nanos` None: without limit."""
+
+    first_number: int
+    wait_nanos: int | None
+    run: bytes
+
+
+class _Came(NamedTuple):
+    """The runs of one request that are still to be judged, and when it came, on the monotonic clock."""
+
+    puts: deque[_Put]
+    came_s: float
+    too_much: bool
+
+
 class PutStream:
     """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
 
@@ -36,14 +54,14 @@ class PutStream:
         self._closed = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
-        self._requests = ReadAhead(context.read)
+        self._requests = ReadAhead(context.read, store.memory)
 
     async def run(self) -> None:
         """Until the caller has closed its side and every run is acked. Raises InvalidArgument for what is no put."""
         writer = self._stream.spawn(self._write_acks())
         try:
-            while (came := await self._requests.next())[0] is not EOF:
-                await self._take(*came)
+            while (came := self._read_request(*await self._requests.next())) is not None:
+                await self._take(came)
             self._closed = True
             self._news.set()
             await writer
@@ -51,14 +69,26 @@ class PutStream:
             writer.cancel()
             self._requests.close()
 
-    async def _take(self, raw: bytes, came_s: float) -> None:
+    def _read_request(self, raw: Any, came_s: float) -> _Came | None:
+        """None at the end. A run that waits keeps its own bytes alone: nothing refers to the request behind this."""
+        if raw is EOF:
+            return None
         request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
         if request.channel_id:
             self._channel_id, self._epoch = request.channel_id, request.epoch
             self._producer_id = request.producer_id
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
-        for put in request.puts:
-            ack = _refuse_size(put, self._store.now()) if too_much else await self._put(put, came_s)
+        puts = deque(
+            _Put(put.first_number, put.wait_nanos if put.HasField("wait_nanos") else None, put.run)
+            for put in request.puts
+        )
+        return _Came(puts, came_s, too_much)
+
+    async def _take(self, came: _Came) -> None:
+        while came.puts:
+            put = came.puts.popleft()
+            ack = _refuse_size(put, self._store.now()) if came.too_much else await self._put(put, came.came_s)
+            del put
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()
@@ -67,7 +97,7 @@ class PutStream:
         self._news.set()
         await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
 
-    async def _put(self, put: raw_run_pb2.RawPutRun, came_s: float) -> pb.PutAck:
+    async def _put(self, put: _Put, came_s: float) -> pb.PutAck:
         """The ack of one run. Blocks while the run waits for room."""
         now = self._store.now()
         run: IncomingRun | None = None
@@ -95,8 +125,8 @@ class PutStream:
         finally:
             hosted.puts.withdraw(run)
 
-    def _read(self, put: raw_run_pb2.RawPutRun, came_s: float) -> IncomingRun:
-        wait_nanos = left_nanos(put.wait_nanos, came_s) if put.HasField("wait_nanos") else None
+    def _read(self, put: _Put, came_s: float) -> IncomingRun:
+        wait_nanos = None if put.wait_nanos is None else left_nanos(put.wait_nanos, came_s)
         return IncomingRun(put.run, producer_id=self._producer_id, first_number=put.first_number, wait_nanos=wait_nanos)
 
     async def _write_acks(self) -> None:
@@ -111,7 +141,7 @@ class PutStream:
             self._room.set()
 
 
-def _refuse_size(put: raw_run_pb2.RawPutRun, now: int) -> pb.PutAck:
+def _refuse_size(put: _Put, now: int) -> pb.PutAck:
     error = InvalidArgument(
         f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer runs in one request"
     )

@@ -10,15 +10,22 @@ from typing import Any
 
 from grpc.aio import EOF
 
+from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+
 AHEAD_REQUESTS_MAX = 1024
 AHEAD_BYTES_MAX = 4 * 2**20  # one request more, whatever its size
 
 
 class ReadAhead:
-    """Gives requests in their order. Beyond the bounds nothing more is read: flow control holds the caller back."""
+    """Gives requests in their order. Beyond the bounds nothing more is read: flow control holds the caller back.
 
-    def __init__(self, read: Callable[[], Awaitable[Any]]) -> None:
+    What is read ahead counts as memory of the host, and nothing is when that is used up.
+    """
+
+    def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget) -> None:
         self._read = read
+        self._memory = memory
+        self._charge = Charge(memory)
         self._came: deque[tuple[Any, float]] = deque()
         self._bytes = 0
         self._task: asyncio.Task[None] | None = None
@@ -37,7 +44,7 @@ class ReadAhead:
                 raise self._failure
             return await self._read(), time.monotonic()
         raw, came_s = self._came.popleft()
-        self._bytes -= 0 if raw is EOF else len(raw)
+        self._count(0 if raw is EOF else -len(raw))
         return raw, came_s
 
     def go_on(self) -> None:
@@ -48,20 +55,35 @@ class ReadAhead:
 
     async def _read_on(self) -> None:
         try:
-            while not self._wanted and len(self._came) < AHEAD_REQUESTS_MAX and self._bytes < AHEAD_BYTES_MAX:
+            while not self._wanted and self._has_room:
                 raw = await self._read()
                 self._came.append((raw, time.monotonic()))
                 if raw is EOF:
                     break
-                self._bytes += len(raw)
+                self._count(len(raw))
+                del raw  # kept by nobody while the next one is read
         except Exception as error:  # noqa: BLE001  # it is for whoever asks next
             self._failure = error
         finally:
             self._task = None
             self._news.set()
 
+    @property
+    def _has_room(self) -> bool:
+        return (
+            len(self._came) < AHEAD_REQUESTS_MAX
+            and self._bytes < AHEAD_BYTES_MAX
+            and self._memory.used_bytes < self._memory.bytes_max
+        )
+
+    def _count(self, more_bytes: int) -> None:
+        self._bytes += more_bytes
+        self._charge.set(self._bytes)
+
     def close(self) -> None:
         """Nobody asks any more."""
+        self._came.clear()
+        self._count(-self._bytes)
         if self._task is not None:
             self._task.cancel()
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
+from typing import Any
 
 from grpc.aio import EOF
 
@@ -14,7 +16,7 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.incoming import answer, check_forwards, check_number, enqueue_of
+from stampede_rt_channel_host.queues.incoming import EnqueueRun, answer, check_forwards, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.admission import caller_identity
@@ -40,7 +42,7 @@ class EnqueueStream:
         self._closed = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
-        self._requests = ReadAhead(context.read)
+        self._requests = ReadAhead(context.read, store.memory)
 
     async def run(self) -> None:
         """Until the caller has closed its side and every run is acked.
@@ -49,7 +51,7 @@ class EnqueueStream:
         """
         writer = self._stream.spawn(self._write_acks())
         try:
-            while (came := await self._requests.next())[0] is not EOF:
+            while (came := self._read_request(*await self._requests.next())) is not None:
                 await self._take(*came)
             await self._finish(writer)
         except StampedeError:
@@ -65,7 +67,10 @@ class EnqueueStream:
         self._news.set()
         await writer
 
-    async def _take(self, raw: bytes, came_s: float) -> None:
+    def _read_request(self, raw: Any, came_s: float) -> tuple[deque[EnqueueRun], float] | None:
+        """Its runs, and when it came; None at the end. Nothing refers to the request behind this."""
+        if raw is EOF:
+            return None
         request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
         if request.queue_id:
             check_queue_id(request.queue_id)
@@ -77,9 +82,12 @@ class EnqueueStream:
             raise InvalidArgument(
                 f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
             )
+        return deque(map(EnqueueRun.of, request.runs)), came_s
+
+    async def _take(self, runs: deque[EnqueueRun], came_s: float) -> None:
         failure = await self._failure_to_find()
-        for message in request.runs:
-            await self._add(await self._enqueue(message, came_s, failure))
+        while runs:
+            await self._add(await self._enqueue(runs.popleft(), came_s, failure))
         self._news.set()
         await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
 
@@ -92,7 +100,7 @@ class EnqueueStream:
         return None
 
     async def _enqueue(
-        self, message: raw_run_pb2.RawEnqueueRun, came_s: float, failure: StampedeError | None
+        self, message: EnqueueRun, came_s: float, failure: StampedeError | None
     ) -> channel_service_pb2.PutAck:
         """The ack of one run. Blocks while the run waits for room."""
         check_number(self._producer_id, message.first_number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from google.protobuf.message import DecodeError
 
@@ -19,7 +20,24 @@ MESSAGE_ID_BYTES_MAX = 128
 ORIGIN_BYTES_MAX = 4096
 
 
-def enqueue_of(message: raw_run_pb2.RawEnqueueRun, producer_id: int, came_s: float) -> Enqueue:
+class EnqueueRun(NamedTuple):
+    """One run of a request. It refers to its own bytes alone, so that one that waits keeps no more. `wait_nanos` None:
+    without limit."""
+
+    first_number: int
+    wait_nanos: int | None
+    run: bytes
+    message_id: str
+    origin: bytes
+
+    @classmethod
+    def of(cls, message: raw_run_pb2.RawEnqueueRun) -> EnqueueRun:
+        """As the request has it."""
+        wait_nanos = message.wait_nanos if message.HasField("wait_nanos") else None
+        return cls(message.first_number, wait_nanos, message.run, message.message_id, message.origin)
+
+
+def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float) -> Enqueue:
     """The run that came then, not judged yet. Raises MalformedRun, or ItemTooLarge for what no queue can hold."""
     encoded = message.run
     columns = parse_run(encoded)
@@ -36,12 +54,12 @@ def enqueue_of(message: raw_run_pb2.RawEnqueueRun, producer_id: int, came_s: flo
         is_stamped=columns.times is None,
         producer_id=producer_id,
         first_number=message.first_number,
-        wait_nanos=left_nanos(message.wait_nanos, came_s) if message.HasField("wait_nanos") else None,
+        wait_nanos=None if message.wait_nanos is None else left_nanos(message.wait_nanos, came_s),
         message_id=_message_id_of(message, items),
     )
 
 
-def _message_id_of(message: raw_run_pb2.RawEnqueueRun, items: int) -> str:
+def _message_id_of(message: EnqueueRun, items: int) -> str:
     length = len(message.message_id.encode())
     if length > MESSAGE_ID_BYTES_MAX or (length and items != 1):
         raise MalformedRun(
@@ -51,7 +69,7 @@ def _message_id_of(message: raw_run_pb2.RawEnqueueRun, items: int) -> str:
     return message.message_id
 
 
-def _origin_of(message: raw_run_pb2.RawEnqueueRun, items: int) -> bytes:
+def _origin_of(message: EnqueueRun, items: int) -> bytes:
     """What is appended to the stored run of a dead letter; nothing for others."""
     if not message.origin:
         return b""

@@ -49,7 +49,7 @@ class QueueStore:
         self.now = now
         self._identity = identity
         self._directory = directory
-        self._memory = memory
+        self.memory = memory
         self._lease_held = lease_held
         self._scheduler = scheduler
         self._on_departures = on_departures
@@ -207,7 +207,7 @@ class QueueStore:
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, which is the most; use another")
         self._queues[record.queue_id] = HostedQueue(
-            record, self._memory, self.now, self._on_departures, self.deadlines, self._may_serve
+            record, self.memory, self.now, self._on_departures, self.deadlines, self._may_serve
         )
         self.in_use.set()
 

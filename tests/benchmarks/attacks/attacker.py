@@ -1,0 +1,42 @@
+"""The attacker's process: reads the ground from its standard input, and attacks until that is closed.
+
+It prints a line once the attack is under way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+
+from stampede_rt_runtime import open_files
+from tests.benchmarks.attacks.catalogue import CASES
+from tests.benchmarks.attacks.ground import Ground
+
+UNDER_WAY = "under way"
+
+
+async def attack(name: str, ground: Ground) -> None:
+    """Until standard input ends."""
+    work = asyncio.create_task(_attack(name, ground))
+    ended = asyncio.create_task(asyncio.to_thread(sys.stdin.read))
+    await asyncio.wait({work, ended}, return_when=asyncio.FIRST_COMPLETED)
+    if work.done():
+        work.result()
+    work.cancel()
+    await asyncio.wait({work}, timeout=1.0)
+
+
+async def _attack(name: str, ground: Ground) -> None:
+    with contextlib.suppress(asyncio.CancelledError):
+        await CASES[name].attack(ground, lambda: print(UNDER_WAY, flush=True))
+
+
+def main() -> None:
+    """Be the attacker whose name the first argument is."""
+    open_files.raise_limit()
+    asyncio.run(attack(sys.argv[1], Ground.from_line(sys.stdin.readline())))
+
+
+if __name__ == "__main__":
+    main()

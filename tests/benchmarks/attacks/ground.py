@@ -1,0 +1,83 @@
+"""Where an attack takes place, and what every attacker needs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
+from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+
+GOOD_CHANNEL = "good"
+OPTIONS = [
+    ("grpc.max_receive_message_length", -1),
+    ("grpc.use_local_subchannel_pool", 1),  # each has a connection of its own
+    ("grpc.http2.bdp_probe", 0),
+]
+
+CHANNELS: list[grpc.aio.Channel] = []  # one that nobody holds is closed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """The addresses of a cluster with one host and one supernode, and its secret."""
+
+    frontend: str
+    supernode: str
+    host: str
+    secret: str
+
+    @property
+    def metadata(self) -> tuple[tuple[str, str], ...]:
+        """What lets a caller in."""
+        return (("authorization", f"Bearer {self.secret}"),)
+
+    def connect(self) -> Any:
+        """The client that everybody uses."""
+        return st.aio.connect(self.frontend, secret=self.secret)
+
+    def channel(self, target: str) -> grpc.aio.Channel:
+        """A new connection to a port of the cluster."""
+        made = grpc.aio.insecure_channel(target, options=OPTIONS)
+        CHANNELS.append(made)
+        return made
+
+    async def bound(self, name: str) -> dict[str, Any]:
+        """What names a channel in requests to its host. The channel exists."""
+        async with self.channel(self.supernode) as supernode, self.channel(self.host) as host:
+            resolve: Any = DirectoryServiceStub(supernode).ResolveChannel
+            record = (await resolve(pb.ResolveChannelRequest(name=name), metadata=self.metadata)).channel
+            known = {"channel_id": record.channel_id, "epoch": record.epoch}
+            bind: Any = GatekeeperServiceStub(host).BindChannel
+            await bind(gate_pb.BindChannelRequest(**known), metadata=self.metadata)
+        return known
+
+    def to_line(self) -> str:
+        """For the attacker's standard input: a secret is no argument."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_line(cls, line: str) -> Ground:
+        return cls(**json.loads(line))
+
+
+# Attacks until it is cancelled. It calls the function once the attack is under way.
+Attack = Callable[[Ground, Callable[[], None]], Awaitable[None]]
+
+
+async def for_ever() -> None:
+    """Hold what is held until the attack is over."""
+    await asyncio.Event().wait()
+
+
+async def all_of(*work: Awaitable[Any]) -> None:
+    """All at once; refusals are what an attacker lives with."""
+    await asyncio.gather(*work, return_exceptions=True)

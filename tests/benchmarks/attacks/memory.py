@@ -1,0 +1,195 @@
+"""Attacks on a host's memory by clients, who bring the secret."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import suppress
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import item_pb2, queue_directory_service_pb2, raw_run_pb2, time_pb2
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
+from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+from stampede_rt.wire.runs import encode_run
+from tests.benchmarks.attacks.ground import Ground, all_of, for_ever
+
+MIB = 2**20
+NAME = "hostile"
+STREAMS, GETS, REFUSED, TWICE = 60, 64, 800, 150
+WAITING, WAITING_BYTES = 40, 15 * MIB
+HELD_ITEMS = 16
+ATTRIBUTED_ITEMS = 20_000
+HOUR_NANOS = 3600 * 10**9
+FIELD_999 = bytes(((999 << 3 | 2) & 127 | 128, (999 << 3 | 2) >> 7))  # bytes of a field that the contract lacks
+
+
+def stub(ground: Ground, kind: Any) -> Any:
+    """With a connection of its own to the host."""
+    return kind(ground.channel(ground.host))
+
+
+async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any) -> None:
+    """One stream of puts, of which nothing waits; what is refused is refused."""
+    known = await ground.bound(name)
+
+    async def requests() -> AsyncIterator[bytes]:
+        for number, run in enumerate(runs, start=1):
+            put = raw_run_pb2.RawPutRun(first_number=number, wait_nanos=0, run=run)
+            yield raw_run_pb2.RawPutRequest(**known, puts=[put]).SerializeToString()
+
+    async with ground.channel(ground.host) as channel:
+        call = channel.stream_stream("/stampede_rt.v1.ChannelService/Put")
+        with suppress(grpc.aio.AioRpcError):
+            async for _ in call(requests(), metadata=ground.metadata):
+                pass
+
+
+async def repeated_fields(ground: Ground, under_way: Callable[[], None]) -> None:
+    """150 puts in which a field of 4 MiB comes twice, of which only the last one is an item's payload."""
+    twice = item_pb2.ItemRun(payloads=bytes(4 * MIB)).SerializeToString() + encode_run([b"one"], times=None)
+    await _put_and_stay(ground, itertools.repeat(twice, TWICE), under_way)
+
+
+async def attributes(ground: Ground, under_way: Callable[[], None]) -> None:
+    """20,000 items of one byte, with the most attributes that an item may have."""
+    run = encode_run([b"x"], times=None, attributes={"k": "x" * 16_000})
+    await _put_and_stay(ground, itertools.repeat(run, ATTRIBUTED_ITEMS), under_way)
+
+
+async def refused_runs(ground: Ground, under_way: Callable[[], None]) -> None:
+    """800 runs of 1 MiB that are no runs."""
+    bad = item_pb2.ItemRun(payload_length_bytes=[1], payloads=bytes(MIB)).SerializeToString()
+    await _put_and_stay(ground, itertools.repeat(bad, REFUSED), under_way)
+
+
+async def late_clock(ground: Ground, under_way: Callable[[], None]) -> None:
+    """800 items of 1 MiB by a producer whose clock is an hour behind."""
+    late = encode_run([bytes(MIB)], times=[st.now() - HOUR_NANOS])
+    await _put_and_stay(ground, itertools.repeat(late, REFUSED), under_way)
+
+
+async def _put_and_stay(ground: Ground, runs: Any, under_way: Callable[[], None]) -> None:
+    async with ground.connect() as rt:
+        await rt.channel(NAME, max_age="10s")
+        under_way()
+        await put_all(ground, NAME, runs)
+        await for_ever()
+
+
+async def waiting_puts(ground: Ground, under_way: Callable[[], None]) -> None:
+    """40 puts of 15 MiB into a channel that is full, on as many connections, and all wait without limit."""
+    async with ground.connect() as rt:
+        await rt.channel(NAME, max_items=1, consumers=1)
+        known = await ground.bound(NAME)
+        await put_all(ground, NAME, [encode_run([b"first"], times=None)])
+        run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
+        request = pb.PutRequest(**known, puts=[pb.PutRun(first_number=1, run=run)])
+        calls = [stub(ground, ChannelServiceStub).Put(metadata=ground.metadata) for _ in range(WAITING)]
+        await _write_and_stay(calls, request, under_way)
+
+
+async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> None:
+    """The same with a queue."""
+    async with ground.connect() as rt:
+        await (await rt.queue(NAME, max_items=1)).put(b"first")
+        known = await queue_known(ground)
+        run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
+        request = queue_pb.EnqueueRequest(**known, runs=[queue_pb.EnqueueRun(first_number=1, run=run)])
+        calls = [stub(ground, QueueServiceStub).Enqueue(metadata=ground.metadata) for _ in range(WAITING)]
+        await _write_and_stay(calls, request, under_way)
+
+
+async def queue_known(ground: Ground) -> dict[str, Any]:
+    """What names the queue in requests to its host."""
+    async with ground.channel(ground.supernode) as channel:
+        resolve: Any = QueueDirectoryServiceStub(channel).ResolveQueue  # type: ignore[no-untyped-call]
+        request = queue_directory_service_pb2.ResolveQueueRequest(name=NAME)
+        record = (await resolve(request, metadata=ground.metadata)).queue
+    return {"queue_id": record.queue_id, "epoch": record.epoch}
+
+
+async def _write_and_stay(calls: Sequence[Any], request: Any, under_way: Callable[[], None]) -> None:
+    under_way()
+    await all_of(*(call.write(request) for call in calls))
+    await for_ever()
+
+
+async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
+    """60 subscriptions, with credit without end, whose readers never read what comes."""
+    async with ground.connect() as rt:
+        await _held(await rt.channel(NAME, max_age="1h"))
+        opened = pb.SubscribeOpen(**await ground.bound(NAME), start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
+        request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
+        calls = [stub(ground, ChannelServiceStub).Subscribe(metadata=ground.metadata) for _ in range(STREAMS)]
+        await _write_and_stay(calls, request, under_way)
+
+
+async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
+    """60 streams with 16 gets of everything each, whose answers nobody reads."""
+    async with ground.connect() as rt:
+        await _held(await rt.channel(NAME, max_age="1h"))
+        known = await ground.bound(NAME)
+        calls = [stub(ground, ChannelServiceStub).Get(metadata=ground.metadata) for _ in range(STREAMS)]
+        under_way()
+        for call_id in range(1, 17):
+            request = pb.GetRequest(call_id=call_id, interval=_everything(), **known)
+            await all_of(*(call.write(request) for call in calls))
+        await for_ever()
+
+
+async def silent_takers(ground: Ground, under_way: Callable[[], None]) -> None:
+    """60 takers of a queue, with credit for all of it, who never read what comes."""
+    async with ground.connect() as rt:
+        queue = await rt.queue(NAME, copies=STREAMS)
+        for _ in range(HELD_ITEMS):
+            await queue.put(bytes(MIB))
+        known = await queue_known(ground)
+        calls = [stub(ground, QueueServiceStub).Take(metadata=ground.metadata) for _ in range(STREAMS)]
+        under_way()
+        for taker_id, call in enumerate(calls, start=1):
+            opened = queue_pb.TakeOpen(taker_id=taker_id, **known)
+            await call.write(queue_pb.TakeRequest(open=opened, credit=1000))
+        await for_ever()
+
+
+async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
+    """64 gets that wait, with 4 MiB each of fields that the contract does not have."""
+    async with ground.connect() as rt:
+        await rt.channel(NAME)
+        known = await ground.bound(NAME)
+        ahead = time_pb2.Interval(
+            start=time_pb2.Bound(instant_unix_nano=st.now() + HOUR_NANOS),
+            end=time_pb2.Bound(instant_unix_nano=MAX_INSTANT),
+        )
+        get = pb.GetRequest(call_id=1, interval=ahead, wait_nanos=-1, **known).SerializeToString()
+        raw = get + FIELD_999 + _varint(4 * MIB) + bytes(4 * MIB)
+        under_way()
+        calls = [
+            ground.channel(ground.host).stream_stream("/stampede_rt.v1.ChannelService/Get")(metadata=ground.metadata)
+            for _ in range(GETS)
+        ]
+        await all_of(*(call.write(raw) for call in calls))
+        await for_ever()
+
+
+async def _held(channel: Any) -> None:
+    """16 MiB in all."""
+    for _ in range(HELD_ITEMS):
+        await channel.put(bytes(MIB))
+
+
+def _everything() -> time_pb2.Interval:
+    return time_pb2.Interval(
+        start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT), end=time_pb2.Bound(instant_unix_nano=MAX_INSTANT)
+    )
+
+
+def _varint(value: int) -> bytes:
+    return bytes((value >> place & 127) | 128 for place in range(0, 28, 7)) + bytes((value >> 28,))

@@ -1,0 +1,150 @@
+"""Attacks by clients who ask for nothing that is forbidden, only for much of it."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import secrets
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import (
+    directory_service_pb2,
+    group_directory_service_pb2,
+    group_service_pb2,
+    peer_service_pb2,
+)
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
+from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServiceStub
+from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
+from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
+from stampede_rt.wire.runs import encode_run
+from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground, all_of, for_ever
+from tests.benchmarks.attacks.memory import MIB, NAME, STREAMS, put_all, stub
+
+ITEMS, RUN_ITEMS, GETTERS = 50_000, 250, 8
+SUBSCRIPTIONS, SUBSCRIPTIONS_OF_ONE_CONNECTION = 3000, 1000
+CREATORS = 16
+WATCHES = 2000
+
+
+async def large_gets(ground: Ground, under_way: Callable[[], None]) -> None:
+    """8 callers get all of 50,000 items, again and again."""
+    async with ground.connect() as rt:
+        await rt.channel(NAME, max_items=ITEMS)
+        await put_all(ground, NAME, [encode_run([b"x" * 20] * RUN_ITEMS, times=None)] * (ITEMS // RUN_ITEMS))
+        under_way()
+        await all_of(*(_get_again_and_again(ground) for _ in range(GETTERS)))
+
+
+async def _get_again_and_again(ground: Ground) -> None:
+    async with ground.connect() as rt:
+        channel = await rt.channel(NAME)
+        while True:
+            with suppress(st.StampedeError):
+                await channel.get(st.OLDEST, st.NEWEST)
+
+
+async def many_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
+    """3000 subscriptions to the channel of which the good clients are; all are read."""
+    opened = pb.SubscribeOpen(**await ground.bound(GOOD_CHANNEL))
+    request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
+    calls: list[Any] = []
+    for _ in range(SUBSCRIPTIONS // SUBSCRIPTIONS_OF_ONE_CONNECTION):
+        one = stub(ground, ChannelServiceStub)
+        calls += [one.Subscribe(metadata=ground.metadata) for _ in range(SUBSCRIPTIONS_OF_ONE_CONNECTION)]
+    await all_of(*(call.write(request) for call in calls))
+    under_way()
+    await all_of(*map(_read_all, calls))
+
+
+async def _read_all(call: Any) -> None:
+    while await call.read() is not grpc.aio.EOF:
+        pass
+
+
+async def new_channels(ground: Ground, under_way: Callable[[], None]) -> None:
+    """Channels are made as fast as 16 callers can."""
+    under_way()
+    numbers = itertools.count()
+    await all_of(*(_create(ground, numbers) for _ in range(CREATORS)))
+
+
+async def _create(ground: Ground, numbers: itertools.count[int]) -> None:
+    open_channel: Any = DirectoryServiceStub(ground.channel(ground.supernode)).OpenChannel
+    for number in numbers:
+        request = directory_service_pb2.OpenChannelRequest(
+            request_id=secrets.token_bytes(16), name=f"{NAME}/{number}", create=True
+        )
+        with suppress(grpc.aio.AioRpcError):
+            await open_channel(request, metadata=ground.metadata, timeout=10)
+
+
+async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:
+    """2000 watches of the directory and 2000 of its peers that nobody reads, while channels are made and deleted."""
+    calls: list[Any] = []
+    for _ in range(2):
+        watch: Any = DirectoryServiceStub(ground.channel(ground.supernode)).Watch
+        peers: Any = PeerServiceStub(ground.channel(ground.supernode)).WatchPeers  # type: ignore[no-untyped-call]
+        for _ in range(WATCHES // 2):
+            calls.append(watch(directory_service_pb2.WatchRequest(include_hosts=True), metadata=ground.metadata))
+            calls.append(peers(peer_service_pb2.WatchPeersRequest(), metadata=ground.metadata))
+    under_way()
+    async with ground.connect() as rt:
+        for number in itertools.count():
+            with suppress(st.StampedeError):
+                await (await rt.channel(f"{NAME}/{number}")).delete()
+
+
+async def silent_cuts(ground: Ground, under_way: Callable[[], None]) -> None:
+    """60 streams of a group's cut events and 60 of its matches, with credit without end, that nobody reads."""
+    async with ground.connect() as rt:
+        members = [await rt.channel(f"{NAME}/{side}", max_age="5s") for side in ("left", "right")]
+        await rt.group(NAME, members)
+        async with ground.channel(ground.supernode) as channel:
+            resolve: Any = GroupDirectoryServiceStub(channel).ResolveGroup  # type: ignore[no-untyped-call]
+            request = group_directory_service_pb2.ResolveGroupRequest(name=NAME)
+            found = await resolve(request, metadata=ground.metadata)
+        await all_of(*_silent_readers(ground, found))
+        under_way()
+        while True:
+            at = st.now()
+            for member in members:
+                with suppress(st.StampedeError):
+                    await member.put(bytes(MIB), time=at)
+            await asyncio.sleep(0.05)
+
+
+def _silent_readers(ground: Ground, found: Any) -> list[Any]:
+    group_id, per = found.group.group_id, found.channels[0]
+    writes = []
+    for _ in range(STREAMS):
+        one: Any = stub(ground, GroupServiceStub)
+        cuts = group_service_pb2.SubscribeCutsOpen(group_id=group_id, decides=True)
+        matches = group_service_pb2.SubscribeMatchesOpen(
+            group_id=group_id, per_channel_id=per.channel_id, epoch=per.epoch
+        )
+        held = (one.SubscribeCuts(metadata=ground.metadata), one.SubscribeMatches(metadata=ground.metadata))
+        READERS.extend(held)
+        writes.append(held[0].write(group_service_pb2.SubscribeCutsRequest(open=cuts, credit=2**31)))
+        writes.append(held[1].write(group_service_pb2.SubscribeMatchesRequest(open=matches, credit_bytes=2**60)))
+    return writes
+
+
+READERS: list[Any] = []  # a call that nobody holds is ended
+
+
+async def health_watches(ground: Ground, under_way: Callable[[], None]) -> None:
+    """4096 Watch streams of the health service, with the secret, that nobody reads."""
+    calls = []
+    for _ in range(5):
+        watch = ground.channel(ground.host).unary_stream("/grpc.health.v1.Health/Watch")
+        calls += [watch(b"", metadata=ground.metadata) for _ in range(1000)]
+    under_way()
+    await for_ever()

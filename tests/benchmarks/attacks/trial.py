@@ -1,0 +1,186 @@
+"""One attack on a cluster of processes of its own, with good clients beside it, and what it took from them."""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import statistics
+import sys
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceProcess
+from tests.benchmarks.attacks.attacker import UNDER_WAY
+from tests.benchmarks.attacks.catalogue import CASES
+from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground
+
+MEMORY_BUDGET = "64MiB"
+FILES_SOFT = 1024
+GOOD_CLIENTS, PERIOD_SECONDS, CALL_SECONDS = 2, 0.01, 10.0
+SAMPLE_SECONDS = 0.05
+LEASE_LOST = "the lease has ended"
+UNDER_WAY_SECONDS = 60.0
+
+
+@dataclass
+class Good:
+    """What good clients met with: how long each put took, and how many calls failed, and why."""
+
+    puts_ms: list[float] = field(default_factory=list)
+    calls: int = 0
+    failures: list[str] = field(default_factory=list)
+
+    def quantile_ms(self, percent: int) -> float:
+        """Of a put."""
+        return statistics.quantiles(self.puts_ms or [0.0], n=100, method="inclusive")[percent - 1]
+
+
+@dataclass
+class Found:
+    """What one attack did. Memory is the resident set of the watched process, in MiB."""
+
+    name: str
+    alone: Good = field(default_factory=Good)
+    beside: Good = field(default_factory=Good)
+    before_mib: float = 0.0
+    most_mib: float = 0.0
+    after_mib: float = 0.0
+    leases_lost: int = 0
+    log_bytes: int = 0
+
+
+class Field:
+    """A cluster with one host and one supernode, whose host has a small budget of memory and few open files."""
+
+    def __init__(self, name: str) -> None:
+        self.found = Found(name)
+        self.cluster = LocalCluster(hosts=1, supernodes=1, on_line=self._hear)
+        self.cluster.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
+
+    def _hear(self, _: ServiceProcess, line: str) -> None:
+        self.found.log_bytes += len(line) + 1
+        self.found.leases_lost += LEASE_LOST in line
+
+    @property
+    def ground(self) -> Ground:
+        """For the attacker."""
+        return Ground(
+            frontend=self.cluster.address,
+            supernode=self.cluster.supernodes[0].address,
+            host=self.cluster.hosts[0].address,
+            secret=self.cluster.secret.text,
+        )
+
+    def memory_mib(self) -> float:
+        """Resident now, of the watched process."""
+        parts = self.cluster.hosts if CASES[self.found.name].watched == "host" else self.cluster.supernodes
+        pages = int(Path(f"/proc/{parts[0].pid}/statm").read_text().split()[1])
+        return pages * resource.getpagesize() / 2**20
+
+
+@asynccontextmanager
+async def field_for(name: str) -> AsyncIterator[Field]:
+    """The cluster, ready."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_SOFT, hard))  # its processes inherit it
+    try:
+        one = Field(name)
+        await asyncio.to_thread(one.cluster.__enter__)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    try:
+        yield one
+    finally:
+        await asyncio.to_thread(one.cluster.__exit__, None, None, None)
+
+
+async def trial(name: str, seconds: float) -> Found:
+    """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays."""
+    async with field_for(name) as one:
+        found = one.found
+        async with st.aio.connect(one.cluster.address, secret=one.cluster.secret.text) as rt:
+            await rt.channel(GOOD_CHANNEL, max_age="10s")
+            await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
+            found.before_mib, found.log_bytes = one.memory_mib(), 0
+            await _good_clients(one, found.beside, _attacked(one, seconds))
+            await _still(one)
+            found.after_mib = one.memory_mib()
+    return found
+
+
+async def _attacked(one: Field, seconds: float) -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "tests.benchmarks.attacks.attacker", one.found.name),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    watching = asyncio.create_task(_watch_memory(one))
+    try:
+        process.stdin.write(one.ground.to_line().encode() + b"\n")
+        async with asyncio.timeout(UNDER_WAY_SECONDS):
+            line = await process.stdout.readline()
+        assert line.decode().strip() == UNDER_WAY, f"the attacker of {one.found.name} failed"
+        await asyncio.sleep(seconds)
+        assert process.returncode is None, f"the attacker of {one.found.name} ended by itself"
+    finally:
+        watching.cancel()
+        process.stdin.close()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(5.0):
+                await process.wait()
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+async def _watch_memory(one: Field) -> None:
+    while True:
+        one.found.most_mib = max(one.found.most_mib, one.memory_mib())
+        await asyncio.sleep(SAMPLE_SECONDS)
+
+
+async def _still(one: Field) -> None:
+    """Until its memory has not changed by a MiB for a second, 10 s at most."""
+    last, since_s, until_s = one.memory_mib(), time.monotonic(), time.monotonic() + 10.0
+    while time.monotonic() < min(since_s + 1.0, until_s):
+        await asyncio.sleep(SAMPLE_SECONDS)
+        if abs(one.memory_mib() - last) > 1.0:
+            last, since_s = one.memory_mib(), time.monotonic()
+
+
+async def _good_clients(one: Field, good: Good, meanwhile: Any) -> None:
+    """Put and read as long as `meanwhile` lasts, each on a connection of its own."""
+    tasks = [asyncio.create_task(_good_client(one, good)) for _ in range(GOOD_CLIENTS)]
+    try:
+        await meanwhile
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+
+
+async def _good_client(one: Field, good: Good) -> None:
+    async with st.aio.connect(one.cluster.address, secret=one.cluster.secret.text) as rt:
+        channel = await rt.channel(GOOD_CHANNEL)
+        while True:
+            await _put_and_read(channel, good)
+            await asyncio.sleep(PERIOD_SECONDS)
+
+
+async def _put_and_read(channel: Any, good: Good) -> None:
+    began_s = time.perf_counter()
+    good.calls += 2
+    try:
+        await channel.put(b"x" * 100, timeout=CALL_SECONDS)
+        good.puts_ms.append((time.perf_counter() - began_s) * 1000)
+        await channel.newest(timeout=CALL_SECONDS)
+    except st.StampedeError as error:
+        good.failures.append(str(error))

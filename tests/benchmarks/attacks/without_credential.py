@@ -1,0 +1,103 @@
+"""Attacks by callers who bring nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import grpc
+
+from tests.benchmarks.attacks.ground import Ground, all_of, for_ever
+from tests.support.raw_http2 import RawConnection
+
+CHECK = "/grpc.health.v1.Health/Check"
+CALLS, CONNECTION_CALLS = 4096, 1024
+UNFINISHED, UNFINISHED_BYTES = 50, 20 * 2**20
+FLOOD_CONNECTIONS, FLOOD_CALLS = 10, 100
+IDLE_CONNECTIONS = 1100
+CALLERS = 8
+NO_REQUEST = b"\xff" * 77
+UNARY = {
+    "host": ("GatekeeperService/Ping", "GatekeeperService/BindChannel", "ChannelService/GetChannelStatus"),
+    "supernode": ("DirectoryService/ResolveChannel", "DirectoryService/RegisterHost", "DirectoryService/ListChannels"),
+    "frontend": ("FrontendService/Bind",),
+}
+
+
+async def health_headers(ground: Ground, under_way: Callable[[], None]) -> None:
+    """4096 calls of Health/Check with headers only; as one ends, another is made."""
+    raws = [await RawConnection.open(ground.host) for _ in range(CALLS // CONNECTION_CALLS)]
+    under_way()
+    while True:
+        for raw in raws:
+            for stream in [await raw.call(CHECK) for _ in range(CONNECTION_CALLS)]:
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(1.0):
+                        await raw.ended[stream].wait()
+
+
+async def unfinished_health(ground: Ground, under_way: Callable[[], None]) -> None:
+    """50 calls of Health/Check with a message of 20 MiB each that is never finished."""
+    await _unfinished(ground, CHECK, {}, under_way)
+
+
+async def unfinished_puts(ground: Ground, under_way: Callable[[], None]) -> None:
+    """The same on streams of puts, with the secret."""
+    await _unfinished(ground, "/stampede_rt.v1.ChannelService/Put", dict(ground.metadata), under_way)
+
+
+async def _unfinished(ground: Ground, method: str, metadata: dict[str, str], under_way: Callable[[], None]) -> None:
+    raw = await RawConnection.open(ground.host)
+    await raw.greeted.wait()
+    streams = [await raw.call(method, metadata) for _ in range(UNFINISHED)]
+    under_way()
+    await all_of(*(raw.send_as_allowed(stream, UNFINISHED_BYTES, UNFINISHED_BYTES - 1) for stream in streams))
+    await for_ever()
+
+
+async def resets(ground: Ground, under_way: Callable[[], None]) -> None:
+    """Calls that are reset as soon as they are made, on 10 connections."""
+    under_way()
+    await all_of(*(_flood(ground) for _ in range(FLOOD_CONNECTIONS)))
+
+
+async def _flood(ground: Ground) -> None:
+    while True:
+        with suppress(OSError, asyncio.IncompleteReadError):
+            raw = await RawConnection.open(ground.host)
+            for _ in range(FLOOD_CALLS):
+                await raw.reset(await raw.call(CHECK))
+            await asyncio.sleep(0)
+            await raw.aclose()
+
+
+async def idle_connections(ground: Ground, under_way: Callable[[], None]) -> None:
+    """1100 connections on which nothing happens, to a host whose soft limit of open files is 1024."""
+    name, _, port = ground.host.rpartition(":")
+    held = []
+    for _ in range(IDLE_CONNECTIONS):
+        with suppress(OSError, TimeoutError):
+            async with asyncio.timeout(2.0):
+                held.append(await asyncio.open_connection(name, int(port)))
+    under_way()
+    await for_ever()
+
+
+async def malformed(ground: Ground, under_way: Callable[[], None]) -> None:
+    """77 bytes that are no request, to calls of all services, by some with the secret and by some without."""
+    under_way()
+    await all_of(*(_send_malformed(ground, with_secret=bool(number % 2)) for number in range(CALLERS)))
+
+
+async def _send_malformed(ground: Ground, *, with_secret: bool) -> None:
+    channels = {part: ground.channel(getattr(ground, part)) for part in UNARY}
+    while True:
+        for part, method in _methods():
+            call = channels[part].unary_unary(f"/stampede_rt.v1.{method}")
+            with suppress(grpc.aio.AioRpcError):
+                await call(NO_REQUEST, metadata=ground.metadata if with_secret else (), timeout=10)
+
+
+def _methods() -> Iterator[tuple[str, str]]:
+    yield from ((part, method) for part, methods in UNARY.items() for method in methods)

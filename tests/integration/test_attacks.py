@@ -1,0 +1,51 @@
+"""Hostile callers beside good ones, in processes: what must hold on any machine, however busy.
+
+`python -m tests.benchmarks.attacks` measures the same attacks, and more of them.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.benchmarks.attacks.trial import Found, trial
+
+pytestmark = pytest.mark.timeout(120)
+SECONDS = 2.0
+BUDGET_MIB = 64  # of the host
+MARGIN_MIB = 100
+
+
+async def attacked(name: str) -> Found:
+    found = await trial(name, SECONDS)
+    assert found.beside.calls > 0
+    assert found.beside.failures == []
+    assert found.leases_lost == 0
+    return found
+
+
+@pytest.mark.parametrize("name", ["health-headers", "unfinished-health", "resets", "idle-connections"])
+async def test_a_caller_without_credential_takes_no_call_no_lease_and_no_memory_from_others(name: str) -> None:
+    found = await attacked(name)
+    assert found.after_mib < found.before_mib + MARGIN_MIB
+
+
+async def test_what_is_no_request_leaves_nothing_in_the_logs() -> None:
+    assert (await attacked("malformed")).log_bytes < 10_000
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "repeated-fields",
+        "refused-runs",
+        "unknown-fields",
+        "waiting-puts",
+        "waiting-enqueues",
+        "unfinished-puts",
+        "silent-subscriptions",
+        "silent-takers",
+    ],
+)
+async def test_what_clients_made_a_host_hold_goes_back_to_the_system_and_costs_no_call(name: str) -> None:
+    found = await attacked(name)
+    assert found.after_mib < found.before_mib + BUDGET_MIB + MARGIN_MIB

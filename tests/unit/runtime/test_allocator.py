@@ -1,0 +1,35 @@
+"""A service gives back to the system what it has freed."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import resource, time
+from pathlib import Path
+from stampede_rt_runtime import allocator
+
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+allocator.TRIM_SECONDS = 0.01
+allocator.give_back_memory()
+before = resident()
+blocks = [bytearray(9000) for _ in range(40_000)]  # smaller than what has a mapping of its own
+held = blocks[::1000]  # some stay, spread over all of it
+print(resident() - before > 300 * 2**20)
+del blocks
+while resident() - before > 100 * 2**20:
+    time.sleep(0.01)
+print("given back")
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the allocator of another C library is left as it is")
+def test_what_was_freed_between_blocks_that_stay_goes_back() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=50)
+    assert (done.stdout.split("\n"), done.stderr) == (["True", "given back", ""], "")
