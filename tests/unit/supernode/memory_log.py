@@ -35,6 +35,7 @@ class MemoryLog:
         self.tenure = 1
         self.leader_id: str | None = SELF.member_id
         self.other = OTHER
+        self.retired: set[str] = set()
         self.quorum = True
         self.diverged_at = 0
         # What the members have told of their releases; None: both know what this one knows.
@@ -99,6 +100,7 @@ class MemoryLog:
             members=[SELF, self.other],
             feature_level=self.machine.feature_level,
             highest_levels=self._levels(),
+            retired=self.retired,
         )
 
     def _levels(self) -> dict[str, int]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import grpc
 import pytest
 import pytest_asyncio
 
@@ -108,6 +109,16 @@ async def addition(stub: Any, **changes: Any) -> pb.AddSupernodeRequest:
         "protocol_version": 1,
     }
     return pb.AddSupernodeRequest(**{**fields, **changes})
+
+
+@pytest.mark.parametrize(("name", "why"), [("gone", "was a member before"), ("s2", "is a member already")])
+async def test_no_token_is_made_for_an_id_that_can_never_join(rig: tuple[Node, Any], name: str, why: str) -> None:
+    node, stub = rig
+    node.log.retired = {"gone"}
+    node.log.other = Member(member_id="s2", address="s2:1")
+    asked = pb.CreateJoinTokenRequest(request_id=REQUEST_ID, supernode_id=name, target="new:1")
+    with pytest.raises(grpc.RpcError, match=why):
+        await stub.CreateJoinToken(asked, timeout=10)
 
 
 async def test_a_newcomer_with_a_token_is_added(rig: tuple[Node, Any]) -> None:

@@ -98,7 +98,7 @@ class Examination:
         found = {one.response.supernode_id for one in first if one.response is not None}
         rest = {address: name for address, name in listed.items() if address not in named and name not in found}
         more = self._ask(_supernode(name, address) for address, name in rest.items())
-        refused = gathered(_refused_by(one) for one in (*first, *more))
+        refused = gathered(_refused_by(one, listed) for one in (*first, *more))
         answers = [_named(one, listed, refused) for one in (*first, *more)]
         return sorted(answers, key=lambda one: one.seen.name)
 
@@ -270,9 +270,12 @@ def _gatekeeper(host: Any) -> str:
     return host.gatekeepers[0].target if host.gatekeepers else "-"
 
 
-def _refused_by(answer: _Answer) -> Mapping[str, str]:
-    """Supernodes whose stores this one does not take, and why."""
-    return answer.response.refused_supernodes if answer.response is not None else {}
+def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
+    """Supernodes whose stores this one does not take, and why; not what a copy says at the address of another one."""
+    if answer.response is None:
+        return {}
+    expected = listed.get(answer.seen.address, answer.response.supernode_id)
+    return answer.response.refused_supernodes if answer.response.supernode_id == expected else {}
 
 
 def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) -> _Answer:

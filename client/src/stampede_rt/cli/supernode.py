@@ -84,7 +84,9 @@ def _run_status(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members()
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
-    refused = gathered(pong.refused_supernodes for pong, _ in pongs.values() if pong)
+    # Not what a copy of a member says at the address of another one.
+    heard = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
+    refused = gathered(pong.refused_supernodes for pong in heard)
     rows = [_row(record, *pongs[record.supernode_id], refused, arguments.output) for record in listed.supernodes]
     print_rows(rows, arguments.output, none="no supernode")
     serving = sum(row["state"] in SERVING for row in rows)

@@ -6,7 +6,7 @@ replicated log can take its place (paper, section 4.3: "standard consensus techn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -75,7 +75,8 @@ class ReplicationStatus:
     take the store with which another member came last. `diverged_at`:
     where this one's state was found to differ from the leader's; 0: nowhere. `feature_level` is the state's,
     `highest_levels` what each member has told of its release, this one included. `too_old`: what another member has
-    said of this one's release, which does not know the cluster's level.
+    said of this one's release, which does not know the cluster's level. `retired`: ids that were members, and never
+    come back.
     """
 
     self_id: str
@@ -95,6 +96,7 @@ class ReplicationStatus:
     highest_levels: Mapping[str, int] = field(default_factory=dict)
     too_old: str = ""
     refused_by: Mapping[str, str] = field(default_factory=dict)
+    retired: Collection[str] = ()
 
     @property
     def level_of_members(self) -> int:

@@ -122,6 +122,7 @@ class PySyncObjLog:
         if self._thread.stuck_seconds() > 0.0:
             # What the last step saw is long past: whoever led then has been replaced, as others tell.
             status = replace(status, leader_id=None, is_leader=False, tenure=0)
+        status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}
         doubted = links.refusals.by or links.refusals.confirmed or links.other_cluster or links.too_old
         if not (doubted or refused):

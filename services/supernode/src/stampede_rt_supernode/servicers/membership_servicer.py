@@ -58,9 +58,11 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else None
         until, cluster_id = valid_until(self._clock.time_unix_nano(), valid_nanos), self._cluster_id()
+        newcomer = _member("supernode_id", request.supernode_id, "target", request.target)
+        self._check_is_new(newcomer.member_id)
         token = self._tokens().make(
             request.request_id,
-            _member("supernode_id", request.supernode_id, "target", request.target),
+            newcomer,
             valid_until_unix_nano=until,
             log_cluster_id=self._log_cluster_id,
         )
@@ -143,6 +145,15 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         member = _member("supernode_id", request.supernode_id, "endpoint.target", request.endpoint.target)
         ticket = self._tokens().check(request.token, member, now_unix_nano=self._clock.time_unix_nano())
         return member, ticket
+
+    def _check_is_new(self, member_id: str) -> None:
+        """Raises InvalidArgument for an id that can never join. The leader decides again when the newcomer asks."""
+        status = self._log.status()
+        if member_id in status.retired:
+            text = f"{member_id} was a member before; an id never comes back: let it join under a new one"
+            raise InvalidArgument(text)
+        if any(member.member_id == member_id for member in status.members):
+            raise InvalidArgument(f"{member_id} is a member already; a newcomer, or a wiped supernode, needs a new id")
 
     def _tokens(self) -> JoinTokens:
         """Raises Unavailable before the cluster is founded."""

@@ -8,11 +8,12 @@ from typing import Any
 
 import grpc
 import grpc.aio
+import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import introduction
+from stampede_rt_supernode.replication.network.greetings import OLDER_STORE, introduction
 from stampede_rt_supernode.replication.network.links import PeerLink
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
@@ -57,12 +58,13 @@ class Inbox:
 
     def __init__(self) -> None:
         self.events: list[NetworkEvent] = []
+        self.promise = Promise(0, 0)
 
     def deliver(self, event: NetworkEvent) -> None:
         self.events.append(event)
 
     def promise_of(self, member_id: str) -> Promise:
-        return Promise(0, 0)
+        return self.promise
 
 
 async def served(add: Callable[[grpc.aio.Server], None]) -> tuple[grpc.aio.Server, str]:
@@ -98,6 +100,46 @@ async def test_a_members_stream_that_a_newer_one_replaces_ends_and_is_heard_no_m
     await server.stop(None)
     kinds = [type(event) for event in inbox.events]
     assert kinds == [StreamOpened, StreamOpened, Received, StreamEnded]
+
+
+async def greeted_by_an_older_copy(channel: grpc.aio.Channel) -> str:
+    """What somebody hears who comes as OTHER, with a store that lacks what OTHER has promised."""
+    call = _pb_grpc.RaftServiceStub(channel).Exchange()
+    hello = hello_to("self", settings_of(OTHER))
+    hello.store_id = "one"
+    await call.write(pb.RaftServiceExchangeRequest(hello=hello))
+    assert await call.code() is grpc.StatusCode.PERMISSION_DENIED
+    return str(await call.details())
+
+
+async def test_a_copy_that_is_refused_beside_a_member_that_is_heard_is_said_once_and_not_held_against_the_member(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    inbox = Inbox()
+    stores = await asyncio.to_thread(KnownStores.open, None, had_store=False)
+    servicer = RaftServicer(settings_of(SELF), inbox, stores)  # type: ignore[arg-type]  # what it asks of a replica
+    server, address = await served(servicer.add_to_server)
+    async with grpc.aio.insecure_channel(address) as channel, asyncio.timeout(10):
+        call = await opened_stream(channel)
+        told = set()
+        for promised in (7, 8, 9):
+            inbox.promise = Promise(1, promised)
+            told.add(await greeted_by_an_older_copy(channel))
+        await call.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
+        while not any(isinstance(event, Received) for event in inbox.events):  # noqa: ASYNC110 - nothing announces it
+            await asyncio.sleep(0.005)
+        call.cancel()
+        while not any(isinstance(event, StreamEnded) for event in inbox.events):  # noqa: ASYNC110
+            await asyncio.sleep(0.005)
+        assert servicer.refused() == {}
+        # Alone, it may be the member itself.
+        await greeted_by_an_older_copy(channel)
+        assert list(servicer.refused()) == ["other"]
+    await server.stop(None)
+    assert len(told) == 3
+    beside, alone = [record.getMessage() for record in caplog.records if "older copy" in record.getMessage()]
+    assert "a copy of its folder: stop that one" in beside
+    assert "stampede supernode remove" in alone
 
 
 class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
@@ -149,3 +191,14 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
     await asyncio.gather(running, return_exceptions=True)
     await server.stop(None)
     assert peer.streams == [[], [2]]
+
+
+def test_a_refusal_that_tells_other_log_positions_each_time_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    unused: Any = None
+    link = PeerLink(OTHER, settings_of(SELF), unused, unused, unused, unused, SparseReports())
+    for entry in (7, 8, 9):
+        link._report(
+            f"PERMISSION_DENIED: 'self' {OLDER_STORE}: it has held term 1 and entry {entry}, and holds 1 and 1"
+        )
+    link._report("UNAVAILABLE: nobody there")
+    assert [record.getMessage().count("entry 7") for record in caplog.records] == [1, 0]

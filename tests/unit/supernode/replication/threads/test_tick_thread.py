@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -128,3 +129,26 @@ def test_a_step_that_hangs_is_told_of_once_and_so_is_its_end(
 def wait_for(condition: Callable[[], bool]) -> None:
     while not condition():
         threading.Event().wait(0.005)
+
+
+def test_a_process_that_was_stopped_for_long_does_not_blame_its_disk(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    looks = threading.Semaphore(0)
+
+    class Ended(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            looks.release()
+            return super().wait(0.001)
+
+    thread = TickThread(tick_seconds=0.01, on_fatal=lambda error: None)
+    monkeypatch.setattr(thread, "_ended", Ended())
+    # So far off that no number of looks comes near; by the clock, the step has lasted for two days at the first one.
+    monkeypatch.setattr(tick_thread, "LOOK_SECONDS", 1e-9)
+    thread._step_began = time.monotonic() - 2 * 86400.0
+    watcher = threading.Thread(target=thread._watch, daemon=True)
+    watcher.start()
+    assert all(looks.acquire(timeout=5) for _ in range(5))
+    thread._ended.set()
+    watcher.join()
+    assert caplog.records == []

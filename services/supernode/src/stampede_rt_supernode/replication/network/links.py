@@ -128,7 +128,8 @@ class PeerLink:
 
     def _report(self, reason: str) -> None:
         """Say once why there is no link, not twice a second, nor each time that somebody starts the member again."""
-        if self._reports.is_due((self._member.member_id, reason), time.monotonic()):
+        # Some words tell log positions, which are others each time.
+        if self._reports.is_due((self._member.member_id, grounds_of(reason) or reason), time.monotonic()):
             level = logging.INFO if UNKNOWN in reason else logging.WARNING
             logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
 

@@ -26,6 +26,7 @@ from stampede_rt_supernode.replication.network.greetings import (
     refusal_of,
 )
 from stampede_rt_supernode.replication.network.links import REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.network.refusals import grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import InboxFull, RaftReplica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
@@ -152,7 +153,7 @@ class RaftServicer:
             promise=promise,
             feature_level=self._replica.feature_level,
         )
-        self._note_outcome(hello, refusal)
+        self._note_outcome(hello, refusal, context.peer())
         if refusal is None:
             return
         if refusal.hears:
@@ -162,16 +163,23 @@ class RaftServicer:
             await context.write(self._greeting(knows_caller=False))
         await context.abort(refusal.code, refusal.why)
 
-    def _note_outcome(self, hello: pb.RaftHello, refusal: HelloRefusal | None) -> None:
-        """Remember, and say once, that a member may not come back with the store that it has."""
+    def _note_outcome(self, hello: pb.RaftHello, refusal: HelloRefusal | None, peer: str) -> None:
+        """Remember, and say once, that a member may not come back with the store that it has. `peer`: who calls."""
         if refusal is not None and OTHER_CLUSTER in refusal.why:
             self._tell_of_another_cluster(hello)
         if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
             self._refused.pop(hello.member_id, None)
             return
         self._refused[hello.member_id] = refusal.why
-        if self._reports.is_due((hello.member_id, refusal.why), time.monotonic()):
-            logger.warning("refused: %s; let it go (stampede supernode remove), and join under a new id", refusal.why)
+        is_heard = hello.member_id in self._readers
+        # By the grounds: the words tell log positions, which are others at each attempt.
+        if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), is_heard), time.monotonic()):
+            return
+        if is_heard:
+            advice = f"{hello.member_id} itself is heard, so somebody has started a copy of its folder: stop that one"
+        else:
+            advice = "let it go (stampede supernode remove), and join under a new id"
+        logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice)
 
     def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
         """Say once who calls here in error, as when this one was started without its folder."""
@@ -187,6 +195,8 @@ class RaftServicer:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
+            # Who was refused under this id was a copy: this one goes on.
+            self._refused.pop(member_id, None)
             if member_id not in self._replica.roster.peers:
                 raise MalformedMessage(f"{member_id!r} is no member any more")
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:

@@ -106,11 +106,17 @@ class TickThread:
             self._ended.set()
 
     def _watch(self) -> None:
-        """Say once that the disk hangs, and once that it goes on."""
+        """Say once that the disk hangs, and once that it goes on.
+
+        Looks are counted, not seconds: while the whole process is stopped, its disk is not slow.
+        """
         stuck_since: float | None = None
+        last_began, looks = None, 0
         while not self._ended.wait(LOOK_SECONDS):
             began, now = self._step_began, time.monotonic()
-            if stuck_since is None and began is not None and now - began > STUCK_SECONDS:
+            looks = looks + 1 if began == last_began else 0
+            last_began = began
+            if stuck_since is None and began is not None and looks * LOOK_SECONDS >= STUCK_SECONDS:
                 stuck_since = began
                 logger.error(
                     "the disk of the data folder has not answered for %.0f s: this supernode takes and confirms "

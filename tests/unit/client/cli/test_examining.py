@@ -1,0 +1,23 @@
+"""What `stampede doctor` believes of those whom it asks."""
+
+from __future__ import annotations
+
+from stampede_rt.cli.diagnosis import SUPERNODE, Observation
+from stampede_rt.cli.examining import _Answer, _refused_by
+from stampede_rt.v1 import directory_service_pb2 as pb
+
+REFUSED = {"s1": "'s1' comes with an older copy of its store"}
+
+
+def answer(address: str) -> _Answer:
+    """Of somebody at an address who says to be s1, and refused."""
+    seen = Observation(kind=SUPERNODE, name="s1", address=address)
+    return _Answer(pb.DirectoryServicePingResponse(supernode_id="s1", refused_supernodes=REFUSED), seen)
+
+
+def test_a_copy_of_a_member_at_another_members_address_does_not_speak_for_the_member() -> None:
+    listed = {"s1:1": "s1", "s2:1": "s2"}
+    assert _refused_by(answer("s2:1"), listed) == {}
+    assert _refused_by(answer("s1:1"), listed) == REFUSED
+    # At an address that nobody lists, as of one that moved: it may be the member itself.
+    assert _refused_by(answer("s9:1"), listed) == REFUSED
