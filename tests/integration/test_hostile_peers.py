@@ -15,6 +15,7 @@ import pytest
 
 from stampede_rt.v1 import directory_service_pb2, raft_service_pb2_grpc
 from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from stampede_rt_supernode.replication.storage.sqlite_store import read_identity
@@ -38,6 +39,7 @@ def hello(cluster_id: str, name: str, to: Supernode, **more: Any) -> pb.RaftHell
         member_id=name,
         peer_member_id=to.name,
         protocol_version=PROTOCOL_VERSION,
+        highest_feature_level=HIGHEST_LEVEL,
         **{"store_id": f"store of {name}", "term": FAR, "last_log_index": FAR, **more},
     )
 

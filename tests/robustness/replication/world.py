@@ -188,7 +188,7 @@ class SimMember:
     def has_room(self, member_id: str) -> bool:
         if self.world.dice.random() < self.world.weather.full_links:
             return False
-        wire = self.world.wires[self.member.member_id, member_id]
+        wire = self.world.wires.get((self.member.member_id, member_id), Wire())
         return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
 
     def _write(self) -> tuple[float, float]:
@@ -327,7 +327,7 @@ class World:
     # -- network ---------------------------------------------------------------------------------------------
 
     def send(self, sender: str, to: str, message: Message) -> None:
-        wire = self.wires[sender, to]
+        wire = self.wires.get((sender, to), Wire())  # to outsiders there is none
         if not wire.up or wire.blocked or self.dice.random() < self.weather.loss:
             return
         data, generation = encode_message(message).SerializeToString(), wire.generation
@@ -358,7 +358,8 @@ class World:
 
     def fault(self, sender: str, receiver: str, why: str) -> None:
         """No member that keeps to the rules is ever found to break them."""
-        raise PromiseBroken(f"{receiver} finds {sender} at fault: {why}")
+        if sender in self.members:
+            raise PromiseBroken(f"{receiver} finds {sender} at fault: {why}")
 
     def break_wire(self, ends: tuple[str, str]) -> None:
         """The connection is gone, with what is on it; its sender notices and connects again."""

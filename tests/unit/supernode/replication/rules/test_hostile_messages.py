@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import CANDIDATE, Fate
+from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import Promise
@@ -19,6 +23,7 @@ from stampede_rt_supernode.replication.wire.messages import (
     VoteReply,
     VoteRequest,
 )
+from stampede_rt_supernode.replication.wire.records import encode_configuration
 from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement, append
 
 X = Member(member_id="x", address="x:1")
@@ -188,3 +193,20 @@ def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answ
         lone.node.transport.deliver(Received("b", ReadIndexRequest(request_id=number)))
     lone.node.reads.start_round()
     assert [message.request_id for _, message in lone.said()] == [999]
+
+
+def test_a_removed_member_that_a_hostile_leader_has_named_again_ends_no_process() -> None:
+    lone = LoneNode()
+    ab, abc = (
+        Configuration.of([Member(member_id=name, address=f"{name}:1") for name in names], retired)
+        for names, retired in (("ab", "c"), ("abc", ""))
+    )
+    entries = [Entry(encode_configuration(one), index, 1) for index, one in enumerate((ab, abc), start=2)]
+    first = append(1, (1, 0), [], commit=2)
+    lone.receive("b", replace(first, entries=entries[:1]))
+    lone.tick()
+    lone.node.before_tick()
+    assert set(lone.node.peers) == {"b"}
+    lone.receive("b", replace(append(1, (2, 1), [], commit=2), entries=entries[1:]))
+    lone.tick()
+    assert lone.node.voter_ids() == {"b", "c"}

@@ -94,6 +94,15 @@ def test_a_tail_that_was_replaced_stays_replaced(reopen: Reopen) -> None:
     assert [tuple(entry)[1:] for entry in RaftLog(reopen())[:]] == [(1, 1), (2, 1), (3, 1), (4, 2)]
 
 
+def test_a_snapshot_that_ends_in_another_entry_of_the_same_term_leaves_a_store_that_opens(reopen: Reopen) -> None:
+    log = with_entries(reopen(), 8)
+    log.sync()
+    previous, last = log[4], Entry(b"\x00forged", 6, 1)
+    adopt(log, StoredSnapshot.of(6, b"state"), previous, last)
+    log.sync()
+    assert RaftLog(reopen())[:] == [previous, last]
+
+
 def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> None:
     log = with_entries(reopen(), 8)
     log.sync()

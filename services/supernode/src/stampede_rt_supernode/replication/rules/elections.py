@@ -69,10 +69,11 @@ class RaftRules(Following, Leading):
     def _check_term(self, member_id: str, message: Message) -> None:
         """A term that no elections explain is not taken over: it would leave none for the elections to come.
 
-        Who is not in yet knows no term to measure it by.
+        Who has never held an entry knows no term to measure it by.
         """
         claimed, (last_term, _) = _claimed_term(message), self.log_end()
-        if claimed > last_term + TERMS_AHEAD_MAX and self.is_voter():
+        is_new = self.log.last_index <= 1 and not self.is_voter()
+        if claimed > last_term + TERMS_AHEAD_MAX and not is_new:
             raise PeerAtFault(member_id, f"speaks of term {claimed}, and the log ends in term {last_term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:

@@ -26,7 +26,8 @@ class Following(Membership):
             return
         self._follow(node, message.term)
         self.leader_commit_index = message.commit_index
-        self.digests.told(*message.digest)
+        if not self.is_stranger(node.id):  # whose word must not set this node aside for good
+            self.digests.told(*message.digest)
         if isinstance(message, InstallSnapshot):
             self._on_install_snapshot(node, message)
         else:

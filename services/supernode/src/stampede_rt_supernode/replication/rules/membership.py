@@ -82,7 +82,7 @@ class Membership(NodeState):
 
         Those known already are noted, too: a snapshot from before they came may take them off the log's own list.
         """
-        if self._is_stranger(teller_id):
+        if self.is_stranger(teller_id):
             for member in members:
                 self.on_introduced(member)
         elif any(self._told.get(member.member_id) != member for member in members):
@@ -103,12 +103,13 @@ class Membership(NodeState):
             hears = hears or self.clock() - self.had_leader_at > self.locked_out_seconds
         else:
             self.had_leader_at = self.clock()
-            hears = hears and self._is_stranger(self.leader.id)
+            hears = hears and self.is_stranger(self.leader.id)
         if hears != self._hears_strangers:
             self._hears_strangers = hears
             self._adopt()
 
-    def _is_stranger(self, member_id: str) -> bool:
+    def is_stranger(self, member_id: str) -> bool:
+        """Whether neither the log nor a known member has named it."""
         if member_id in self._told or member_id == self.self_member.member_id:
             return False
         return all(member.member_id != member_id for member in self.log.configurations.known_members())
@@ -117,7 +118,7 @@ class Membership(NodeState):
         """A member does not take this node's store, or, with an empty `why`, takes it again."""
         if not why:
             self.disputed_by.pop(member_id, None)
-        elif member_id in self.peers and not self._is_stranger(member_id):
+        elif member_id in self.peers and not self.is_stranger(member_id):
             self.disputed_by[member_id] = why
 
     def stands_aside(self) -> bool:
@@ -161,11 +162,12 @@ class Membership(NodeState):
         peers = {**strangers, **self._told, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner
-        peers.update({member.member_id: member for member in current.members})
         # A removal that is not committed may be undone, and by the removed one at that.
-        settled = self.log.configurations.at(self.last_applied)
-        for member_id in (*settled.retired, self.self_member.member_id):
+        for member_id in self.log.configurations.at(self.last_applied).retired:
             peers.pop(member_id, None)
+        # All of them, also if a hostile leader has named one again that was removed.
+        peers.update({member.member_id: member for member in current.members})
+        peers.pop(self.self_member.member_id, None)
         for member_id in self.peers.keys() - peers.keys():
             self.transport.drop_node(self.transport.node(member_id))
         for member_id in sorted(peers.keys() - self.peers.keys()):

@@ -216,10 +216,10 @@ class RaftLog:
         All its pieces are written before. What follows `last` stays when this log holds the very same `last`: it may
         be acknowledged already. The snapshot's seal and the log reach the disk together.
         """
-        same = self.entry_at(last.log_index)
-        if same is not None and same.term == last.term:
+        held_before = self.entry_at(previous.log_index) is not None
+        # The whole entries: a hostile leader may have made others of the same terms.
+        if self.entry_at(last.log_index) == last and self.entry_at(previous.log_index) in (None, previous):
             keep_from = last.log_index + 1 - self._entries[0].log_index
-            held_before = self.entry_at(previous.log_index) is not None
             tail = self._entries[keep_from:]
             if held_before:
                 self._keep(self._entries[: keep_from - 2])
