@@ -28,7 +28,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
-from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
+from stampede_rt_channel_host.channels.waiting_gets import PolledThen, WaitingGets
 from stampede_rt_channel_host.core.channel import Coming, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
@@ -65,6 +65,9 @@ class Shown:
         self.view = VisibleChannel(channel.channel)
         self.polling = lambda pending, now: self.view.polling(pending, self.horizon, now)
         self.giving_up = lambda pending, now: self.view.giving_up(pending, self.horizon, now)
+
+    def moment(self, now: int) -> PolledThen:
+        raise AssertionError("no get was to be released")
 
 
 class _Follower:

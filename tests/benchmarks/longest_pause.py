@@ -16,6 +16,7 @@ import random
 import sys
 import time
 from collections.abc import Awaitable, Callable, Sequence
+from typing import Any
 
 import grpc
 
@@ -293,6 +294,28 @@ async def deletion(rig: Rig, items: int) -> tuple[str, Work]:
     return f"a channel of {items:,} items with {BLOCKED_GETS:,} blocked gets is deleted", work
 
 
+async def release(rig: Rig, gets: int) -> tuple[str, Work]:
+    """All of them wait for the next item."""
+    channel, _ = await opened(rig)
+    calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
+    for call in calls:
+        for call_id in range(1, CALLS + 1):
+            await call.write(channel.get_request(call_id, interval=between(rig.now(), MAX_INSTANT), wait_nanos=-1))
+    await channel.until(lambda status: status.waiting_gets == len(calls) * CALLS)
+
+    async def read(call: Any) -> None:
+        answered = 0
+        while answered < CALLS:
+            answered += (await call.read()).HasField("summary")
+
+    async def work() -> None:
+        await channel.put(run_of(b"x"))
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            await asyncio.gather(*map(read, calls))
+
+    return f"a put that releases {len(calls) * CALLS:,} blocked gets", work
+
+
 async def listing(rig: Rig, channels: int) -> tuple[str, Work]:
     for number in range(channels):
         await rig.open(f"c/{number:06}", channel_pb2.ChannelSpec())
@@ -341,6 +364,7 @@ CASES: dict[str, tuple[Case, int]] = {
     "first-consumers": (first_consumers, ITEMS),
     "backwards": (backwards, 2 * CHANNELS * 10),
     "delete": (deletion, ITEMS),
+    "release": (release, BLOCKED_GETS),
     "list": (listing, CHANNELS),
     "batches": (batches, QUEUED_ITEMS),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 from unittest import mock
 
@@ -14,19 +15,22 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Match, parse_interval
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
+    Moment,
     Offer,
+    Pending,
     Pieces,
     Position,
     Query,
     ReadAnswer,
     Slice,
     Unfinished,
+    WakeAt,
     at_once,
     first_of,
     pieces,
     tally,
 )
-from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
+from stampede_rt_channel_host.core.group import Horizon, VisibleChannel, polling
 
 NOW = 10_000
 POLICIES = {
@@ -133,6 +137,38 @@ def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_b
                 found = busy.finish(found.rest)
             assert told(found) == told(expected), f"seed {seed}"
     assert unfinished > 30
+
+
+def polled(where: ChannelCore | Moment, query: Query, horizon: Horizon | None, now: int) -> ReadAnswer | WakeAt:
+    pending = Pending(query, None)
+    return at_once(where.polling(pending, now) if horizon is None else polling(where, pending, horizon, now))
+
+
+@pytest.mark.parametrize("through_group", [False, True])
+@pytest.mark.parametrize("name", POLICIES)
+def test_a_get_that_is_looked_at_later_finds_what_it_would_have_found_at_the_moment(
+    name: str, through_group: bool
+) -> None:
+    released = 0
+    for seed in range(300):
+        busy = Busy(POLICIES[name], seed)
+        query = replace(busy.query(), complete=busy.rng.random() < 0.3)
+        horizon = Horizon(busy.now - busy.rng.randrange(100), lambda: "held back")
+
+        now, shown = busy.now, horizon if through_group else None
+        expected, moment = polled(busy.channel, query, shown, now), busy.channel.moment(now)
+        for _ in range(20):
+            busy.happen()
+        found = polled(moment, query, shown, now)
+        moment.close()
+        if isinstance(expected, ReadAnswer):
+            released += 1
+            assert isinstance(found, ReadAnswer), f"seed {seed}"
+            assert told(found) == told(expected), f"seed {seed}"
+        else:
+            assert found == expected, f"seed {seed}"
+        assert not busy.channel.look(busy.now)[0]._snapshots, "nothing is held back any more"
+    assert released > 30
 
 
 @pytest.mark.parametrize("name", POLICIES)

@@ -5,13 +5,21 @@ from __future__ import annotations
 import asyncio
 import gc
 import tracemalloc
+from dataclasses import replace
 
 import pytest
 
 from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
-from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX, Outcome, WaitingGet, WaitingGets
+from stampede_rt_channel_host.channels.waiting_gets import (
+    GETS_PER_PIECE,
+    RELEASES_MAX,
+    WAITING_GETS_MAX,
+    Outcome,
+    WaitingGet,
+    WaitingGets,
+)
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     Coming,
@@ -38,11 +46,12 @@ COST_BYTES_MAX = 4096
 class Blocked:
     """A channel on a clock that stands until it is moved, and gets that are blocked on it."""
 
-    def __init__(self) -> None:
+    def __init__(self, max_items: int = 10) -> None:
         self.now = START
-        self.channel = CountingChannel(Policy(max_items=10, max_future_nanos=100 * S), incarnation=1, name="a")
+        self.channel = CountingChannel(Policy(max_items=max_items, max_future_nanos=1000 * S), incarnation=1, name="a")
         self.gets = WaitingGets(self.channel, Coming(self.channel), lambda: self.now)
         self.released: list[int] = []
+        self.outcomes: list[Outcome] = []
 
     def block(self, number: int, query: Query, wait_nanos: int = FOREVER) -> WaitingGet:
         pending = self.channel.begin(query, self.now)
@@ -51,6 +60,7 @@ class Blocked:
 
         def note(outcome: Outcome) -> None:
             self.released.append(number)
+            self.outcomes.append(outcome)
 
         return self.gets.add(pending, wake, wait_nanos, self.now, note)
 
@@ -191,3 +201,113 @@ async def test_there_is_a_most_and_who_leaves_makes_room() -> None:
     gets[7].cancel()
     blocked.block(WAITING_GETS_MAX, NEWEST)
     assert len(blocked.gets) == WAITING_GETS_MAX
+
+
+class InPieces:
+    """Collects long work, and does it a piece at a time."""
+
+    def __init__(self, blocked: Blocked) -> None:
+        self.work: list[Pieces[None]] = []
+        blocked.gets = WaitingGets(
+            blocked.channel, Coming(blocked.channel), lambda: blocked.now, begin=self.work.append
+        )  # fmt: skip
+
+    def step(self) -> bool:
+        return next(self.work[0], self) is not self
+
+
+def bucket(time: int) -> Query:
+    return Query(interval=parse_interval(time, time), match=Match.START)
+
+
+def found_times(outcome: object) -> list[int]:
+    assert isinstance(outcome, ReadAnswer), outcome
+    return [part.first_time for part in outcome.slices]
+
+
+@pytest.mark.parametrize("query", [bucket(START + S), NEWEST, replace(bucket(START + S), match=Match.SPAN)])
+async def test_a_put_that_releases_very_many_gets_looks_at_a_few_in_each_step_and_none_misses_it(query: Query) -> None:
+    blocked = Blocked(max_items=1)
+    pieces = InPieces(blocked)
+    for number in range(1000):
+        blocked.block(number, query)
+    blocked.put(START + S)
+    assert blocked.channel.polls == 0, "nothing of it is done within the put"
+    seen, steps = 0, 0
+    while pieces.step():
+        assert blocked.gets.looked_at - seen <= GETS_PER_PIECE
+        seen, steps = blocked.gets.looked_at, steps + 1
+        blocked.put(START + (steps + 1) * S)  # the item goes: the channel keeps one
+    assert blocked.released == list(range(1000))
+    assert all(found_times(one) == [START + S] for one in blocked.outcomes)
+    assert steps >= 1000 // GETS_PER_PIECE
+    blocked.channel.collect(blocked.now)
+    assert not blocked.channel.look(blocked.now)[0].has_backlog, "what was kept for them is freed"
+
+
+async def test_gets_that_a_change_leaves_blocked_are_released_by_the_one_behind_it() -> None:
+    blocked = Blocked(max_items=1)
+    pieces = InPieces(blocked)
+    for number in range(200):
+        blocked.block(number, replace(NEWEST, newer_than=Position(START + S)))
+        blocked.block(1000 + number, NEWEST)
+    blocked.put(START + S)  # releases every other one
+    blocked.put(START + 2 * S)
+    blocked.block(9, replace(NEWEST, newer_than=Position(START + 2 * S)))
+    blocked.put(START + 3 * S)
+    while pieces.step():
+        pass
+    times = dict(zip(blocked.released, map(found_times, blocked.outcomes), strict=True))
+    assert times == {n: [START + 2 * S] for n in range(200)} | {1000 + n: [START + S] for n in range(200)} | {
+        9: [START + 3 * S]
+    }
+
+
+async def test_a_get_whose_time_is_over_before_its_turn_has_what_released_it() -> None:
+    blocked = Blocked(max_items=1)
+    pieces = InPieces(blocked)
+    gets = [blocked.block(number, bucket(START + S), 3600 * S) for number in range(100)]
+    blocked.put(START + S)
+    blocked.put(START + 2 * S)
+    blocked.gets._give_up(gets[-1])
+    assert found_times(blocked.outcomes[0]) == [START + S]
+    while pieces.step():
+        pass
+    assert len(blocked.released) == 100
+
+
+async def test_gets_that_one_instant_releases_have_one_timer_and_are_looked_at_in_pieces() -> None:
+    blocked, before = Blocked(), timers()
+    pieces = InPieces(blocked)
+    blocked.put(START)
+    for number in range(1000):
+        blocked.block(number, Query(interval=parse_interval(START + S, START + S)))
+    assert timers() - before == 1
+    blocked.now += S
+    timer = blocked.gets._timer
+    assert timer is not None
+    timer.cancel()
+    blocked.gets._fire()
+    while pieces.step():
+        pass
+    assert blocked.released == list(range(1000))
+    assert timers() == before
+
+
+async def test_changes_that_come_faster_than_gets_are_released_are_kept_up_to_a_most() -> None:
+    blocked = Blocked(max_items=1)
+    pieces = InPieces(blocked)
+    for number in range(500):
+        blocked.block(number, NEWEST)
+    for number in range(500, 510):
+        blocked.block(number, replace(NEWEST, newer_than=Position(START + 20 * (number - 500) * S)))
+    for second in range(1, 101):
+        blocked.put(START + second * S)
+    assert len(blocked.gets._releases) == RELEASES_MAX
+    while pieces.step():
+        pass
+    times = dict(zip(blocked.released, map(found_times, blocked.outcomes), strict=True))
+    first = {501: 21, 502: 41, 503: 61, 504: 100}
+    assert times == {n: [START + first.get(n, 1) * S] for n in (*range(501), *first)}
+    assert len(blocked.gets) == 5
+    assert not blocked.gets._releases

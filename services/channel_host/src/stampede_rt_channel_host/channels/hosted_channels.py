@@ -14,7 +14,7 @@ from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces
+from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, at_once
 
 SUBSCRIPTIONS_MAX = 4096
 LISTENERS_PER_PIECE = 256
@@ -41,8 +41,10 @@ class HostedChannel:
         now: Callable[[], int],
         on_touched: Callable[[HostedChannel], None] = lambda hosted: None,
         may_serve: Callable[[], bool] = lambda: True,
+        begin: Callable[[Pieces[None]], None] = at_once,
     ) -> None:
-        """`on_touched` hears of every change; `may_serve` says whether the host has its lease.
+        """`on_touched` hears of every change; `may_serve` says whether the host has its lease; `begin` does long work
+        that nobody waits for (`PieceScheduler.begin`).
 
         Raises InvalidArgument if the record's policy cannot hold.
         """
@@ -55,7 +57,7 @@ class HostedChannel:
             lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
             cut=slice_run,
         )
-        self.gets = WaitingGets(self.channel, Coming(self.channel), now)
+        self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
         self.listeners: dict[ChannelObserver, None] = {}
         self.followers: dict[ChannelObserver, None] = {}  # as listeners, but no subscriptions: groups

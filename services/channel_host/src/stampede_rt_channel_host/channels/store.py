@@ -237,7 +237,7 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
-        hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch, self._may_serve)
+        hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin)
         self._channels[record.channel_id] = hosted
         self._names.add((record.name, record.channel_id))
         return hosted

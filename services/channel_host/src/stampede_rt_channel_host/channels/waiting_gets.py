@@ -1,16 +1,18 @@
 """The blocked gets of one channel: each is looked at again when the channel changes and at instants of its own.
 
 Ten thousand of them cost about 2 KiB each. After a change only those are looked at that it may release: they wait in
-the order of what they need, and are found by how far the change reaches. Those that are released are so in the order of
-their arrival.
+the order of what they need, and are found by how far the change reaches. If these are many, they are looked at in
+pieces, in the channel as it was then, so that none of them misses what released it (decision 0085).
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
+from itertools import islice
 from operator import attrgetter
-from typing import Protocol
+from typing import Any, Protocol
 
 from sortedcontainers import SortedKeyList
 
@@ -22,9 +24,11 @@ from stampede_rt_channel_host.core.channel import (
     Needs,
     Pending,
     Pieces,
+    Reach,
     ReadAnswer,
     Unfinished,
     WakeAt,
+    at_once,
     first_of,
 )
 
@@ -32,7 +36,9 @@ Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] 
 """A long answer is begun where the get is released, and finished by whoever hears of it."""
 
 WAITING_GETS_MAX = 20_000
-GETS_PER_PIECE = 64
+GETS_PER_PIECE = 32
+RELEASES_MAX = 64
+"""Of so many changes the states are kept while gets are looked at. The last one stands for those behind it, too."""
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
 _TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come sooner than it seems
 
@@ -40,10 +46,10 @@ _TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come so
 class WaitingGet:
     """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before.
 
-    `arrival` and `needs` are its place among the others.
+    `arrival` and `needs` are its place among the others; `instant`: when the clock may release it.
     """
 
-    __slots__ = ("_deadline", "_instant", "_on_outcome", "_timer", "_waiting", "arrival", "needs", "pending")
+    __slots__ = ("_deadline", "_on_outcome", "_waiting", "arrival", "instant", "needs", "pending")
 
     def __init__(
         self, pending: Pending, waiting: WaitingGets, arrival: int, on_outcome: Callable[[Outcome], None]
@@ -51,21 +57,10 @@ class WaitingGet:
         self.pending = pending
         self.arrival = arrival
         self.needs = Needs()
+        self.instant: int | None = None
         self._waiting = waiting
         self._on_outcome = on_outcome
-        self._instant: int | None = None
-        self._timer: asyncio.TimerHandle | None = None
         self._deadline: asyncio.TimerHandle | None = None
-
-    def arm(self, instant: int | None, now: int, look: Callable[[WaitingGet], None]) -> None:
-        """Look again at `instant`, and not at the one named before; None: only when the channel changes."""
-        if self._timer is not None and instant == self._instant:
-            return
-        self._disarm()
-        self._instant = instant
-        if instant is not None:
-            delay_s = min(max((instant - now) / 1e9, _TIMER_SECONDS_MIN), _TIMER_SECONDS_MAX)
-            self._timer = asyncio.get_running_loop().call_later(delay_s, self._fire, look)
 
     def limit(self, wait_nanos: int, give_up: Callable[[WaitingGet], None]) -> None:
         """Give up after `wait_nanos`."""
@@ -73,7 +68,6 @@ class WaitingGet:
 
     def cancel(self) -> None:
         """Forget the get; nothing of it is left behind. Idempotent."""
-        self._disarm()
         if self._deadline is not None:
             self._deadline.cancel()
         self._waiting.remove(self)
@@ -83,43 +77,93 @@ class WaitingGet:
         self.cancel()
         self._on_outcome(outcome)
 
-    def _fire(self, look: Callable[[WaitingGet], None]) -> None:
-        self._timer = None
-        look(self)
 
-    def _disarm(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-
-
-class Source(Protocol):
-    """What gets wait for: a channel, or what a group shows of it."""
+class Polled(Protocol):
+    """Where blocked gets are looked at."""
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """As `ChannelCore.polling`."""
 
+
+class PolledThen(Polled, Protocol):
+    """As it was at one moment."""
+
+    def close(self) -> None:
+        """Nobody is looked at there any more."""
+
+
+class Source(Polled, Protocol):
+    """What gets wait for: a channel, or what a group shows of it."""
+
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """As `ChannelCore.giving_up`."""
 
+    def moment(self, now: int) -> PolledThen:
+        """As `ChannelCore.moment`."""
+
+
+class _Release:
+    """One change, and the gets that it may release: those that had arrived and need no more than it reaches."""
+
+    def __init__(self, reach: Reach, arrivals: int) -> None:
+        self.reach = reach
+        self.arrivals = arrivals
+        self.then: PolledThen | None = None
+        self._last_keys: list[tuple[int, int] | None] = [None] * len(reach)
+
+    def merge(self, later: _Release) -> None:
+        """Both at once, as of the later one. Nothing was taken yet."""
+        pairs = zip(self.reach, later.reach, strict=True)
+        self.reach = Reach(*(max((one for one in pair if one is not None), default=None) for pair in pairs))
+        self.arrivals = later.arrivals
+
+    def take(self, by_need: list[Any], gets_max: int) -> list[WaitingGet]:
+        """The next ones, and where the walk goes on, whoever is still there then."""
+        found: dict[WaitingGet, None] = {}
+        for place, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
+            if reached is None:
+                continue
+            left = ordered.irange_key(self._last_keys[place], (reached, self.arrivals), (False, True))
+            for get in islice(left, gets_max - len(found)):
+                self._last_keys[place] = ordered.key(get)
+                if get.arrival <= self.arrivals:
+                    found[get] = None
+        return sorted(found, key=attrgetter("arrival"))
+
+    def close(self) -> None:
+        if self.then is not None:
+            self.then.close()
+
 
 class WaitingGets:
-    """Of one channel, WAITING_GETS_MAX at the most. Released in the order of their arrival.
+    """Of one channel, WAITING_GETS_MAX at the most. Those that one step releases are so in the order of their arrival.
 
     `coming` follows the channel; `cut` gives up to where it is visible. `looked_at` counts looks.
     """
 
     def __init__(
-        self, source: Source, coming: Coming, now: Callable[[], int], cut: Callable[[], int] = lambda: AFTER_ALL
+        self,
+        source: Source,
+        coming: Coming,
+        now: Callable[[], int],
+        cut: Callable[[], int] = lambda: AFTER_ALL,
+        begin: Callable[[Pieces[None]], None] = at_once,
     ) -> None:
+        """`begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
         self.looked_at = 0
         self._source = source
         self._coming = coming
         self._now = now
         self._cut = cut
+        self._begin = begin
         self._arrivals = 0
         self._waiting: dict[WaitingGet, None] = {}
         self._by_need = [SortedKeyList(key=_Key(place)) for place in range(len(Needs._fields))]
+        self._by_instant: Any = SortedKeyList(key=attrgetter("instant", "arrival"))
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_instant = 0
+        self._releases: deque[_Release] = deque()
+        self._working = False
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -139,7 +183,8 @@ class WaitingGets:
             self._coming.begin(self._cut())
         self._arrivals += 1
         get = WaitingGet(pending, self, self._arrivals, on_outcome)
-        self._put_aside(get, wake, now)
+        self._put_aside(get, wake)
+        self._arm()
         if wait_nanos >= 0:
             get.limit(wait_nanos, self._give_up)
         return get
@@ -149,35 +194,91 @@ class WaitingGets:
         if get in self._waiting:
             del self._waiting[get]
             self._leave(get)
+            self._note_instant(get, None)
+            if not self._by_instant:
+                self._arm()
 
     def changed(self, now: int) -> None:
         """The channel has a new item, an advance or another policy, or more of it is visible: look at those whom that
-        may release, in order."""
-        found: dict[WaitingGet, None] = {}
-        for ordered, reached in zip(self._by_need, self._coming.reach(now, self._cut()), strict=True):
-            if reached is not None:
-                found |= dict.fromkeys(ordered.irange_key(max_key=(reached, self._arrivals)))
-        for get in sorted(found, key=attrgetter("arrival")):
-            if get in self._waiting:  # an outcome may have cancelled others
-                self._look(get, now)
+        may release; at all of them now, or, if they are many, in pieces at the channel as it is now."""
+        release = _Release(self._coming.reach(now, self._cut()), self._arrivals)
+        found = release.take(self._by_need, GETS_PER_PIECE + 1)
+        if not self._releases and len(found) <= GETS_PER_PIECE:
+            self._look_at(found, self._source, now)
+            self._arm()
+        elif found:
+            self._keep(_Release(release.reach, release.arrivals), now)
+            self._work()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """Those that wait now hear, in pieces, that the channel is not served any more."""
+        self._drop_releases()
         for at, get in enumerate(list(self._waiting), 1):
             if get in self._waiting:  # else it was released since the piece before
                 get.finish(error)
             if at % GETS_PER_PIECE == 0:
                 yield
 
-    def _look(self, get: WaitingGet, now: int) -> None:
+    def _keep(self, release: _Release, now: int) -> None:
+        """Behind the changes before it."""
+        if len(self._releases) >= RELEASES_MAX:
+            self._releases[-1].close()
+            self._releases[-1].merge(release)
+        else:
+            self._releases.append(release)
+        self._releases[-1].then = self._source.moment(now)
+
+    def _work(self) -> None:
+        if not self._working:
+            self._working = True
+            self._begin(self._pieces())
+
+    def _pieces(self) -> Pieces[None]:
+        """Look at those whom changes may release, change by change, and then at those whose instant has come."""
+        try:
+            while self._look_at_some():
+                yield
+        finally:
+            self._working = False
+            self._drop_releases()
+            self._arm()
+
+    def _look_at_some(self) -> bool:
+        """True if others are left."""
+        now = self._now()
+        if self._releases:
+            release = self._releases[0]
+            found = release.take(self._by_need, GETS_PER_PIECE)
+            assert release.then is not None, "it is kept with the state of its moment"
+            self._look_at(found, release.then, now)
+            if not found and self._releases and self._releases[0] is release:
+                self._releases.popleft().close()
+        else:
+            due = self._by_instant.irange_key(None, (now, self._arrivals))
+            found = list(islice(due, GETS_PER_PIECE))
+            for get in found:
+                self._note_instant(get, None)
+            self._look_at(found, self._source, now)
+        return bool(self._releases) or (bool(self._by_instant) and self._by_instant[0].instant <= self._now())
+
+    def _drop_releases(self) -> None:
+        while self._releases:
+            self._releases.popleft().close()
+
+    def _look_at(self, gets: list[WaitingGet], where: Polled, now: int) -> None:
+        for get in gets:
+            if get in self._waiting:  # an outcome may have cancelled others
+                self._look(get, where, now)
+
+    def _look(self, get: WaitingGet, where: Polled, now: int) -> None:
         self.looked_at += 1
-        found = first_of(self._source.polling(get.pending, now))
+        found = first_of(where.polling(get.pending, now))
         if isinstance(found, WakeAt):
-            self._put_aside(get, found, now)
+            self._put_aside(get, found)
         else:
             get.finish(found)
 
-    def _put_aside(self, get: WaitingGet, wake: WakeAt, now: int) -> None:
+    def _put_aside(self, get: WaitingGet, wake: WakeAt) -> None:
         needs = wake.needs or Needs(BEFORE_ALL)
         if get not in self._waiting or needs != get.needs:
             self._leave(get)
@@ -186,7 +287,7 @@ class WaitingGets:
             for ordered, need in zip(self._by_need, needs, strict=True):
                 if need is not None:
                     ordered.add(get)
-        get.arm(wake.instant, now, self._look_now)
+        self._note_instant(get, wake.instant)
 
     def _leave(self, get: WaitingGet) -> None:
         for ordered, need in zip(self._by_need, get.needs, strict=True):
@@ -194,12 +295,37 @@ class WaitingGets:
                 ordered.remove(get)
         get.needs = Needs()
 
-    def _look_now(self, get: WaitingGet) -> None:
-        self._look(get, self._now())
+    def _note_instant(self, get: WaitingGet, instant: int | None) -> None:
+        if get.instant == instant:
+            return
+        if get.instant is not None:
+            self._by_instant.remove(get)
+        get.instant = instant
+        if instant is not None:
+            self._by_instant.add(get)
+
+    def _arm(self) -> None:
+        """One timer, for the first of the instants. One that fires early does no harm."""
+        if self._timer is not None and (not self._by_instant or self._by_instant[0].instant < self._timer_instant):
+            self._timer.cancel()
+            self._timer = None
+        if self._timer is None and self._by_instant and not self._working:
+            self._timer_instant = self._by_instant[0].instant
+            delay_s = min(max((self._timer_instant - self._now()) / 1e9, _TIMER_SECONDS_MIN), _TIMER_SECONDS_MAX)
+            self._timer = asyncio.get_running_loop().call_later(delay_s, self._fire)
+
+    def _fire(self) -> None:
+        self._timer = None
+        self._work()
 
     def _give_up(self, get: WaitingGet) -> None:
-        found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
-        get.finish(found)
+        """With what a change has brought that it was not looked at after yet, or else with what there is."""
+        for release in list(self._releases):
+            if release.then is not None and get.arrival <= release.arrivals:
+                self._look_at([get], release.then, self._now())
+        if get in self._waiting:
+            found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
+            get.finish(found)
 
 
 class _Key:

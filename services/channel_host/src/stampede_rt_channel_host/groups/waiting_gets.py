@@ -9,21 +9,52 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGets
-from stampede_rt_channel_host.core.channel import BEFORE_ALL, Coming, Pending, Pieces, ReadAnswer, Unfinished, WakeAt
-from stampede_rt_channel_host.core.group import VisibleChannel
+from stampede_rt_channel_host.core.channel import (
+    BEFORE_ALL,
+    Coming,
+    Moment,
+    Pending,
+    Pieces,
+    ReadAnswer,
+    Unfinished,
+    WakeAt,
+)
+from stampede_rt_channel_host.core.group import Horizon, VisibleChannel, polling
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 
 Released = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer]
 
 
 class PendingAt(Pending):
-    """A blocking get through a group; `at`: the cut that it reads at, None: that of the moment."""
+    """A blocking get through a group; `at`: the cut that it reads at, None: that of the moment; `cut`: that of its last
+    look."""
 
-    __slots__ = ("at",)
+    __slots__ = ("at", "cut")
 
     def __init__(self, pending: Pending, at: int | None) -> None:
         super().__init__(pending.query, pending.interval)
         self.at = at
+        self.cut: int | None = None
+
+
+class _Moment:
+    """The channel and the cut as they were."""
+
+    def __init__(self, group: HostedGroup, then: Moment) -> None:
+        self._group = group
+        self._then = then
+        self._horizon = group.horizon()
+
+    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+        """See `Polled`."""
+        at = _at(pending)
+        horizon = self._horizon if at.at is None else self._group.horizon(at.at)
+        at.cut = horizon.cut
+        return polling(self._then, pending, horizon, self._then.clock)
+
+    def close(self) -> None:
+        """See `PolledThen`."""
+        self._then.close()
 
 
 class GroupGets:
@@ -46,7 +77,7 @@ class GroupGets:
         self._now = now
         self._check = check
         self._view = VisibleChannel(hosted.channel)
-        self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to)
+        self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to, scheduler.begin)
 
     @classmethod
     def of(
@@ -75,7 +106,7 @@ class GroupGets:
             if isinstance(outcome, StampedeError):
                 released.set_exception(outcome)
             else:
-                released.set_result((outcome, self._group.horizon(pending.at).cut))
+                released.set_result((outcome, pending.cut))
 
         get = self.gets.add(pending, wake, wait_nanos, self._now(), finish)
         self._group.gets[self._hosted] = self
@@ -91,11 +122,15 @@ class GroupGets:
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `Source`."""
-        return self._view.polling(pending, self._group.horizon(_at(pending)), now)
+        return self._view.polling(pending, self._horizon(pending), now)
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """See `Source`."""
-        return self._view.giving_up(pending, self._group.horizon(_at(pending)), now)
+        return self._view.giving_up(pending, self._horizon(pending), now)
+
+    def moment(self, now: int) -> _Moment:
+        """See `Source`."""
+        return _Moment(self._group, self._hosted.channel.moment(now))
 
     def wake(self) -> None:
         """The channel has changed, or the group shows more."""
@@ -111,6 +146,12 @@ class GroupGets:
         self._leave()
         self._scheduler.begin(self.gets.ending(error))
 
+    def _horizon(self, pending: Pending) -> Horizon:
+        at = _at(pending)
+        horizon = self._group.horizon(at.at)
+        at.cut = horizon.cut
+        return horizon
+
     def _leave(self) -> None:
         if self._group.gets.get(self._hosted) is self:
             del self._group.gets[self._hosted]
@@ -122,6 +163,6 @@ class GroupGets:
         return BEFORE_ALL if cut is None else cut
 
 
-def _at(pending: Pending) -> int | None:
+def _at(pending: Pending) -> PendingAt:
     assert isinstance(pending, PendingAt), "GroupGets takes no others"
-    return pending.at
+    return pending

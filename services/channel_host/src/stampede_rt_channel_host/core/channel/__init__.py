@@ -31,6 +31,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
 )
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, at_once, batched, first_of
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
@@ -71,6 +72,8 @@ __all__ = [
     "Counters",
     "DeliveredSlice",
     "Gap",
+    "HeldThen",
+    "Moment",
     "Needs",
     "NewestCursor",
     "Offer",

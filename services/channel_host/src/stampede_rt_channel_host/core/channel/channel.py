@@ -19,6 +19,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
 from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.moment import Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
@@ -341,6 +342,11 @@ class ChannelCore:
         """What is held, aged to `now`, and under which limits, for views of the channel: to be read, not changed."""
         self._settle(self._tick(now))
         return self._held, self._retention
+
+    def moment(self, now: int) -> Moment:
+        """The channel as it is now, to be read later. Close it soon: nothing that it shows is freed before."""
+        held, retention = self.look(now)
+        return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
 
     @property
     def footprint_bytes(self) -> int:

@@ -31,6 +31,12 @@ class ChannelSnapshot:
             self.is_held = True
             self._holders[self] = None
 
+    def copy(self) -> ChannelSnapshot:
+        """Another one of the same items, held already."""
+        copy = ChannelSnapshot(self._index, self.floor, self._end_seq, self._holders)
+        copy.hold()
+        return copy
+
     def close(self) -> None:
         """It is not walked any more. Idempotent."""
         self._holders.pop(self, None)

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matche
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, OwnTimes, TimesBoard
 from stampede_rt_channel_host.core.group.tracks import FarTrack, Nearest, OwnTrack, Track
-from stampede_rt_channel_host.core.group.visible import Horizon, VisibleChannel
+from stampede_rt_channel_host.core.group.visible import Horizon, VisibleChannel, polling
 
 __all__ = [
     "MAX_LEAD_NANOS_DEFAULT",
@@ -51,4 +51,5 @@ __all__ = [
     "VisibleAll",
     "VisibleChannel",
     "VisibleNewest",
+    "polling",
 ]

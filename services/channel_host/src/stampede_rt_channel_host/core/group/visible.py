@@ -12,7 +12,16 @@ from typing import NamedTuple
 
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, MetaTime, ResolvedInterval, format_instant
-from stampede_rt_channel_host.core.channel import ChannelCore, Pending, Query, ReadAnswer, Slice, WakeAt
+from stampede_rt_channel_host.core.channel import (
+    ChannelCore,
+    HeldThen,
+    Moment,
+    Pending,
+    Query,
+    ReadAnswer,
+    Slice,
+    WakeAt,
+)
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
@@ -34,7 +43,7 @@ class VisibleHoldings:
 
     __slots__ = ("_end", "_held", "_last", "frontier", "gone_before", "newest", "oldest", "overlap_nanos")
 
-    def __init__(self, held: Holdings, cut: int | None) -> None:
+    def __init__(self, held: Holdings | HeldThen, cut: int | None) -> None:
         self._held = held
         self._end: Place = FIRST_PLACE if cut is None else (cut, 0)
         self._last = self._end[0] - 1
@@ -75,8 +84,9 @@ class VisibleHoldings:
 class VisibleReading(Reading):
     """Answers one query from what a horizon leaves of a channel."""
 
-    def __init__(self, channel: ChannelCore, horizon: Horizon, now: int) -> None:
+    def __init__(self, channel: ChannelCore | Moment, horizon: Horizon, now: int) -> None:
         """`now`: the host's clock, to which the channel is aged."""
+        self._all: Holdings | HeldThen
         self._all, retention = channel.look(now)
         held = VisibleHoldings(self._all, horizon.cut)
         super().__init__(held, retention, channel.incarnation, channel.lost_before)
@@ -190,9 +200,7 @@ class VisibleChannel:
 
     def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """The same in pieces, all as of now."""
-        reading = VisibleReading(self._channel, horizon, now)
-        found = yield from reading.poll(pending, now)
-        return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
+        return polling(self._channel, pending, horizon, now)
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
         """What there is when the get's time is over, with its reason."""
@@ -227,6 +235,13 @@ class VisibleChannel:
         reading.check_position(query.after)
         reading.check_position(query.newer_than)
         return reading
+
+
+def polling(channel: ChannelCore | Moment, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
+    """See `GroupView.polling`; also of a channel as it was."""
+    reading = VisibleReading(channel, horizon, now)
+    found = yield from reading.poll(pending, now)
+    return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 
 
 def _has_lost(held: Holdings, cut: int | None) -> bool:

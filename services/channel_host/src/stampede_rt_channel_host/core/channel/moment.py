@@ -1,0 +1,86 @@
+"""A channel as it was at one moment: blocked gets that one put releases are answered from it in pieces. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, Place
+from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.reading import Pending, Reading
+from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
+from stampede_rt_channel_host.core.channel.values import ReadAnswer, WakeAt
+
+
+class HeldThen:
+    """What was held, to be read like `Holdings`. Its entries stay in the index until `close`."""
+
+    def __init__(self, held: Holdings) -> None:
+        self.newest = held.newest
+        self.oldest = held.oldest
+        self.frontier = held.frontier
+        self.gone_before = held.gone_before
+        self.overlap_nanos = held.overlap_nanos
+        self.collected_by = held.collected_by
+        self.newest_consumed = held.newest_consumed
+        self._snapshot = held.snapshot()
+        self._snapshot.hold()
+
+    @property
+    def end(self) -> Place:
+        """See `Readable`: all is shown."""
+        return LAST_PLACE
+
+    def snapshot(self) -> ChannelSnapshot:
+        """What was held. It outlives this view if it is held."""
+        return self._snapshot.copy()
+
+    def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
+        """As of `Holdings`."""
+        return (part for part in self._snapshot.slices_down(low, high) if self._snapshot.shows(part))
+
+    def next_time(self, time: int) -> int | None:
+        """The time of the next later bucket than `time`."""
+        return self._snapshot.next_time(time, LAST_PLACE)
+
+    def floor_time(self, time: int) -> int | None:
+        """The time of the bucket at or before `time`."""
+        last = next(self.slices_down(FIRST_PLACE, (time, SEQ_END)), None)
+        return None if last is None else last.last_time
+
+    def close(self) -> None:
+        """It is not read any more. Idempotent."""
+        self._snapshot.close()
+
+
+class Moment:
+    """A channel as it was. What reads it is answered as if at that moment, whatever came or went since."""
+
+    def __init__(
+        self, held: Holdings, retention: Retention, incarnation: int, lost_before: int | None, advance: int | None,
+        clock: int,
+    ) -> None:  # fmt: skip
+        """`clock`: the host's, to which the channel is aged."""
+        self.incarnation = incarnation
+        self.lost_before = lost_before
+        self.advanced_to = advance
+        self.clock = clock
+        self._held = HeldThen(held)
+        self._retention = retention
+
+    def look(self, now: int) -> tuple[HeldThen, Retention]:
+        """As `ChannelCore.look`. `now` counts for nothing."""
+        return self._held, self._retention
+
+    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
+        """As `ChannelCore.polling`. `now` counts for nothing."""
+        reading = Reading(self._held, self._retention, self.incarnation, self.lost_before)
+        reading.advance, reading.consumed_up_to = self.advanced_to, self._held.newest_consumed
+        found = yield from reading.poll(pending, self.clock)
+        return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
+
+    def close(self) -> None:
+        """It is not read any more: what it showed may be freed. Idempotent."""
+        self._held.close()
