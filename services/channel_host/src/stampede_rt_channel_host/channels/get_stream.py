@@ -183,7 +183,7 @@ class GetStream:
             self._calls[begun.call_id] = None  # it waits no more: once it is answered, it is not under way
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
-            elif not self._outbox.has_room:
+            elif self._held_back or not self._outbox.has_room:
                 self._held_back[begun.call_id] = begun  # its answer is taken when it can be sent, and kept by nobody
             else:
                 self._go_on(begun, outcome, self._store.now())

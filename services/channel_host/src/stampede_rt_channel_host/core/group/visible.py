@@ -238,7 +238,7 @@ class VisibleChannel:
 
 
 def polling(channel: ChannelCore | Moment, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
-    """See `GroupView.polling`; also of a channel as it was."""
+    """See `VisibleChannel.polling`; also of a channel as it was."""
     reading = VisibleReading(channel, horizon, now)
     found = yield from reading.poll(pending, now)
     return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
