@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, ExpirePeers, PeerLease, RegisterPeer
 from stampede_rt_supernode.core.queues.commands import DeleteQueue, OpenQueue, UpdateQueue
-from stampede_rt_supernode.core.records import Queue, QueueSpec
+from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 from tests.unit.supernode.operations import id_of
 
 peer_ids = st.integers(11, 13).map(id_of)
@@ -18,7 +18,7 @@ host_names = st.sampled_from(["", "", "", "a", "b", "none"])
 incarnations = st.sampled_from([1, 2, 3, 2**64 - 1])
 
 
-def some_queue(directory: Directory, number: int) -> Queue | None:
+def some_queue(directory: Directory, number: int) -> QueueRecord | None:
     queues = directory.tables.queues.by_id
     return queues[sorted(queues)[number % len(queues)]] if queues else None
 

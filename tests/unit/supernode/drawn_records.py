@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import DeleteGroup, OpenGroup, UpdateGroup
-from stampede_rt_supernode.core.records import Channel, Group, GroupSpec, ReplicaKind
+from stampede_rt_supernode.core.records import ChannelRecord, GroupRecord, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import AddReplica, RemoveReplica, SetReplicaInSync
 from tests.unit.supernode.operations import id_of
 
@@ -14,12 +14,12 @@ host_ids = st.integers(1, 4).map(id_of)
 numbers = st.integers(0, 5)
 
 
-def some(directory: Directory, number: int) -> Channel | None:
+def some(directory: Directory, number: int) -> ChannelRecord | None:
     channels = directory.tables.channels
     return channels[sorted(channels)[number % len(channels)]] if channels else None
 
 
-def some_group(directory: Directory, number: int) -> Group | None:
+def some_group(directory: Directory, number: int) -> GroupRecord | None:
     groups = directory.tables.groups.by_id
     return groups[sorted(groups)[number % len(groups)]] if groups else None
 

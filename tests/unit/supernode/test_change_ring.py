@@ -1,7 +1,7 @@
 from stampede_rt_supernode.core.change_ring import ChangeRing
-from stampede_rt_supernode.core.records import Change, ChangeKind, Host
+from stampede_rt_supernode.core.records import ChangeKind, DirectoryChange, HostRecord
 
-HOST = Host(
+HOST = HostRecord(
     host_id=b"", name="h", gatekeepers=(), boot_incarnation=1, version="", alive=True, channels=0, registered_index=0
 )
 
@@ -9,7 +9,7 @@ HOST = Host(
 def ring_of(*indexes: int, changes_max: int = 4, floor: int = 0) -> ChangeRing:
     ring = ChangeRing(floor, changes_max=changes_max)
     for index in indexes:
-        ring.append(Change(index=index, kind=ChangeKind.UPDATED, subject=HOST))
+        ring.append(DirectoryChange(index=index, kind=ChangeKind.UPDATED, subject=HOST))
         ring.note_index(index)
     return ring
 

@@ -31,16 +31,16 @@ from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpi
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (
-    Channel,
+    ChannelRecord,
     Endpoint,
-    Group,
+    GroupRecord,
     GroupSpec,
-    Host,
-    Peer,
-    Queue,
+    HostRecord,
+    PeerRecord,
+    QueueRecord,
     QueueSpec,
-    Replica,
     ReplicaKind,
+    ReplicaRecord,
 )
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -131,7 +131,7 @@ OPERATIONS: list[Operation] = [
     expire_peers((1, 2), (3, 2**64 - 1), boot=9, tenure=8),
     expire_peers(),
 ]
-HOST = Host(
+HOST = HostRecord(
     host_id=id_of(1),
     name="rig",
     gatekeepers=(Endpoint(target="a:1"), Endpoint(target="unix:/b", zone="z")),
@@ -141,7 +141,7 @@ HOST = Host(
     channels=3,
     registered_index=12,
 )
-CHANNEL = Channel(
+CHANNEL = ChannelRecord(
     channel_id=id_of(2),
     name="cam",
     host_id=id_of(1),
@@ -151,14 +151,14 @@ CHANNEL = Channel(
     policy_version=2,
     proxy_host_ids=(id_of(8),),
 )
-GROUP = Group(
+GROUP = GroupRecord(
     group_id=id_of(4),
     name="pair",
     spec=GroupSpec(channel_ids=(id_of(2), id_of(1)), reference_channel_id=id_of(1), bound="end", idle_after_nanos=1),
     spec_version=2,
     incarnation=2**64 - 1,
 )
-REPLICA = Replica(
+REPLICA = ReplicaRecord(
     channel_id=id_of(2),
     host_id=id_of(3),
     boot_incarnation=4,
@@ -168,7 +168,7 @@ REPLICA = Replica(
     acknowledged=True,
     epoch=3,
 )
-QUEUE = Queue(
+QUEUE = QueueRecord(
     queue_id=id_of(5),
     name="jobs",
     host_id=id_of(1),
@@ -178,7 +178,7 @@ QUEUE = Queue(
     spec_version=2,
 )
 MAILBOX = replace(QUEUE, queue_id=id_of(6), name="", spec=QueueSpec(), mailbox_peer_id=id_of(7))
-PEER = Peer(
+PEER = PeerRecord(
     peer_id=id_of(7),
     name="planner",
     boot_incarnation=8,
@@ -192,7 +192,7 @@ PEER = Peer(
     registered_index=9,
     ended_index=10,
 )
-BARE_PEER = Peer(peer_id=id_of(8), name="", boot_incarnation=8, registered_unix_nano=1, registered_index=9)
+BARE_PEER = PeerRecord(peer_id=id_of(8), name="", boot_incarnation=8, registered_unix_nano=1, registered_index=9)
 RESULTS: list[Result] = [
     Refused(reason="NO_HOST", message="none", metadata={"channel": "cam"}),
     ChannelOpened(channel=CHANNEL, host=HOST, created=True),

@@ -12,7 +12,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.channels.commands import DeleteChannel, OpenChannel, UpdateChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
-from stampede_rt_supernode.core.records import ChangeKind, Channel, Endpoint, Group, GroupSpec, ReplicaKind
+from stampede_rt_supernode.core.records import ChangeKind, ChannelRecord, Endpoint, GroupRecord, GroupSpec, ReplicaKind
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, SetReplicaInSync
 from tests.unit.supernode.drawn_records import group_changes, open_groups, replica_operations
 from tests.unit.supernode.operations import add_replica, id_of, open_channel, open_group, register
@@ -35,8 +35,8 @@ class DirectoryMachine(ThreeDirectories):
     @initialize(populated=st.sampled_from([True, True, True, False]))
     def found(self, populated: bool) -> None:
         self.epochs: dict[bytes, tuple[int, int]] = {}
-        self.mirror: dict[bytes, Channel] = {}
-        self.groups_mirror: dict[bytes, Group] = {}
+        self.mirror: dict[bytes, ChannelRecord] = {}
+        self.groups_mirror: dict[bytes, GroupRecord] = {}
         self.versions: dict[bytes, tuple[int, GroupSpec]] = {}
         self.position = 0
         if populated:
@@ -128,7 +128,7 @@ class DirectoryMachine(ThreeDirectories):
     def change_replica(self, data: st.DataObject, op_id: bytes | None) -> None:
         self.apply(data.draw(replica_operations(self.directory)), op_id or self.fresh_id())
 
-    def some_channel(self, which: int) -> Channel | None:
+    def some_channel(self, which: int) -> ChannelRecord | None:
         channels = [self.directory.tables.channels[one] for one in sorted(self.directory.tables.channels)]
         return channels[which % len(channels)] if channels else None
 
@@ -212,12 +212,12 @@ class DirectoryMachine(ThreeDirectories):
         assert page is not None
         self.position = page.position
         for change in page.changes:
-            if isinstance(change.subject, Group):
+            if isinstance(change.subject, GroupRecord):
                 if change.kind is ChangeKind.REMOVED:
                     del self.groups_mirror[change.subject.group_id]
                 else:
                     self.groups_mirror[change.subject.group_id] = change.subject
-            elif isinstance(change.subject, Channel):
+            elif isinstance(change.subject, ChannelRecord):
                 if change.kind is ChangeKind.REMOVED:
                     del self.mirror[change.subject.channel_id]
                 else:

@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.groups import transitions as group_transitions
 from stampede_rt_supernode.core.groups.commands import GroupOpened, GroupUpdated
 from stampede_rt_supernode.core.groups.queries import group_page, group_view
-from stampede_rt_supernode.core.records import Group
+from stampede_rt_supernode.core.records import GroupRecord
 from tests.unit.supernode.operations import (
     Log,
     delete,
@@ -39,7 +39,7 @@ def channel(log: Log, name: str, host: str = "") -> bytes:
     return opened.channel.channel_id
 
 
-def group(log: Log, name: str, *members: bytes, incarnation: int = 88, **spec: Any) -> Group:
+def group(log: Log, name: str, *members: bytes, incarnation: int = 88, **spec: Any) -> GroupRecord:
     opened = log.apply(open_group(name, members, incarnation=incarnation, **spec))
     assert isinstance(opened, GroupOpened), opened
     return opened.group

@@ -9,7 +9,7 @@ from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.hosts import transitions
 from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpired, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.queries import host_page
-from stampede_rt_supernode.core.records import Channel, Endpoint, Host
+from stampede_rt_supernode.core.records import ChannelRecord, Endpoint, HostRecord
 from tests.unit.supernode.operations import Log, begin_tenure, deregister, expire, id_of, open_channel, register
 
 
@@ -18,19 +18,19 @@ def log() -> Log:
     return Log()
 
 
-def registered(log: Log, operation: RegisterHost) -> Host:
+def registered(log: Log, operation: RegisterHost) -> HostRecord:
     result = log.apply(operation)
     assert isinstance(result, HostRegistered), result
     return result.host
 
 
-def channel_at(log: Log, host: str, name: str) -> Channel:
+def channel_at(log: Log, host: str, name: str) -> ChannelRecord:
     result = log.apply(open_channel(name, host=host))
     assert isinstance(result, ChannelOpened)
     return result.channel
 
 
-def now(log: Log, channel: Channel) -> Channel:
+def now(log: Log, channel: ChannelRecord) -> ChannelRecord:
     return log.directory.tables.channels[channel.channel_id]
 
 
@@ -126,7 +126,7 @@ def test_an_expiry_counts_only_for_its_boot_registration_and_tenure(log: Log) ->
     assert not log.directory.tables.hosts[id_of(1)].alive
 
 
-def lost(log: Log, number: int, *, name: str = "", boot: int = 1) -> Host:
+def lost(log: Log, number: int, *, name: str = "", boot: int = 1) -> HostRecord:
     """A host that has registered and whose lease was ended, as it is remembered then."""
     host = registered(log, register(number, name=name, boot=boot))
     assert log.apply(expire(number, boot=boot, registered_index=host.registered_index)) == HostExpired(expired=True)

@@ -6,14 +6,14 @@ import pytest
 
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
-from stampede_rt_supernode.core.records import Host
+from stampede_rt_supernode.core.records import HostRecord
 
 SECOND = 10**9
 TTL = LEASE_TTL_NANOS
 
 
-def host(number: int, *, registered_index: int = 1, boot: int = 1) -> Host:
-    return Host(
+def host(number: int, *, registered_index: int = 1, boot: int = 1) -> HostRecord:
+    return HostRecord(
         host_id=bytes([number]),
         name=f"h{number}",
         gatekeepers=(),

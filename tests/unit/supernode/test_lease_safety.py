@@ -14,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from stampede_rt_supernode.core.hosts.commands import ExpireHost, HostExpired
 from stampede_rt_supernode.core.lease import LeaseTable
-from stampede_rt_supernode.core.records import Host
+from stampede_rt_supernode.core.records import HostRecord
 from tests.unit.supernode.operations import Log, begin_tenure, id_of, register
 
 SECOND = 10**9
@@ -39,7 +39,7 @@ class LeaseMachine(RuleBasedStateMachine):
         self.take_over()
         self.register(0)
 
-    def live(self) -> list[Host]:
+    def live(self) -> list[HostRecord]:
         return list(self.log.directory.tables.live_hosts())
 
     def acknowledged(self, sent: int) -> None:

@@ -17,7 +17,7 @@ from stampede_rt_supernode.core.peers.commands import (
     PeersExpired,
     RegisterPeer,
 )
-from stampede_rt_supernode.core.records import Change, ChangeKind, Peer, Queue
+from stampede_rt_supernode.core.records import ChangeKind, DirectoryChange, PeerRecord, QueueRecord
 from tests.unit.supernode.drawn_peers import endings, queue_operations, registrations
 from tests.unit.supernode.operations import begin_tenure, deregister, open_queue, register
 from tests.unit.supernode.three_directories import ThreeDirectories
@@ -75,8 +75,8 @@ class PeerMachine(ThreeDirectories):
     def found(self) -> None:
         self.owners = Owners()
         self.places: dict[bytes, tuple[int, int]] = {}
-        self.queues_mirror: dict[bytes, Queue] = {}
-        self.peers_mirror: dict[bytes, Peer] = {}
+        self.queues_mirror: dict[bytes, QueueRecord] = {}
+        self.peers_mirror: dict[bytes, PeerRecord] = {}
         self.positions = [0, 0]
         self.apply(begin_tenure(), self.fresh_id())
         for number, name in enumerate(("a", "b"), start=1):
@@ -187,11 +187,11 @@ class PeerMachine(ThreeDirectories):
         assert self.queues_mirror == tables.queues.by_id
         assert self.peers_mirror == tables.peers.by_id
 
-    def follow(self, change: Change) -> None:
+    def follow(self, change: DirectoryChange) -> None:
         match change.subject:
-            case Queue() as queue:
+            case QueueRecord() as queue:
                 self.put(self.queues_mirror, queue.queue_id, queue, change.kind)
-            case Peer() as peer:
+            case PeerRecord() as peer:
                 self.put(self.peers_mirror, peer.peer_id, peer, change.kind)
 
     @staticmethod

@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.peers import table, transitions
 from stampede_rt_supernode.core.peers.commands import PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.peers.queries import BEGINNING, peer_page
-from stampede_rt_supernode.core.records import Peer, Queue, QueueSpec
+from stampede_rt_supernode.core.records import PeerRecord, QueueRecord, QueueSpec
 from tests.unit.supernode.operations import (
     Log,
     delete_queue,
@@ -40,7 +40,7 @@ def enter(log: Log, number: int, name: str = "", **how: Any) -> PeerRegistered:
     return entered
 
 
-def mailbox(log: Log, number: int, name: str, **how: Any) -> Queue:
+def mailbox(log: Log, number: int, name: str, **how: Any) -> QueueRecord:
     made = enter(log, number, name, **how).mailbox
     assert made is not None
     return made
@@ -52,7 +52,7 @@ def refusal(log: Log, operation: Operation) -> Refused:
     return result
 
 
-def peer(log: Log, number: int) -> Peer:
+def peer(log: Log, number: int) -> PeerRecord:
     return log.directory.tables.peers.by_id[id_of(number)]
 
 
@@ -62,7 +62,7 @@ def end_lease(log: Log, number: int) -> None:
     assert ended == PeersExpired(expired=1)
 
 
-def queues(log: Log) -> list[Queue]:
+def queues(log: Log) -> list[QueueRecord]:
     return list(log.directory.tables.queues.by_id.values())
 
 

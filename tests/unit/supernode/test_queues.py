@@ -12,7 +12,7 @@ from stampede_rt_supernode.core.commands import Operation, Refused
 from stampede_rt_supernode.core.queues import transitions
 from stampede_rt_supernode.core.queues.commands import QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.queues.queries import BEGINNING, queue_page
-from stampede_rt_supernode.core.records import Queue, QueueSpec
+from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 from tests.unit.supernode.operations import (
     Log,
     delete_queue,
@@ -35,7 +35,7 @@ def log() -> Log:
     return log
 
 
-def queue(log: Log, name: str, **how: Any) -> Queue:
+def queue(log: Log, name: str, **how: Any) -> QueueRecord:
     opened = log.apply(open_queue(name, **how))
     assert isinstance(opened, QueueOpened), opened
     return opened.queue

@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.commands import Operation, Refused
-from stampede_rt_supernode.core.records import Channel, Replica, ReplicaKind
+from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas import transitions as replica_transitions
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.core.replicas.loads import LOAD_AGE_NANOS_MAX, ReplicaLoad, ReplicaLoads
@@ -34,17 +34,17 @@ def log() -> Log:
     return log
 
 
-def cam(log: Log) -> Channel:
+def cam(log: Log) -> ChannelRecord:
     found = log.directory.tables.channel_named("cam")
     assert found is not None
     return found
 
 
-def copies(log: Log) -> tuple[Replica, ...]:
+def copies(log: Log) -> tuple[ReplicaRecord, ...]:
     return log.directory.tables.replicas.of(cam(log).channel_id)
 
 
-def added(log: Log, operation: Operation) -> Replica:
+def added(log: Log, operation: Operation) -> ReplicaRecord:
     result = log.apply(operation)
     assert isinstance(result, ReplicaAdded), result
     return result.replica

@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import group_pb2
-from stampede_rt_supernode.core.records import Group, GroupSpec
+from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 
 _BOUNDS_FROM_WIRE = {
     group_pb2.GROUP_BOUND_UNSPECIFIED: "start",
@@ -57,7 +57,7 @@ def group_spec_message(spec: GroupSpec) -> group_pb2.GroupSpec:
     )
 
 
-def group_record(group: Group) -> group_pb2.GroupRecord:
+def group_record(group: GroupRecord) -> group_pb2.GroupRecord:
     """The group as it travels."""
     return group_pb2.GroupRecord(
         group_id=group.group_id,
@@ -68,9 +68,9 @@ def group_record(group: Group) -> group_pb2.GroupRecord:
     )
 
 
-def group_from(record: group_pb2.GroupRecord) -> Group:
+def group_from(record: group_pb2.GroupRecord) -> GroupRecord:
     """The group of a record that this codec wrote."""
-    return Group(
+    return GroupRecord(
         group_id=record.group_id,
         name=record.name,
         spec=group_spec_from(record.spec),
@@ -79,11 +79,11 @@ def group_from(record: group_pb2.GroupRecord) -> Group:
     )
 
 
-def group_entry(group: Group, witnesses: tuple[bytes, ...]) -> pb.GroupEntry:
+def group_entry(group: GroupRecord, witnesses: tuple[bytes, ...]) -> pb.GroupEntry:
     """The group as supernodes keep it."""
     return pb.GroupEntry(record=group_record(group), witness_host_ids=witnesses)
 
 
-def group_entry_from(entry: pb.GroupEntry) -> tuple[Group, tuple[bytes, ...]]:
+def group_entry_from(entry: pb.GroupEntry) -> tuple[GroupRecord, tuple[bytes, ...]]:
     """The group and its witnesses of an entry that this codec wrote."""
     return group_from(entry.record), tuple(entry.witness_host_ids)

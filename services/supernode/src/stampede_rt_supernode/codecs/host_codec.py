@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stampede_rt.v1 import directory_command_pb2, directory_pb2
-from stampede_rt_supernode.core.records import Endpoint, Host
+from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 
 def endpoints_from(endpoints: Iterable[directory_pb2.Endpoint]) -> tuple[Endpoint, ...]:
@@ -18,7 +18,7 @@ def endpoint_message(endpoint: Endpoint) -> directory_pb2.Endpoint:
     return directory_pb2.Endpoint(target=endpoint.target, zone=endpoint.zone)
 
 
-def host_record(host: Host) -> directory_pb2.HostRecord:
+def host_record(host: HostRecord) -> directory_pb2.HostRecord:
     """The host as clients see it."""
     return directory_pb2.HostRecord(
         host_id=host.host_id,
@@ -32,15 +32,15 @@ def host_record(host: Host) -> directory_pb2.HostRecord:
     )
 
 
-def host_entry(host: Host) -> directory_command_pb2.HostEntry:
+def host_entry(host: HostRecord) -> directory_command_pb2.HostEntry:
     """The host as supernodes keep it."""
     return directory_command_pb2.HostEntry(record=host_record(host), registered_index=host.registered_index)
 
 
-def host_from(entry: directory_command_pb2.HostEntry) -> Host:
+def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
     """The host of an entry that this codec wrote."""
     record = entry.record
-    return Host(
+    return HostRecord(
         host_id=record.host_id,
         name=record.name,
         gatekeepers=endpoints_from(record.gatekeepers),

@@ -8,7 +8,7 @@ from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import peer_pb2
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_message
-from stampede_rt_supernode.core.records import Peer
+from stampede_rt_supernode.core.records import PeerRecord
 
 
 def attributes_from(attributes: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
@@ -16,7 +16,7 @@ def attributes_from(attributes: Mapping[str, str]) -> tuple[tuple[str, str], ...
     return tuple(sorted(attributes.items()))
 
 
-def peer_record(peer: Peer, clock: ClockOffset | None = None) -> peer_pb2.PeerRecord:
+def peer_record(peer: PeerRecord, clock: ClockOffset | None = None) -> peer_pb2.PeerRecord:
     """The peer as clients see it, with its clock if that is known and asked for: the log holds none."""
     return peer_pb2.PeerRecord(
         peer_id=peer.peer_id,
@@ -33,7 +33,7 @@ def peer_record(peer: Peer, clock: ClockOffset | None = None) -> peer_pb2.PeerRe
     )
 
 
-def peer_entry(peer: Peer) -> pb.PeerEntry:
+def peer_entry(peer: PeerRecord) -> pb.PeerEntry:
     """The peer as supernodes keep it."""
     return pb.PeerEntry(
         record=peer_record(peer),
@@ -43,10 +43,10 @@ def peer_entry(peer: Peer) -> pb.PeerEntry:
     )
 
 
-def peer_from(entry: pb.PeerEntry) -> Peer:
+def peer_from(entry: pb.PeerEntry) -> PeerRecord:
     """The peer of an entry that this codec wrote."""
     record = entry.record
-    return Peer(
+    return PeerRecord(
         peer_id=record.peer_id,
         name=record.name,
         boot_incarnation=record.boot_incarnation,

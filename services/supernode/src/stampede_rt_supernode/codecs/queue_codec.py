@@ -6,7 +6,7 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import queue_pb2
-from stampede_rt_supernode.core.records import Queue, QueueSpec
+from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 
 _ON_FULL_TO_WIRE = {
     None: queue_pb2.QUEUE_ON_FULL_UNSPECIFIED,
@@ -43,7 +43,7 @@ def queue_spec_message(spec: QueueSpec) -> queue_pb2.QueueSpec:
     return queue_pb2.QueueSpec(on_full=_ON_FULL_TO_WIRE[spec.on_full], **others)
 
 
-def queue_record(queue: Queue) -> queue_pb2.QueueRecord:
+def queue_record(queue: QueueRecord) -> queue_pb2.QueueRecord:
     """The queue as it travels."""
     return queue_pb2.QueueRecord(
         queue_id=queue.queue_id,
@@ -57,9 +57,9 @@ def queue_record(queue: Queue) -> queue_pb2.QueueRecord:
     )
 
 
-def queue_from(record: queue_pb2.QueueRecord) -> Queue:
+def queue_from(record: queue_pb2.QueueRecord) -> QueueRecord:
     """The queue of a record that this codec wrote."""
-    return Queue(
+    return QueueRecord(
         queue_id=record.queue_id,
         name=record.name,
         host_id=record.host_id,

@@ -12,7 +12,15 @@ from stampede_rt_supernode.codecs.group_codec import group_record
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import peer_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record
-from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Peer, Queue
+from stampede_rt_supernode.core.records import (
+    ChangeKind,
+    ChannelRecord,
+    DirectoryChange,
+    GroupRecord,
+    HostRecord,
+    PeerRecord,
+    QueueRecord,
+)
 
 _ON_FULL_TO_WIRE: dict[OnFull | None, channel_pb2.OnFull] = {
     None: channel_pb2.ON_FULL_UNSPECIFIED,
@@ -53,9 +61,9 @@ def spec_of(policy: Policy) -> channel_pb2.ChannelSpec:
     )
 
 
-def channel_from(record: channel_pb2.ChannelRecord) -> Channel:
+def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
     """The channel of a record that this codec wrote."""
-    return Channel(
+    return ChannelRecord(
         channel_id=record.channel_id,
         name=record.name,
         host_id=record.host_id,
@@ -74,7 +82,7 @@ def _held_policy(spec: bytes) -> Policy:
     return policy_from(channel_pb2.ChannelSpec.FromString(spec))
 
 
-def channel_record(channel: Channel) -> channel_pb2.ChannelRecord:
+def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
     """The channel as it travels."""
     return channel_pb2.ChannelRecord(
         channel_id=channel.channel_id,
@@ -94,24 +102,24 @@ def _held_spec(policy: Policy) -> channel_pb2.ChannelSpec:
     return spec_of(policy)
 
 
-def change_message(change: Change) -> directory_pb2.DirectoryChange:
+def change_message(change: DirectoryChange) -> directory_pb2.DirectoryChange:
     """The change as watchers of channels, hosts, groups and queues see it."""
     message = directory_pb2.DirectoryChange(index=change.index, kind=_CHANGE_KINDS[change.kind])
     match change.subject:
-        case Channel() as channel:
+        case ChannelRecord() as channel:
             message.channel.CopyFrom(channel_record(channel))
-        case Host() as host:
+        case HostRecord() as host:
             message.host.CopyFrom(host_record(host))
-        case Group() as group:
+        case GroupRecord() as group:
             message.group.CopyFrom(group_record(group))
-        case Queue() as queue:
+        case QueueRecord() as queue:
             message.queue.CopyFrom(queue_record(queue))
-        case Peer(peer_id=peer_id):
+        case PeerRecord(peer_id=peer_id):
             raise AssertionError(f"peer {peer_id.hex()} is among changes that are not of peers")
     return message
 
 
-def peer_change_message(change: Change) -> peer_pb2.PeerChange:
+def peer_change_message(change: DirectoryChange) -> peer_pb2.PeerChange:
     """The change as watchers of peers see it."""
-    assert isinstance(change.subject, Peer)  # the ring of peers holds nothing else
+    assert isinstance(change.subject, PeerRecord)  # the ring of peers holds nothing else
     return peer_pb2.PeerChange(index=change.index, kind=_CHANGE_KINDS[change.kind], peer=peer_record(change.subject))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import replica_pb2, subject_pb2
-from stampede_rt_supernode.core.records import Replica, ReplicaKind
+from stampede_rt_supernode.core.records import ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.loads import ReplicaLoad
 
 _KINDS_TO_WIRE = {
@@ -43,7 +43,7 @@ def subject_of(channel_id: bytes) -> subject_pb2.Subject:
     return subject_pb2.Subject(channel_id=channel_id)
 
 
-def replica_record(replica: Replica) -> replica_pb2.ReplicaRecord:
+def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
     """The copy as it travels."""
     return replica_pb2.ReplicaRecord(
         subject=subject_of(replica.channel_id),
@@ -57,9 +57,9 @@ def replica_record(replica: Replica) -> replica_pb2.ReplicaRecord:
     )
 
 
-def replica_from(record: replica_pb2.ReplicaRecord) -> Replica:
+def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
     """The copy of a record that this codec wrote."""
-    return Replica(
+    return ReplicaRecord(
         channel_id=channel_id_of(record.subject),
         host_id=record.host_id,
         boot_incarnation=record.boot_incarnation,

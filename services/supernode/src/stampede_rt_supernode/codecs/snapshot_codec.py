@@ -26,7 +26,14 @@ from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.frozen_directory import Still, frozen
 from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
-from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Peer, Queue, Replica
+from stampede_rt_supernode.core.records import (
+    ChangeKind,
+    ChannelRecord,
+    DirectoryChange,
+    PeerRecord,
+    QueueRecord,
+    ReplicaRecord,
+)
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
@@ -42,11 +49,11 @@ class SnapshotWriter:
     def __init__(self) -> None:
         self._channels = _ChannelParts()
         self._groups: _Parts[GroupWithWitnesses] = _Parts(lambda one: pb.DirectorySnapshot(groups=[group_entry(*one)]))
-        self._replicas: _Parts[tuple[Replica, ...]] = _Parts(
+        self._replicas: _Parts[tuple[ReplicaRecord, ...]] = _Parts(
             lambda copies: pb.DirectorySnapshot(replicas=[replica_record(one) for one in copies])
         )
-        self._queues: _Parts[Queue] = _Parts(lambda one: pb.DirectorySnapshot(queues=[queue_record(one)]))
-        self._peers: _Parts[Peer] = _Parts(lambda one: pb.DirectorySnapshot(peers=[peer_entry(one)]))
+        self._queues: _Parts[QueueRecord] = _Parts(lambda one: pb.DirectorySnapshot(queues=[queue_record(one)]))
+        self._peers: _Parts[PeerRecord] = _Parts(lambda one: pb.DirectorySnapshot(peers=[peer_entry(one)]))
         self._answers: _Parts[Answer] = _Parts(
             lambda answer: pb.DirectorySnapshot(remembered_operations=[_remembered(answer)])
         )
@@ -90,17 +97,17 @@ class _ChannelParts:
         self.position = still.position
         return iter(self._by_name.values())
 
-    def _follow(self, changes: Iterable[Change]) -> None:
-        last = {change.subject.name: change for change in changes if isinstance(change.subject, Channel)}
+    def _follow(self, changes: Iterable[DirectoryChange]) -> None:
+        last = {change.subject.name: change for change in changes if isinstance(change.subject, ChannelRecord)}
         for name, change in last.items():
-            assert isinstance(change.subject, Channel)
+            assert isinstance(change.subject, ChannelRecord)
             if change.kind is ChangeKind.REMOVED:
                 self._by_name.pop(name, None)
             else:
                 self._by_name[name] = _channel_part(change.subject)
 
 
-def _channel_part(channel: Channel) -> bytes:
+def _channel_part(channel: ChannelRecord) -> bytes:
     return pb.DirectorySnapshot(channels=[channel_record(channel)]).SerializeToString(deterministic=True)
 
 

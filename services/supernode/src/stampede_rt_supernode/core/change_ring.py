@@ -6,7 +6,14 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import takewhile
 
-from stampede_rt_supernode.core.records import Change, ChangeKind, Channel, Group, Host, Queue
+from stampede_rt_supernode.core.records import (
+    ChangeKind,
+    ChannelRecord,
+    DirectoryChange,
+    GroupRecord,
+    HostRecord,
+    QueueRecord,
+)
 
 CHANGES_MAX = 16_384
 
@@ -15,7 +22,7 @@ CHANGES_MAX = 16_384
 class ChangePage:
     """Changes in order; `position` continues behind them; everything up to `index` has been given out with them."""
 
-    changes: tuple[Change, ...]
+    changes: tuple[DirectoryChange, ...]
     position: int
     index: int
 
@@ -30,7 +37,7 @@ class ChangeRing:
         self.floor_index = floor_index  # no change at or below it is held, and perhaps not all of those at it were
         self.end_index = floor_index  # the last log position noted, with or without a change
         self._index = floor_index  # the one whose changes are being noted
-        self._changes: deque[Change] = deque()
+        self._changes: deque[DirectoryChange] = deque()
         self._dropped = 0  # changes that went; the first held one has this position
         self._changes_max = changes_max
 
@@ -43,11 +50,11 @@ class ChangeRing:
         """What is noted from now on is of log position `index`, which is not below the one before."""
         self._index = index
 
-    def note(self, kind: ChangeKind, subject: Channel | Host | Group | Queue) -> None:
+    def note(self, kind: ChangeKind, subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord) -> None:
         """Append a change of the present log position."""
-        self.append(Change(index=self._index, kind=kind, subject=subject))
+        self.append(DirectoryChange(index=self._index, kind=kind, subject=subject))
 
-    def append(self, change: Change) -> None:
+    def append(self, change: DirectoryChange) -> None:
         """Note a change; its index is not below that of the one before. The oldest one goes if there is no room."""
         self._changes.append(change)
         if len(self._changes) > self._changes_max:

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from stampede_rt_supernode.core.change_ring import CHANGES_MAX
 from stampede_rt_supernode.core.directory import Directory
-from stampede_rt_supernode.core.records import Change, Channel
+from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange
 
 T = TypeVar("T")
 
@@ -22,8 +22,8 @@ class Still:
     """A directory as of one log position. `directory` has no channels, and is good for reading in order alone."""
 
     directory: Directory
-    channels: tuple[Channel, ...]  # all of them, in no order; or none, with `changes`
-    changes: tuple[Change, ...] | None  # those of all kinds since the position that was named
+    channels: tuple[ChannelRecord, ...]  # all of them, in no order; or none, with `changes`
+    changes: tuple[DirectoryChange, ...] | None  # those of all kinds since the position that was named
     position: int  # behind the newest change
 
 

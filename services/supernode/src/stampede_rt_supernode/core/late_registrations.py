@@ -11,11 +11,11 @@ from collections.abc import Iterable
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
-from stampede_rt_supernode.core.records import Host, Peer
+from stampede_rt_supernode.core.records import HostRecord, PeerRecord
 
 
 def check_in_time(
-    operation: RegisterHost | RegisterPeer, places: Iterable[Host | Peer | None], as_of_index: int
+    operation: RegisterHost | RegisterPeer, places: Iterable[HostRecord | PeerRecord | None], as_of_index: int
 ) -> None:
     """Raises Unavailable with reason AMBIGUOUS if another start of the process has registered since this was asked for.
 

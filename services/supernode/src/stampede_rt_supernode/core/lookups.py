@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from stampede_rt.errors import ChannelNotFound, HostNotFound, StampedeError, error_for
-from stampede_rt_supernode.core.records import Channel, Group, Host, Peer, Queue
+from stampede_rt_supernode.core.records import ChannelRecord, GroupRecord, HostRecord, PeerRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_name
 
 
-def channel_by_id(tables: Tables, channel_id: bytes) -> Channel:
+def channel_by_id(tables: Tables, channel_id: bytes) -> ChannelRecord:
     """Raises InvalidArgument or ChannelNotFound."""
     check_id(channel_id, "channel_id")
     channel = tables.channels.get(channel_id)
@@ -19,7 +19,7 @@ def channel_by_id(tables: Tables, channel_id: bytes) -> Channel:
     return channel
 
 
-def channel_by_name(tables: Tables, name: str) -> Channel:
+def channel_by_name(tables: Tables, name: str) -> ChannelRecord:
     """Raises InvalidName or ChannelNotFound."""
     check_name(name, "channel")
     channel = tables.channel_named(name)
@@ -28,7 +28,7 @@ def channel_by_name(tables: Tables, name: str) -> Channel:
     return channel
 
 
-def host_by_id(tables: Tables, host_id: bytes) -> Host:
+def host_by_id(tables: Tables, host_id: bytes) -> HostRecord:
     """The host, alive or not. Raises InvalidArgument or HostNotFound."""
     check_id(host_id, "host_id")
     host = tables.hosts.get(host_id)
@@ -39,7 +39,7 @@ def host_by_id(tables: Tables, host_id: bytes) -> Host:
     return host
 
 
-def host_by_name(tables: Tables, name: str) -> Host:
+def host_by_name(tables: Tables, name: str) -> HostRecord:
     """The live host of that name. Raises InvalidName or HostNotFound."""
     check_name(name, "host")
     host = tables.live_host_named(name)
@@ -49,7 +49,7 @@ def host_by_name(tables: Tables, name: str) -> Host:
     return host
 
 
-def check_host_agrees(kind: str, name: str, host: Host, asked_host_name: str) -> None:
+def check_host_agrees(kind: str, name: str, host: HostRecord, asked_host_name: str) -> None:
     """A caller that names a host gets that one. Raises CHANNEL_EXISTS or QUEUE_EXISTS if live `host` is another.
 
     `kind` is "channel" or "queue". A lost owner is no contradiction: the host that is asked for takes its place.
@@ -68,7 +68,7 @@ def no_such_channel(name: str) -> ChannelNotFound:
     return ChannelNotFound(text, metadata={"channel": name})
 
 
-def group_by_id(tables: Tables, group_id: bytes) -> Group:
+def group_by_id(tables: Tables, group_id: bytes) -> GroupRecord:
     """Raises InvalidArgument, or the error of `no_such_group`."""
     check_id(group_id, "group_id")
     group = tables.groups.by_id.get(group_id)
@@ -79,7 +79,7 @@ def group_by_id(tables: Tables, group_id: bytes) -> Group:
     return group
 
 
-def group_by_name(tables: Tables, name: str) -> Group:
+def group_by_name(tables: Tables, name: str) -> GroupRecord:
     """Raises InvalidName, or the error of `no_such_group`."""
     check_name(name, "group")
     group = tables.groups.named(name)
@@ -94,7 +94,7 @@ def no_such_group(name: str) -> StampedeError:
     return StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group": name})
 
 
-def queue_by_id(tables: Tables, queue_id: bytes) -> Queue:
+def queue_by_id(tables: Tables, queue_id: bytes) -> QueueRecord:
     """A queue or mailbox. Raises InvalidArgument or QUEUE_NOT_FOUND."""
     check_id(queue_id, "queue_id")
     queue = tables.queues.by_id.get(queue_id)
@@ -105,7 +105,7 @@ def queue_by_id(tables: Tables, queue_id: bytes) -> Queue:
     return queue
 
 
-def queue_by_name(tables: Tables, name: str) -> Queue:
+def queue_by_name(tables: Tables, name: str) -> QueueRecord:
     """Raises InvalidName or QUEUE_NOT_FOUND."""
     check_name(name, "queue")
     queue = tables.queues.named(name)
@@ -120,7 +120,7 @@ def no_such_queue(name: str) -> StampedeError:
     return error_for("QUEUE_NOT_FOUND", text, {"queue": name})
 
 
-def mailbox_of(tables: Tables, peer_name: str) -> Queue:
+def mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
     """The mailbox of a live peer. Raises InvalidName or QUEUE_NOT_FOUND."""
     check_name(peer_name, "peer")
     peer = tables.peers.live_named(peer_name)
@@ -130,7 +130,7 @@ def mailbox_of(tables: Tables, peer_name: str) -> Queue:
     return tables.queues.by_id[peer.mailbox_queue_id]
 
 
-def peer_by_id(tables: Tables, peer_id: bytes) -> Peer:
+def peer_by_id(tables: Tables, peer_id: bytes) -> PeerRecord:
     """The peer, alive or not. Raises InvalidArgument or PEER_NOT_FOUND."""
     check_id(peer_id, "peer_id")
     peer = tables.peers.by_id.get(peer_id)
@@ -141,7 +141,7 @@ def peer_by_id(tables: Tables, peer_id: bytes) -> Peer:
     return peer
 
 
-def peer_by_name(tables: Tables, name: str) -> Peer:
+def peer_by_name(tables: Tables, name: str) -> PeerRecord:
     """The live peer of that name. Raises InvalidName or PEER_NOT_FOUND."""
     check_name(name, "peer")
     peer = tables.peers.live_named(name)

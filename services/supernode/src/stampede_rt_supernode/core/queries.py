@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sortedcontainers import SortedDict
 
 from stampede_rt_supernode.core.glob import fixed_prefix, matcher
-from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.tables import Tables
 
 PAGE_SIZE_MAX = 1000
@@ -20,8 +20,8 @@ HOST_CHANNELS_MAX = 1000
 class ChannelPage:
     """Channels in the order of names. `last_name`: the next page begins behind it; None: this was the last."""
 
-    channels: tuple[Channel, ...]
-    hosts: tuple[Host, ...]
+    channels: tuple[ChannelRecord, ...]
+    hosts: tuple[HostRecord, ...]
     last_name: str | None
 
 
@@ -29,7 +29,7 @@ class ChannelPage:
 class HostPage:
     """Hosts in the order of (name, id). `last_key`: the next page begins behind it; None: this was the last."""
 
-    hosts: tuple[Host, ...]
+    hosts: tuple[HostRecord, ...]
     last_key: tuple[str, bytes] | None
 
 
@@ -39,7 +39,7 @@ def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
     """
     matches, limit = matcher(glob), min(channels_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
-    found: list[Channel] = []
+    found: list[ChannelRecord] = []
     last_name = None
     names = names_from(tables.channel_ids, fixed_prefix(glob), after_name)
     for examined, name in enumerate(names, start=1):
@@ -60,7 +60,7 @@ def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Ite
         yield name
 
 
-def _owners(tables: Tables, channels: list[Channel]) -> tuple[Host, ...]:
+def _owners(tables: Tables, channels: list[ChannelRecord]) -> tuple[HostRecord, ...]:
     return tuple(tables.hosts[host_id] for host_id in dict.fromkeys(channel.host_id for channel in channels))
 
 
@@ -79,12 +79,12 @@ def host_page(
     return HostPage(page, keys[limit - 1] if len(keys) > limit else None)
 
 
-def _is_of_interest(tables: Tables, host: Host, lost_since: int) -> bool:
+def _is_of_interest(tables: Tables, host: HostRecord, lost_since: int) -> bool:
     if host.channels or tables.queues.count_at(host.host_id):
         return True
     return host.lease_ended_unix_nano is not None and host.lease_ended_unix_nano >= lost_since
 
 
-def channels_of(tables: Tables, host_id: bytes) -> tuple[Channel, ...]:
+def channels_of(tables: Tables, host_id: bytes) -> tuple[ChannelRecord, ...]:
     """The channels that a host owns, 1000 at most."""
     return tuple(tables.channels_at(host_id, HOST_CHANNELS_MAX))

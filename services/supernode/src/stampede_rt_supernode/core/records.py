@@ -23,7 +23,7 @@ class Endpoint:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Host:
+class HostRecord:
     """A process that hosts channels.
 
     `name` is unique among the live ones. `channels` is the number of channels that it owns. `registered_index` is the
@@ -53,7 +53,7 @@ class Host:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Channel:
+class ChannelRecord:
     """A channel and its owner. `epoch` never falls; `incarnation` changes only when items may have been lost."""
 
     channel_id: bytes
@@ -65,9 +65,9 @@ class Channel:
     policy_version: int
     proxy_host_ids: tuple[bytes, ...] = ()
 
-    def begun_anew(self, incarnation: int) -> Channel:
+    def begun_anew(self, incarnation: int) -> ChannelRecord:
         """The next epoch of it, at the same host. There may be very many: `replace` takes three times as long."""
-        return Channel(
+        return ChannelRecord(
             channel_id=self.channel_id,
             name=self.name,
             host_id=self.host_id,
@@ -95,7 +95,7 @@ class GroupSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Group:
+class GroupRecord:
     """A group. `spec_version` grows by 1 with every change; `incarnation` changes only when the cut may begin anew."""
 
     group_id: bytes
@@ -113,7 +113,7 @@ class ReplicaKind(Enum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Replica:
+class ReplicaRecord:
     """A copy of a channel at `host_id`, for as long as that host's boot incarnation is this one (paper, section 4.1).
 
     `in_sync`: it holds everything that was acknowledged, and may take over; only a warm one ever is. `acknowledged`:
@@ -146,7 +146,7 @@ class QueueSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Queue:
+class QueueRecord:
     """A queue and its owner, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
 
     `epoch` never falls; `incarnation` changes only when items may have been lost.
@@ -163,7 +163,7 @@ class Queue:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Peer:
+class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2). With a name, which is unique among the live ones, it has a mailbox
     for as long as it lives.
 
@@ -204,9 +204,9 @@ class ChangeKind(Enum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Change:
+class DirectoryChange:
     """One change, at one log position. The subject is as it is after it, or as it was last if it is gone."""
 
     index: int
     kind: ChangeKind
-    subject: Channel | Host | Group | Queue | Peer
+    subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord | PeerRecord

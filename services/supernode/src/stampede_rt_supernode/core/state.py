@@ -7,7 +7,14 @@ from collections.abc import Iterable
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.answered import Answer, Answered
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
-from stampede_rt_supernode.core.records import Channel, Group, Host, Peer, Queue, Replica
+from stampede_rt_supernode.core.records import (
+    ChannelRecord,
+    GroupRecord,
+    HostRecord,
+    PeerRecord,
+    QueueRecord,
+    ReplicaRecord,
+)
 from stampede_rt_supernode.core.tables import Tables
 
 DIGEST_BYTES = 16
@@ -26,12 +33,12 @@ class DirectoryState:
         tenure: int = 0,
         cluster_id: str = "",
         lease_ttl_nanos: int = 0,
-        hosts: Iterable[Host] = (),
-        channels: Iterable[Channel] = (),
-        groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
-        replicas: Iterable[Replica] = (),
-        queues: Iterable[Queue] = (),
-        peers: Iterable[Peer] = (),
+        hosts: Iterable[HostRecord] = (),
+        channels: Iterable[ChannelRecord] = (),
+        groups: Iterable[tuple[GroupRecord, tuple[bytes, ...]]] = (),
+        replicas: Iterable[ReplicaRecord] = (),
+        queues: Iterable[QueueRecord] = (),
+        peers: Iterable[PeerRecord] = (),
         answers: Iterable[Answer] = (),
         time_marks: Iterable[int] = (),
         former_cluster_ids: Iterable[str] = (),

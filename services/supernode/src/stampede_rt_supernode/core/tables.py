@@ -17,7 +17,15 @@ from stampede_rt_supernode.core.change_ring import ChangeRing
 from stampede_rt_supernode.core.groups.table import GroupTable
 from stampede_rt_supernode.core.peers.table import PeerTable
 from stampede_rt_supernode.core.queues.table import QueueTable
-from stampede_rt_supernode.core.records import ChangeKind, Channel, Group, Host, Peer, Queue, Replica
+from stampede_rt_supernode.core.records import (
+    ChangeKind,
+    ChannelRecord,
+    GroupRecord,
+    HostRecord,
+    PeerRecord,
+    QueueRecord,
+    ReplicaRecord,
+)
 from stampede_rt_supernode.core.replicas.table import ReplicaTable
 
 LOST_HOSTS_MAX = 100
@@ -28,19 +36,19 @@ class Tables:
 
     def __init__(
         self,
-        hosts: Iterable[Host] = (),
-        channels: Iterable[Channel] = (),
+        hosts: Iterable[HostRecord] = (),
+        channels: Iterable[ChannelRecord] = (),
         *,
-        groups: Iterable[tuple[Group, tuple[bytes, ...]]] = (),
-        replicas: Iterable[Replica] = (),
-        queues: Iterable[Queue] = (),
-        peers: Iterable[Peer] = (),
+        groups: Iterable[tuple[GroupRecord, tuple[bytes, ...]]] = (),
+        replicas: Iterable[ReplicaRecord] = (),
+        queues: Iterable[QueueRecord] = (),
+        peers: Iterable[PeerRecord] = (),
         index: int = 0,
     ) -> None:
         self.index = index  # the log position that is being applied, or was last
         self.changes = ChangeRing(index)
-        self.hosts: dict[bytes, Host] = {host.host_id: host for host in hosts}
-        self.channels: dict[bytes, Channel] = {channel.channel_id: channel for channel in channels}
+        self.hosts: dict[bytes, HostRecord] = {host.host_id: host for host in hosts}
+        self.channels: dict[bytes, ChannelRecord] = {channel.channel_id: channel for channel in channels}
         # By name; exactly the channels. Made at once: name by name takes twenty times as long.
         self.channel_ids: SortedDict[str, bytes] = SortedDict({one.name: key for key, one in self.channels.items()})
         self.host_ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live hosts
@@ -67,26 +75,26 @@ class Tables:
         self.changes.note_index(index)
         self.peers.changes.note_index(index)
 
-    def channels_at(self, host_id: bytes, channels_max: int | None = None) -> list[Channel]:
+    def channels_at(self, host_id: bytes, channels_max: int | None = None) -> list[ChannelRecord]:
         """The channels that a host owns, in the order of their ids: all, or the first so many."""
         ids = self._channel_ids_at.get(host_id, ())
         return [self.channels[one] for one in (sorted(ids) if channels_max is None else nsmallest(channels_max, ids))]
 
-    def channel_named(self, name: str) -> Channel | None:
+    def channel_named(self, name: str) -> ChannelRecord | None:
         """The channel of that name, if there is one."""
         found = self.channel_ids.get(name)
         return None if found is None else self.channels[found]
 
-    def live_host_named(self, name: str) -> Host | None:
+    def live_host_named(self, name: str) -> HostRecord | None:
         """The live host of that name, if there is one."""
         found = self.host_ids.get(name)
         return None if found is None else self.hosts[found]
 
-    def live_hosts(self) -> Iterator[Host]:
+    def live_hosts(self) -> Iterator[HostRecord]:
         """In the order of names."""
         return (self.hosts[host_id] for host_id in self.host_ids.values())
 
-    def add_channel(self, channel: Channel) -> None:
+    def add_channel(self, channel: ChannelRecord) -> None:
         """Its id and name are new, its host is known."""
         self.channels[channel.channel_id] = channel
         self.channel_ids[channel.name] = channel.channel_id
@@ -94,7 +102,7 @@ class Tables:
         self._count(channel.host_id, +1)
         self.changes.note(ChangeKind.ADDED, channel)
 
-    def replace_channel(self, channel: Channel) -> None:
+    def replace_channel(self, channel: ChannelRecord) -> None:
         """The channel of that id, which keeps its name, is now like this; its host may be another."""
         before = self.channels[channel.channel_id].host_id
         self.channels[channel.channel_id] = channel
@@ -106,7 +114,7 @@ class Tables:
         if before != channel.host_id:
             self._count(before, -1)
 
-    def remove_channel(self, channel: Channel) -> None:
+    def remove_channel(self, channel: ChannelRecord) -> None:
         """Forget a channel that is there."""
         del self.channels[channel.channel_id]
         del self.channel_ids[channel.name]
@@ -114,7 +122,7 @@ class Tables:
         self.changes.note(ChangeKind.REMOVED, channel)
         self._count(channel.host_id, -1)
 
-    def put_host(self, host: Host) -> None:
+    def put_host(self, host: HostRecord) -> None:
         """Add or replace a host; if it is alive, no other live host has its name.
 
         A host that is not alive stays for as long as it has channels or queues, which remember where their items were,
@@ -136,7 +144,7 @@ class Tables:
         for host in [self.hosts[one] for one in self.lost if self.hosts[one].name == name]:
             self.put_host(replace(host, lease_ended_unix_nano=None))
 
-    def _note_lost(self, host: Host) -> None:
+    def _note_lost(self, host: HostRecord) -> None:
         if not host.is_lost:
             self.lost.discard(host.host_id)
             return
@@ -145,14 +153,14 @@ class Tables:
             first = min((self.hosts[one] for one in self.lost), key=_when_lost)
             self.put_host(replace(first, lease_ended_unix_nano=None))
 
-    def put_queue(self, queue: Queue) -> None:
+    def put_queue(self, queue: QueueRecord) -> None:
         """Add a queue or mailbox, or replace the one of that id; its host is known, and may be another than before."""
         before = self.queues.by_id.get(queue.queue_id)
         self.queues.put(queue)
         if before is not None and before.host_id != queue.host_id:
             self._drop_if_done(self.hosts[before.host_id])
 
-    def remove_queue(self, queue: Queue) -> None:
+    def remove_queue(self, queue: QueueRecord) -> None:
         """Forget a queue or mailbox that is there."""
         self.queues.remove(queue)
         self._drop_if_done(self.hosts[queue.host_id])
@@ -162,7 +170,7 @@ class Tables:
         host = self.hosts[host_id] = replace(host, channels=host.channels + step)
         self._drop_if_done(host)
 
-    def _drop_if_done(self, host: Host) -> None:
+    def _drop_if_done(self, host: HostRecord) -> None:
         if host.alive or host.is_lost:
             return
         if host.channels == 0 and self.queues.count_at(host.host_id) == 0 and host.host_id in self.hosts:
@@ -171,6 +179,6 @@ class Tables:
             self.changes.note(ChangeKind.REMOVED, host)
 
 
-def _when_lost(host: Host) -> tuple[int, bytes]:
+def _when_lost(host: HostRecord) -> tuple[int, bytes]:
     """The same order on every replica."""
     return host.lease_ended_unix_nano or 0, host.host_id

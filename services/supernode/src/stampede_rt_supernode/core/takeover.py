@@ -11,12 +11,12 @@ from dataclasses import replace
 
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
 from stampede_rt_supernode.core.queues.placement import rehouse_mailboxes
-from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.replicas.transitions import adopted, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
 
 
-def give_owner(tables: Tables, before: Channel, after: Channel) -> None:
+def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> None:
     """A channel has another owner, or the same one has begun anew: `after`, with a higher epoch and new incarnation.
 
     The caller notes lost cuts, once for all the channels of one entry: they may be in the same groups.
@@ -24,7 +24,7 @@ def give_owner(tables: Tables, before: Channel, after: Channel) -> None:
     store(tables, after, adopted(tables, before, after))
 
 
-def forget_channel(tables: Tables, channel: Channel) -> None:
+def forget_channel(tables: Tables, channel: ChannelRecord) -> None:
     """Its copies and its membership in groups go with it."""
     leave_groups(tables, channel.channel_id)
     tables.replicas.store(channel.channel_id, ())
@@ -51,7 +51,7 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         rehouse_mailboxes(tables, host_id)
 
 
-def _heir(tables: Tables, channel: Channel) -> Host | None:
+def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
     """The live host with the fewest channels that has a warm replica in sync; the first added of several."""
     in_sync = (tables.hosts[one.host_id] for one in tables.replicas.of(channel.channel_id) if one.in_sync)
     live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)

@@ -35,7 +35,7 @@ from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregi
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
 from stampede_rt_supernode.core.queries import ChannelPage, HostPage, channel_page, channels_of, host_page
 from stampede_rt_supernode.core.queues.queries import queues_of
-from stampede_rt_supernode.core.records import ID_BYTES, Channel, Host, Queue
+from stampede_rt_supernode.core.records import ID_BYTES, ChannelRecord, HostRecord, QueueRecord
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -106,7 +106,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @errors_as_status
     async def ResolveChannel(self, request: pb.ResolveChannelRequest, context: Context) -> pb.ResolveChannelResponse:
 
-        def find(directory: Directory) -> tuple[Channel, Host, int]:
+        def find(directory: Directory) -> tuple[ChannelRecord, HostRecord, int]:
             tables = directory.tables
             by_id = request.WhichOneof("key") == "channel_id"
             channel = channel_by_id(tables, request.channel_id) if by_id else channel_by_name(tables, request.name)
@@ -188,7 +188,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @errors_as_status
     async def ResolveHost(self, request: pb.ResolveHostRequest, context: Context) -> pb.ResolveHostResponse:
 
-        def find(directory: Directory) -> tuple[Host, int]:
+        def find(directory: Directory) -> tuple[HostRecord, int]:
             by_id = request.WhichOneof("key") == "host_id"
             tables = directory.tables
             host = host_by_id(tables, request.host_id) if by_id else host_by_name(tables, request.name)
@@ -243,7 +243,7 @@ def _open_again(directory: Directory, op_id: bytes, operation: OpenChannel) -> C
     return found if isinstance(found, ChannelOpened) else open_unchanged(directory.tables, operation)
 
 
-def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[Channel, ...], tuple[Queue, ...]]:
+def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[ChannelRecord, ...], tuple[QueueRecord, ...]]:
     """The TTL of leases, and what the host is to serve."""
     return directory.lease_ttl_nanos, channels_of(directory.tables, host_id), queues_of(directory.tables, host_id)
 

@@ -24,7 +24,7 @@ from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.lookups import host_by_id
 from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, PeersExpired
 from stampede_rt_supernode.core.peers.transitions import check_peer_boot
-from stampede_rt_supernode.core.records import ID_BYTES, Host, Peer
+from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, PeerRecord
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.join_tokens import KEY_BYTES
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -38,7 +38,7 @@ PROPOSAL_SECONDS = 5.0
 ENDINGS_AT_ONCE_MAX = 64
 PEERS_PER_ENTRY_MAX = 256
 
-T = TypeVar("T", Host, Peer)
+T = TypeVar("T", HostRecord, PeerRecord)
 
 
 class PeerRenewal(NamedTuple):
@@ -172,7 +172,7 @@ class LeaseKeeper:
             ended = await self._submission.submit(operation, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
-    def _follow_peers(self, directory: Directory) -> tuple[list[Peer] | None, tuple[int, int]]:
+    def _follow_peers(self, directory: Directory) -> tuple[list[PeerRecord] | None, tuple[int, int]]:
         """The live peers, or None if they are those followed last; and what tells this state of them from others."""
         peers = directory.tables.peers
         state = (self._replica.restored, peers.changes.end_position)
@@ -220,13 +220,13 @@ class LeaseKeeper:
         held = self._clock.boottime_nanos() - received  # before the time is told: rather too short than too long
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
-    def note_clock(self, peer: Peer, clock: ClockOffset | None) -> None:
+    def note_clock(self, peer: PeerRecord, clock: ClockOffset | None) -> None:
         """What a peer told with this registration of it: of use if this supernode leads, and the peer still lives."""
         now_there = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
         if clock is not None and peer == now_there:
             self._peers.note_clock(peer, clock, self._clock.boottime_nanos())
 
-    def clock_of(self, peer: Peer) -> ClockOffset | None:
+    def clock_of(self, peer: PeerRecord) -> ClockOffset | None:
         """What a peer told last of its clock, if it told this supernode as the leader."""
         return self._peers.clock(peer)
 
@@ -255,7 +255,7 @@ class LeaseKeeper:
             raise Unavailable(text, reason="NO_QUORUM")
         return status.tenure
 
-    def _registered(self, host_id: bytes, boot_incarnation: int) -> Host:
+    def _registered(self, host_id: bytes, boot_incarnation: int) -> HostRecord:
         try:
             host = self._replica.read(lambda directory: host_by_id(directory.tables, host_id))
         except HostNotFound as error:
@@ -265,7 +265,7 @@ class LeaseKeeper:
             raise _lapsed(host)
         return host
 
-    def _registered_peer(self, peer_id: bytes, boot_incarnation: int) -> Peer:
+    def _registered_peer(self, peer_id: bytes, boot_incarnation: int) -> PeerRecord:
         check_id(peer_id, "peer_id")
         peer = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer_id))
         if peer is None:
@@ -286,8 +286,8 @@ def not_leader(status: ReplicationStatus) -> StampedeError:
     return NotLeader(text, metadata={"leader": leader.member_id, "leader_endpoint": leader.address})
 
 
-def _lapsed(holder: Host | Peer) -> LeaseExpired:
-    return _without_lease("host" if isinstance(holder, Host) else "peer", holder.name or holder.holder_id.hex())
+def _lapsed(holder: HostRecord | PeerRecord) -> LeaseExpired:
+    return _without_lease("host" if isinstance(holder, HostRecord) else "peer", holder.name or holder.holder_id.hex())
 
 
 def _unknown(kind: str, holder_id: bytes) -> LeaseExpired:
@@ -299,7 +299,7 @@ def _without_lease(kind: str, shown: str) -> LeaseExpired:
     return LeaseExpired(text, metadata={kind: shown})
 
 
-def _live(directory: Directory) -> list[Host]:
+def _live(directory: Directory) -> list[HostRecord]:
     return list(directory.tables.live_hosts())
 
 

@@ -22,7 +22,7 @@ from stampede_rt_supernode.core.lookups import peer_by_id, peer_by_name
 from stampede_rt_supernode.core.peers.checks import check_clock, check_proof
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, PeerDeregistered, PeerRegistered, RegisterPeer
 from stampede_rt_supernode.core.peers.queries import PeerPage, peer_page
-from stampede_rt_supernode.core.records import ID_BYTES, Peer
+from stampede_rt_supernode.core.records import ID_BYTES, PeerRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.watch import Watches
@@ -80,7 +80,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @errors_as_status
     async def ResolvePeer(self, request: pb.ResolvePeerRequest, context: Context) -> pb.ResolvePeerResponse:
 
-        def find(directory: Directory) -> tuple[Peer, int]:
+        def find(directory: Directory) -> tuple[PeerRecord, int]:
             by_name = request.WhichOneof("key") == "name"
             tables = directory.tables
             peer = peer_by_name(tables, request.name) if by_name else peer_by_id(tables, request.peer_id)
@@ -91,7 +91,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         peer, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         return pb.ResolvePeerResponse(peer=self._record(peer, request.with_clocks), applied_index=index)
 
-    def _record(self, peer: Peer, with_clock: bool) -> peer_pb2.PeerRecord:
+    def _record(self, peer: PeerRecord, with_clock: bool) -> peer_pb2.PeerRecord:
         return peer_record(peer, self._leases.clock_of(peer) if with_clock and peer.alive else None)
 
     @errors_as_status

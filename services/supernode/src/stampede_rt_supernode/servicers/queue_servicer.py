@@ -24,7 +24,7 @@ from stampede_rt_supernode.core.queues.commands import (
 )
 from stampede_rt_supernode.core.queues.queries import QueuePage, queue_page
 from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
-from stampede_rt_supernode.core.records import ID_BYTES, Host, Queue
+from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
@@ -61,7 +61,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     @errors_as_status
     async def ResolveQueue(self, request: pb.ResolveQueueRequest, context: Context) -> pb.ResolveQueueResponse:
 
-        def find(directory: Directory) -> tuple[Queue, Host, int]:
+        def find(directory: Directory) -> tuple[QueueRecord, HostRecord, int]:
             queue = _resolved(directory.tables, request)
             return queue, directory.tables.hosts[queue.host_id], directory.applied_index
 
@@ -105,7 +105,7 @@ def _open_again(directory: Directory, op_id: bytes, operation: OpenQueue) -> Que
     return found if isinstance(found, QueueOpened) else open_queue_unchanged(directory.tables, operation)
 
 
-def _resolved(tables: Tables, request: pb.ResolveQueueRequest) -> Queue:
+def _resolved(tables: Tables, request: pb.ResolveQueueRequest) -> QueueRecord:
     match request.WhichOneof("key"):
         case "name":
             return queue_by_name(tables, request.name)

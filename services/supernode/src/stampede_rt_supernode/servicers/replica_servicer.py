@@ -18,7 +18,7 @@ from stampede_rt_supernode.codecs.replica_codec import (
 )
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import channel_by_id
-from stampede_rt_supernode.core.records import Channel, Host, Replica
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
     RemoveReplica,
@@ -101,9 +101,9 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    channel: Channel
-    replicas: tuple[Replica, ...]
-    hosts: tuple[Host, ...]  # the owner, then those of the copies
+    channel: ChannelRecord
+    replicas: tuple[ReplicaRecord, ...]
+    hosts: tuple[HostRecord, ...]  # the owner, then those of the copies
     applied_index: int
 
 

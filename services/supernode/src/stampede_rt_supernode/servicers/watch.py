@@ -14,7 +14,14 @@ from stampede_rt.errors import Unavailable, WatchRestart
 from stampede_rt_supernode.core.change_ring import ChangePage, ChangeRing
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.glob import matcher
-from stampede_rt_supernode.core.records import Change, Channel, Group, Host, Peer, Queue
+from stampede_rt_supernode.core.records import (
+    ChannelRecord,
+    DirectoryChange,
+    GroupRecord,
+    HostRecord,
+    PeerRecord,
+    QueueRecord,
+)
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog
 
@@ -28,7 +35,7 @@ SIGN_OF_LIFE_SECONDS = 5.0
 class WatchBatch:
     """Changes in order, perhaps none. Everything up to `applied_index` has been given out."""
 
-    changes: tuple[Change, ...]
+    changes: tuple[DirectoryChange, ...]
     applied_index: int
 
 
@@ -68,7 +75,7 @@ class Watches:
         return self._follow(lambda directory: directory.tables.peers.changes, _peer_filter(glob), after_index)
 
     async def _follow(
-        self, ring_of: Callable[[Directory], ChangeRing], wanted: Callable[[Change], bool], after_index: int
+        self, ring_of: Callable[[Directory], ChangeRing], wanted: Callable[[DirectoryChange], bool], after_index: int
     ) -> AsyncIterator[WatchBatch]:
         """Batches without end; the first is empty and says where the watch begins, and so are signs of life.
 
@@ -120,26 +127,28 @@ def _restart(reason: str) -> WatchRestart:
     return WatchRestart(f"{reason}; list again, then watch from that answer's index")
 
 
-def _filter(glob: str, include_hosts: bool, include_groups: bool, include_queues: bool) -> Callable[[Change], bool]:
+def _filter(
+    glob: str, include_hosts: bool, include_groups: bool, include_queues: bool
+) -> Callable[[DirectoryChange], bool]:
     matches = matcher(glob)
 
-    def wanted(change: Change) -> bool:
+    def wanted(change: DirectoryChange) -> bool:
         match change.subject:
-            case Host():
+            case HostRecord():
                 return include_hosts
-            case Channel(name=name):
+            case ChannelRecord(name=name):
                 return matches(name)
-            case Group(name=name):
+            case GroupRecord(name=name):
                 return include_groups and matches(name)
-            case Queue(name=name):
+            case QueueRecord(name=name):
                 return include_queues and _matches(name, glob, matches)
-            case Peer():
+            case PeerRecord():
                 return False  # they have a ring of their own
 
     return wanted
 
 
-def _peer_filter(glob: str) -> Callable[[Change], bool]:
+def _peer_filter(glob: str) -> Callable[[DirectoryChange], bool]:
     matches = matcher(glob)
     return lambda change: _matches(change.subject.name, glob, matches)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -41,8 +41,8 @@ class DeleteChannel(Operation):
 class ChannelOpened(Success):
     """The channel and its owner; `created` by this very command."""
 
-    channel: Channel
-    host: Host
+    channel: ChannelRecord
+    host: HostRecord
     created: bool
 
 
@@ -50,11 +50,11 @@ class ChannelOpened(Success):
 class ChannelUpdated(Success):
     """The channel after the change."""
 
-    channel: Channel
+    channel: ChannelRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelDeleted(Success):
     """The channel as it was last."""
 
-    channel: Channel
+    channel: ChannelRecord

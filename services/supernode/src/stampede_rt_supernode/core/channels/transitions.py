@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.channels.commands import (
 from stampede_rt_supernode.core.channels.policies import agree, check_fixed, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
-from stampede_rt_supernode.core.records import Channel, Host
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.replicas.transitions import check_epoch
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import forget_channel, give_owner
@@ -110,7 +110,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
             metadata={"channel": operation.name},
         )
     host = _choose_host(tables, operation)
-    channel = Channel(
+    channel = ChannelRecord(
         channel_id=operation.new_channel_id,
         name=operation.name,
         host_id=host.host_id,
@@ -123,7 +123,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     return ChannelOpened(channel=channel, host=tables.hosts[host.host_id], created=True)
 
 
-def _place_anew(tables: Tables, channel: Channel, operation: OpenChannel) -> Channel:
+def _place_anew(tables: Tables, channel: ChannelRecord, operation: OpenChannel) -> ChannelRecord:
     host = _choose_host(tables, operation, former=tables.hosts[channel.host_id].name)
     return replace(
         channel,
@@ -133,12 +133,12 @@ def _place_anew(tables: Tables, channel: Channel, operation: OpenChannel) -> Cha
     )
 
 
-def fresh_incarnation(channel: Channel, proposed: int) -> int:
+def fresh_incarnation(channel: ChannelRecord, proposed: int) -> int:
     """`proposed`, or its neighbour in the one case in 2**64 that the channel had it already."""
     return proposed if proposed != channel.incarnation else (proposed ^ 1) or 2
 
 
-def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> Host:
+def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> HostRecord:
     """The host asked for; else the live one that bears the `former` owner's name, which is that host restarted without
     its data folder; else the live one with the fewest channels, the first by name of several."""
     if operation.host_name:

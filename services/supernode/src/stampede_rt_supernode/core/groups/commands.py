@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Group, GroupSpec
+from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,7 +40,7 @@ class DeleteGroup(Operation):
 class GroupOpened(Success):
     """The group; `created` by this very command."""
 
-    group: Group
+    group: GroupRecord
     created: bool
 
 
@@ -48,7 +48,7 @@ class GroupOpened(Success):
 class GroupUpdated(Success):
     """The group after the change."""
 
-    group: Group
+    group: GroupRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

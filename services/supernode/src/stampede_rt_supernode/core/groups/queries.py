@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from stampede_rt_supernode.core import queries
 from stampede_rt_supernode.core.glob import fixed_prefix, matcher
-from stampede_rt_supernode.core.records import Channel, Group, Host
+from stampede_rt_supernode.core.records import ChannelRecord, GroupRecord, HostRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
@@ -16,20 +16,20 @@ from stampede_rt_supernode.core.validation import check_id
 class GroupView:
     """A group, those of its members that are there, in the order of its set-up, and their owners, each once."""
 
-    group: Group
-    channels: tuple[Channel, ...]
-    hosts: tuple[Host, ...]
+    group: GroupRecord
+    channels: tuple[ChannelRecord, ...]
+    hosts: tuple[HostRecord, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class GroupPage:
     """Groups in the order of names. `last_name`: the next page begins behind it; None: this was the last."""
 
-    groups: tuple[Group, ...]
+    groups: tuple[GroupRecord, ...]
     last_name: str | None
 
 
-def group_view(tables: Tables, group: Group) -> GroupView:
+def group_view(tables: Tables, group: GroupRecord) -> GroupView:
     """`group` may be as it was earlier; its members are as they are now."""
     found = (tables.channels.get(one) for one in group.spec.channel_ids)
     channels = tuple(channel for channel in found if channel is not None)
@@ -43,7 +43,7 @@ def group_page(tables: Tables, glob: str, channel_id: bytes, after_name: str, gr
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern or id.
     """
     matches, limit = matcher(glob), min(groups_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
-    found: list[Group] = []
+    found: list[GroupRecord] = []
     last_name = None
     for examined, name in enumerate(_names(tables, glob, channel_id, after_name), start=1):
         if len(found) == limit or examined > queries.NAMES_EXAMINED_MAX:

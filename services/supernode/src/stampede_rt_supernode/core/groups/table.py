@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Iterator
 
 from sortedcontainers import SortedDict
 
-from stampede_rt_supernode.core.records import ChangeKind, Group
+from stampede_rt_supernode.core.records import ChangeKind, GroupRecord
 
-Note = Callable[[ChangeKind, Group], None]
-GroupWithWitnesses = tuple[Group, tuple[bytes, ...]]
+Note = Callable[[ChangeKind, GroupRecord], None]
+GroupWithWitnesses = tuple[GroupRecord, tuple[bytes, ...]]
 
 
 class GroupTable:
@@ -21,7 +21,7 @@ class GroupTable:
 
     def __init__(self, entries: Iterable[GroupWithWitnesses], note: Note) -> None:
         self._note = note
-        self.by_id: dict[bytes, Group] = {}
+        self.by_id: dict[bytes, GroupRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the groups
         self._entries: dict[bytes, GroupWithWitnesses] = {}  # by id; host ids ascending, never none
         self._ids_with: dict[bytes, set[bytes]] = {}  # by channel id; only channels that are in a group
@@ -31,12 +31,12 @@ class GroupTable:
     def __len__(self) -> int:
         return len(self.by_id)
 
-    def named(self, name: str) -> Group | None:
+    def named(self, name: str) -> GroupRecord | None:
         """The group of that name, if there is one."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 
-    def with_channel(self, channel_id: bytes) -> list[Group]:
+    def with_channel(self, channel_id: bytes) -> list[GroupRecord]:
         """The groups that a channel is in, in the order of their ids."""
         return [self.by_id[one] for one in sorted(self._ids_with.get(channel_id, ()))]
 
@@ -48,16 +48,16 @@ class GroupTable:
         """(id, (group, its witnesses)) in the order of names."""
         return ((one, self._entries[one]) for one in self.ids.values())
 
-    def witnesses_of(self, group: Group) -> tuple[bytes, ...]:
+    def witnesses_of(self, group: GroupRecord) -> tuple[bytes, ...]:
         """The ids of the hosts that still know its cut, ascending."""
         return self._entries[group.group_id][1]
 
-    def add(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
+    def add(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
         """Its id and name are new, its members are there."""
         self._link(group, witnesses)
         self._note(ChangeKind.ADDED, group)
 
-    def replace(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
+    def replace(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
         """The group of that id, which keeps its name, is now like this. Who knows its cut is nobody else's business."""
         before, held = self._entries[group.group_id]
         if (group, witnesses) == (before, held):
@@ -69,7 +69,7 @@ class GroupTable:
         if group != before:
             self._note(ChangeKind.UPDATED, group)
 
-    def remove(self, group: Group) -> None:
+    def remove(self, group: GroupRecord) -> None:
         """Forget a group that is there."""
         self._unlink_members(group)
         del self.by_id[group.group_id]
@@ -77,20 +77,20 @@ class GroupTable:
         del self._entries[group.group_id]
         self._note(ChangeKind.REMOVED, group)
 
-    def _link(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
+    def _link(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
         self.ids[group.name] = group.group_id
         self._hold(group, witnesses)
         self._link_members(group)
 
-    def _hold(self, group: Group, witnesses: tuple[bytes, ...]) -> None:
+    def _hold(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
         self.by_id[group.group_id] = group
         self._entries[group.group_id] = (group, witnesses)
 
-    def _link_members(self, group: Group) -> None:
+    def _link_members(self, group: GroupRecord) -> None:
         for channel_id in group.spec.channel_ids:
             self._ids_with.setdefault(channel_id, set()).add(group.group_id)
 
-    def _unlink_members(self, group: Group) -> None:
+    def _unlink_members(self, group: GroupRecord) -> None:
         for channel_id in group.spec.channel_ids:
             held = self._ids_with[channel_id]
             held.discard(group.group_id)

@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.groups.commands import (
 )
 from stampede_rt_supernode.core.groups.specs import MEMBERS_MAX, check_spec, same_spec
 from stampede_rt_supernode.core.lookups import channel_by_id, group_by_id, no_such_group
-from stampede_rt_supernode.core.records import Group
+from stampede_rt_supernode.core.records import GroupRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
@@ -92,7 +92,7 @@ def _create(tables: Tables, operation: OpenGroup) -> GroupOpened:
     if len(tables.groups) >= GROUPS_MAX:
         text = f"group {operation.name} cannot be made: the directory holds {GROUPS_MAX} groups, which is the most"
         raise Overloaded(f"{text}; delete some", metadata={"group": operation.name})
-    group = Group(
+    group = GroupRecord(
         group_id=operation.new_group_id,
         name=operation.name,
         spec=spec,
@@ -130,7 +130,7 @@ def update_group(tables: Tables, operation: UpdateGroup) -> GroupUpdated:
     return GroupUpdated(group=_with_members(tables, group, (*staying, *coming)))
 
 
-def _with_members(tables: Tables, group: Group, channel_ids: tuple[bytes, ...]) -> Group:
+def _with_members(tables: Tables, group: GroupRecord, channel_ids: tuple[bytes, ...]) -> GroupRecord:
     if channel_ids == group.spec.channel_ids:
         return group
     spec = replace(group.spec, channel_ids=channel_ids)
@@ -166,7 +166,7 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
         _witnessed(tables, tables.groups.by_id[group_id], restarted)
 
 
-def _witnessed(tables: Tables, group: Group, restarted: bytes | None = None) -> Group:
+def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:
     """Store `group` with those of its witnesses that still are; without any, under a new incarnation with all hosts."""
     hosts = _hosts_of(tables, group)
     left = tuple(one for one in tables.groups.witnesses_of(group) if one in hosts and one != restarted)
@@ -177,5 +177,5 @@ def _witnessed(tables: Tables, group: Group, restarted: bytes | None = None) -> 
     return group
 
 
-def _hosts_of(tables: Tables, group: Group) -> tuple[bytes, ...]:
+def _hosts_of(tables: Tables, group: GroupRecord) -> tuple[bytes, ...]:
     return tuple(sorted({tables.channels[one].host_id for one in group.spec.channel_ids}))

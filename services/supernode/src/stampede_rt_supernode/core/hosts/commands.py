@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Endpoint, Host
+from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,7 +42,7 @@ class ExpireHost(Operation):
 class HostRegistered(Success):
     """The host is in."""
 
-    host: Host
+    host: HostRecord
     cluster_id: str
 
 

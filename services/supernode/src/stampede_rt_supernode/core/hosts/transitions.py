@@ -13,7 +13,7 @@ from stampede_rt_supernode.core.channels.transitions import fresh_incarnation
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
 from stampede_rt_supernode.core.queues.placement import house_waiting_mailboxes, renew_queues
-from stampede_rt_supernode.core.records import Host
+from stampede_rt_supernode.core.records import HostRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import end_registration, give_owner
 from stampede_rt_supernode.core.validation import (
@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.validation import (
 HOSTS_MAX = 10_000
 
 
-def register_host(tables: Tables, operation: RegisterHost) -> Host:
+def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
     """A host enters, or enters again. A new boot incarnation means that it lost its items: in this one step all its
     channels and queues get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where
     they are."""
@@ -38,7 +38,7 @@ def register_host(tables: Tables, operation: RegisterHost) -> Host:
         text = f"host {operation.name} cannot register: the directory holds {HOSTS_MAX} hosts, which is the most"
         raise Overloaded(text, metadata={"host": operation.name})
     tables.put_host(
-        Host(
+        HostRecord(
             host_id=operation.host_id,
             name=operation.name,
             gatekeepers=operation.gatekeepers,
@@ -103,7 +103,7 @@ def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
         tables.put_host(replace(host, lease_ended_unix_nano=None))
 
 
-def check_boot(host: Host, boot_incarnation: int) -> None:
+def check_boot(host: HostRecord, boot_incarnation: int) -> None:
     """Raises LeaseExpired if the lease belongs to another start of the host's process."""
     if host.boot_incarnation != boot_incarnation:
         raise LeaseExpired(
@@ -127,6 +127,6 @@ def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nan
     return True
 
 
-def _end(tables: Tables, host: Host, lost_unix_nano: int | None = None) -> None:
+def _end(tables: Tables, host: HostRecord, lost_unix_nano: int | None = None) -> None:
     tables.put_host(replace(host, alive=False, lease_ended_unix_nano=lost_unix_nano))
     end_registration(tables, host.host_id)

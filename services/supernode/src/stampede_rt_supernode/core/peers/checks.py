@@ -6,7 +6,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError, error_for
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.queues.specs import check_queue_spec
-from stampede_rt_supernode.core.records import Peer
+from stampede_rt_supernode.core.records import PeerRecord
 from stampede_rt_supernode.core.validation import (
     VERSION_CHARACTERS_MAX,
     ZONE_CHARACTERS_MAX,
@@ -84,7 +84,7 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
         raise InvalidArgument(text, metadata={"peer": shown, "field": "attributes"})
 
 
-def check_may_follow(before: Peer, operation: RegisterPeer) -> None:
+def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
     """Whether `operation` may take the place of a live peer: the same process may, and a caller with its proof.
 
     A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS.
@@ -96,7 +96,7 @@ def check_may_follow(before: Peer, operation: RegisterPeer) -> None:
     raise _peer_exists(before)
 
 
-def _peer_exists(before: Peer) -> StampedeError:
+def _peer_exists(before: PeerRecord) -> StampedeError:
     shown = before.name or before.peer_id.hex()
     return error_for(
         "PEER_EXISTS",

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Host, Peer, Queue, QueueSpec
+from stampede_rt_supernode.core.records import HostRecord, PeerRecord, QueueRecord, QueueSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,9 +57,9 @@ class ExpirePeers(Operation):
 class PeerRegistered(Success):
     """The peer is in. `mailbox` and its host are None if it has no name; `mailbox_kept`: with what it held before."""
 
-    peer: Peer
-    mailbox: Queue | None
-    mailbox_host: Host | None
+    peer: PeerRecord
+    mailbox: QueueRecord | None
+    mailbox_host: HostRecord | None
     mailbox_kept: bool
     cluster_id: str
 

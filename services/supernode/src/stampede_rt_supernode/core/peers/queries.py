@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from stampede_rt_supernode.core import queries
 from stampede_rt_supernode.core.glob import fixed_prefix, matcher
 from stampede_rt_supernode.core.peers.table import PeerKey
-from stampede_rt_supernode.core.records import Peer
+from stampede_rt_supernode.core.records import PeerRecord
 from stampede_rt_supernode.core.tables import Tables
 
 BEGINNING: PeerKey = (False, "", b"")
@@ -18,7 +18,7 @@ class PeerPage:
     """Peers in the order of names, the nameless ones last. `last`: the next page begins behind it; None: this was the
     last."""
 
-    peers: tuple[Peer, ...]
+    peers: tuple[PeerRecord, ...]
     last: PeerKey | None
 
 
@@ -29,7 +29,7 @@ def peer_page(tables: Tables, glob: str, after: PeerKey, peers_max: int, *, incl
     """
     matches, limit = matcher(glob), min(peers_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     prefix = fixed_prefix(glob)
-    found: list[Peer] = []
+    found: list[PeerRecord] = []
     last: PeerKey | None = None
     first = max(after, (False, prefix, b""))
     for examined, key in enumerate(tables.peers.keys.irange(minimum=first, inclusive=(first != after, True)), start=1):

@@ -22,7 +22,7 @@ from stampede_rt_supernode.core.peers.commands import (
 from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
 from stampede_rt_supernode.core.queues.specs import MAILBOX_UNSTATED, merge
 from stampede_rt_supernode.core.queues.transitions import check_dead_letter, check_room
-from stampede_rt_supernode.core.records import Peer, Queue, QueueSpec
+from stampede_rt_supernode.core.records import PeerRecord, QueueRecord, QueueSpec
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
@@ -57,7 +57,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
     )
 
 
-def _replaced(tables: Tables, operation: RegisterPeer, holder: Peer | None) -> list[Peer]:
+def _replaced(tables: Tables, operation: RegisterPeer, holder: PeerRecord | None) -> list[PeerRecord]:
     """The live peers whose place this one takes: that of its id, and that of its name. Raises PEER_EXISTS."""
     same_id = tables.peers.by_id.get(operation.peer_id)
     found = {one.peer_id: one for one in (same_id, holder) if one is not None and one.alive}
@@ -66,11 +66,11 @@ def _replaced(tables: Tables, operation: RegisterPeer, holder: Peer | None) -> l
     return list(found.values())
 
 
-def _mailbox_of(tables: Tables, peer: Peer) -> Queue | None:
+def _mailbox_of(tables: Tables, peer: PeerRecord) -> QueueRecord | None:
     return None if peer.mailbox_queue_id is None else tables.queues.by_id[peer.mailbox_queue_id]
 
 
-def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: Queue | None) -> Queue:
+def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: QueueRecord | None) -> QueueRecord:
     """The mailbox as it will be. Where it is already, it stays, unless that host is gone."""
     shown = f"the mailbox of peer {operation.name}"
     if former is None:
@@ -89,8 +89,8 @@ def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: Queue | No
     return begun_anew(mailbox, host, operation.new_incarnation)
 
 
-def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Queue:
-    return Queue(
+def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> QueueRecord:
+    return QueueRecord(
         queue_id=operation.new_mailbox_id,
         name="",
         host_id=host_id,
@@ -102,7 +102,7 @@ def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Qu
     )
 
 
-def _clear_away(tables: Tables, before: Peer, peer_id: bytes, *, kept: Queue | None) -> None:
+def _clear_away(tables: Tables, before: PeerRecord, peer_id: bytes, *, kept: QueueRecord | None) -> None:
     """Another registration takes this one's place: its mailbox goes unless it is kept, and so does another id."""
     mailbox = _mailbox_of(tables, before)
     if mailbox is not None and (kept is None or mailbox.queue_id != kept.queue_id):
@@ -111,8 +111,8 @@ def _clear_away(tables: Tables, before: Peer, peer_id: bytes, *, kept: Queue | N
         tables.peers.remove(before, tables.index)
 
 
-def _peer(tables: Tables, operation: RegisterPeer, mailbox: Queue | None, now_unix_nano: int) -> Peer:
-    return Peer(
+def _peer(tables: Tables, operation: RegisterPeer, mailbox: QueueRecord | None, now_unix_nano: int) -> PeerRecord:
+    return PeerRecord(
         peer_id=operation.peer_id,
         name=operation.name,
         boot_incarnation=operation.boot_incarnation,
@@ -141,7 +141,7 @@ def deregister_peer(tables: Tables, operation: DeregisterPeer) -> None:
     tables.peers.remove(peer, tables.index)
 
 
-def check_peer_boot(peer: Peer, boot_incarnation: int) -> None:
+def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
     """Raises LeaseExpired if the lease belongs to another start of the peer's process."""
     if peer.boot_incarnation != boot_incarnation:
         shown = peer.name or peer.peer_id.hex()
@@ -170,7 +170,7 @@ def _expire(tables: Tables, lease: PeerLease) -> bool:
     return True
 
 
-def _drop_mailbox(tables: Tables, peer: Peer) -> None:
+def _drop_mailbox(tables: Tables, peer: PeerRecord) -> None:
     mailbox = _mailbox_of(tables, peer)
     if mailbox is not None:
         tables.remove_queue(mailbox)

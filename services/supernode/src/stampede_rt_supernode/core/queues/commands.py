@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Host, Queue, QueueSpec
+from stampede_rt_supernode.core.records import HostRecord, QueueRecord, QueueSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,8 +40,8 @@ class DeleteQueue(Operation):
 class QueueOpened(Success):
     """The queue and its owner; `created` by this very command."""
 
-    queue: Queue
-    host: Host
+    queue: QueueRecord
+    host: HostRecord
     created: bool
 
 
@@ -49,11 +49,11 @@ class QueueOpened(Success):
 class QueueUpdated(Success):
     """The queue after the change."""
 
-    queue: Queue
+    queue: QueueRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueDeleted(Success):
     """The queue as it was last."""
 
-    queue: Queue
+    queue: QueueRecord

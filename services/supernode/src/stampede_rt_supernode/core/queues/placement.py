@@ -10,11 +10,11 @@ from dataclasses import replace
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.lookups import host_by_name
-from stampede_rt_supernode.core.records import Host, Queue
+from stampede_rt_supernode.core.records import HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 
 
-def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> Host:
+def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> HostRecord:
     """The live host asked for; else the one that bears the `former` owner's name; else the one with the fewest channels
     and queues, the first by name of several. Raises InvalidName, HostNotFound, or Unavailable with reason NO_HOST."""
     if host_name:
@@ -30,21 +30,21 @@ def choose_host(tables: Tables, queue: str, host_name: str, former: str | None =
     return least
 
 
-def _least_loaded(tables: Tables) -> Host | None:
-    def load(host: Host) -> int:
+def _least_loaded(tables: Tables) -> HostRecord | None:
+    def load(host: HostRecord) -> int:
         return host.channels + tables.queues.count_at(host.host_id)
 
     return min(tables.live_hosts(), key=load, default=None)
 
 
-def begun_anew(queue: Queue, host: Host, incarnation: int) -> Queue:
+def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueRecord:
     """`queue` at `host`, empty: under the next epoch and another incarnation, `incarnation` unless it had that."""
     if incarnation == queue.incarnation:
         incarnation = (incarnation + 1) % 2**64 or 1
     return replace(queue, host_id=host.host_id, epoch=queue.epoch + 1, incarnation=incarnation)
 
 
-def renew_queues(tables: Tables, host: Host, incarnation: int) -> None:
+def renew_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
     """A host has started anew: what it held is gone, and its queues and mailboxes begin anew where they are."""
     for queue in tables.queues.at(host.host_id):
         tables.put_queue(begun_anew(queue, host, incarnation))

@@ -8,7 +8,7 @@ from itertools import chain, islice
 
 from stampede_rt_supernode.core import queries
 from stampede_rt_supernode.core.glob import fixed_prefix, matcher
-from stampede_rt_supernode.core.records import Host, Queue
+from stampede_rt_supernode.core.records import HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 
 HOST_QUEUES_MAX = 1000
@@ -22,8 +22,8 @@ class QueuePage:
     """Queues in the order of names, then mailboxes in the order of their peers' names. `last`: the next page begins
     behind it; None: this was the last."""
 
-    queues: tuple[Queue, ...]
-    hosts: tuple[Host, ...]
+    queues: tuple[QueueRecord, ...]
+    hosts: tuple[HostRecord, ...]
     last: Place | None
 
 
@@ -33,7 +33,7 @@ def queue_page(tables: Tables, glob: str, after: Place, queues_max: int, *, mail
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
     """
     matches, limit = matcher(glob), min(queues_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
-    found: list[Queue] = []
+    found: list[QueueRecord] = []
     last: Place | None = None
     for examined, (place, queue) in enumerate(_behind(tables, glob, after, mailboxes), start=1):
         if len(found) == limit or examined > queries.NAMES_EXAMINED_MAX:
@@ -44,9 +44,9 @@ def queue_page(tables: Tables, glob: str, after: Place, queues_max: int, *, mail
     return QueuePage(tuple(found), _owners(tables, found), None)
 
 
-def _behind(tables: Tables, glob: str, after: Place, mailboxes: bool) -> Iterator[tuple[Place, Queue]]:
+def _behind(tables: Tables, glob: str, after: Place, mailboxes: bool) -> Iterator[tuple[Place, QueueRecord]]:
     prefix, (among_mailboxes, name) = fixed_prefix(glob), after
-    named: Iterator[tuple[Place, Queue]] = iter(())
+    named: Iterator[tuple[Place, QueueRecord]] = iter(())
     if not among_mailboxes:
         names = queries.names_from(tables.queues.ids, prefix, name)
         named = (((False, one), tables.queues.by_id[tables.queues.ids[one]]) for one in names)
@@ -56,17 +56,17 @@ def _behind(tables: Tables, glob: str, after: Place, mailboxes: bool) -> Iterato
     return chain(named, (((True, one), _mailbox_of(tables, one)) for one in peers))
 
 
-def _mailbox_of(tables: Tables, peer_name: str) -> Queue:
+def _mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
     """Of a live peer, which has a mailbox since it has a name."""
     mailbox_id = tables.peers.by_id[tables.peers.ids[peer_name]].mailbox_queue_id
     assert mailbox_id is not None
     return tables.queues.by_id[mailbox_id]
 
 
-def _owners(tables: Tables, queues: list[Queue]) -> tuple[Host, ...]:
+def _owners(tables: Tables, queues: list[QueueRecord]) -> tuple[HostRecord, ...]:
     return tuple(tables.hosts[host_id] for host_id in dict.fromkeys(queue.host_id for queue in queues))
 
 
-def queues_of(tables: Tables, host_id: bytes) -> tuple[Queue, ...]:
+def queues_of(tables: Tables, host_id: bytes) -> tuple[QueueRecord, ...]:
     """The queues and mailboxes that a host owns, 1000 at most."""
     return tuple(islice(tables.queues.at(host_id), HOST_QUEUES_MAX))

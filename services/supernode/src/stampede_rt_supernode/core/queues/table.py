@@ -6,17 +6,17 @@ from collections.abc import Callable, Iterable
 
 from sortedcontainers import SortedDict
 
-from stampede_rt_supernode.core.records import ChangeKind, Queue
+from stampede_rt_supernode.core.records import ChangeKind, QueueRecord
 
-Note = Callable[[ChangeKind, Queue], None]
+Note = Callable[[ChangeKind, QueueRecord], None]
 
 
 class QueueTable:
     """`note` is told of every change. Edit it through `Tables`, which forgets hosts that nothing belongs to."""
 
-    def __init__(self, queues: Iterable[Queue], note: Note) -> None:
+    def __init__(self, queues: Iterable[QueueRecord], note: Note) -> None:
         self._note = note
-        self.by_id: dict[bytes, Queue] = {}
+        self.by_id: dict[bytes, QueueRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the queues that are no mailboxes
         self._ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that own a queue
         self._feeding: dict[bytes, set[bytes]] = {}  # by the id of a dead-letter queue: the queues that name it
@@ -26,12 +26,12 @@ class QueueTable:
     def __len__(self) -> int:
         return len(self.by_id)
 
-    def named(self, name: str) -> Queue | None:
+    def named(self, name: str) -> QueueRecord | None:
         """The queue of that name, if there is one."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 
-    def at(self, host_id: bytes) -> list[Queue]:
+    def at(self, host_id: bytes) -> list[QueueRecord]:
         """The queues and mailboxes that a host owns, in the order of their ids."""
         return [self.by_id[one] for one in sorted(self._ids_at.get(host_id, ()))]
 
@@ -39,11 +39,11 @@ class QueueTable:
         """How many queues and mailboxes a host owns."""
         return len(self._ids_at.get(host_id, ()))
 
-    def feeding(self, queue_id: bytes) -> list[Queue]:
+    def feeding(self, queue_id: bytes) -> list[QueueRecord]:
         """The queues whose dead-letter queue this is, in the order of their ids."""
         return [self.by_id[one] for one in sorted(self._feeding.get(queue_id, ()))]
 
-    def put(self, queue: Queue) -> None:
+    def put(self, queue: QueueRecord) -> None:
         """The queue of that id, which keeps its name if it is there, is now like this."""
         before = self.by_id.get(queue.queue_id)
         if before == queue:
@@ -53,14 +53,14 @@ class QueueTable:
         self._link(queue)
         self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, queue)
 
-    def remove(self, queue: Queue) -> None:
+    def remove(self, queue: QueueRecord) -> None:
         """Forget a queue that is there, and that is nobody's dead-letter queue."""
         self._unlink(queue)
         del self.by_id[queue.queue_id]
         self.ids.pop(queue.name, None)
         self._note(ChangeKind.REMOVED, queue)
 
-    def _link(self, queue: Queue) -> None:
+    def _link(self, queue: QueueRecord) -> None:
         self.by_id[queue.queue_id] = queue
         if queue.mailbox_peer_id is None:
             self.ids[queue.name] = queue.queue_id
@@ -68,7 +68,7 @@ class QueueTable:
         if queue.spec.dead_letter_queue_id is not None:
             self._feeding.setdefault(queue.spec.dead_letter_queue_id, set()).add(queue.queue_id)
 
-    def _unlink(self, queue: Queue) -> None:
+    def _unlink(self, queue: QueueRecord) -> None:
         _discard(self._ids_at, queue.host_id, queue.queue_id)
         if queue.spec.dead_letter_queue_id is not None:
             _discard(self._feeding, queue.spec.dead_letter_queue_id, queue.queue_id)

@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.queues.commands import (
 )
 from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
 from stampede_rt_supernode.core.queues.specs import agree, check_queue_spec, merge
-from stampede_rt_supernode.core.records import Queue, QueueSpec
+from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
@@ -73,11 +73,11 @@ def open_queue_unchanged(tables: Tables, operation: OpenQueue) -> QueueOpened | 
     return QueueOpened(queue=queue, host=host, created=False) if unchanged and host.alive else None
 
 
-def _agreed(tables: Tables, queue: Queue, asked: QueueSpec) -> Queue:
+def _agreed(tables: Tables, queue: QueueRecord, asked: QueueSpec) -> QueueRecord:
     return _with_spec(tables, queue, agree(queue.name, queue.spec, asked))
 
 
-def _with_spec(tables: Tables, queue: Queue, spec: QueueSpec) -> Queue:
+def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueRecord:
     """`queue` with this set-up, and a new version if it is another one."""
     if spec == queue.spec:
         return queue
@@ -91,7 +91,7 @@ def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
     check_room(tables, f"queue {operation.name}")
     check_dead_letter(tables, operation.new_queue_id, operation.name, operation.spec)
     host = choose_host(tables, f"queue {operation.name}", operation.host_name)
-    queue = Queue(
+    queue = QueueRecord(
         queue_id=operation.new_queue_id,
         name=operation.name,
         host_id=host.host_id,
@@ -144,7 +144,7 @@ def update_queue(tables: Tables, operation: UpdateQueue) -> QueueUpdated:
     return QueueUpdated(queue=changed)
 
 
-def _check_epoch(queue: Queue, epoch: int) -> None:
+def _check_epoch(queue: QueueRecord, epoch: int) -> None:
     """Raises StaleBinding with reason WRONG_EPOCH."""
     if epoch != queue.epoch:
         shown = queue.name or queue.queue_id.hex()

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Host, Replica, ReplicaKind
+from stampede_rt_supernode.core.records import HostRecord, ReplicaKind, ReplicaRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,8 +44,8 @@ class SetReplicaInSync(Operation):
 class ReplicaAdded(Success):
     """The copy, and the host that is to hold it."""
 
-    replica: Replica
-    host: Host
+    replica: ReplicaRecord
+    host: HostRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -57,4 +57,4 @@ class ReplicaRemoved(Success):
 class ReplicaInSyncSet(Success):
     """The copy after the change."""
 
-    replica: Replica
+    replica: ReplicaRecord

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from stampede_rt.errors import ChannelExists, HostNotFound, InvalidArgument, StaleBinding, Unavailable
 from stampede_rt_supernode.core.lookups import channel_by_id
-from stampede_rt_supernode.core.records import Channel, Host, Replica, ReplicaKind
+from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
     AddReplica,
     RemoveReplica,
@@ -50,7 +50,7 @@ def check_set_in_sync(operation: SetReplicaInSync) -> None:
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
 
 
-def check_epoch(channel: Channel, epoch: int) -> None:
+def check_epoch(channel: ChannelRecord, epoch: int) -> None:
     """Raises StaleBinding with reason WRONG_EPOCH."""
     if epoch != channel.epoch:
         raise StaleBinding(
@@ -74,7 +74,7 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
     if len(held) >= REPLICAS_MAX:
         text = f"channel {channel.name} has {REPLICAS_MAX} copies, which is the most; remove one first"
         raise InvalidArgument(text, metadata={"channel": channel.name})
-    replica = Replica(
+    replica = ReplicaRecord(
         channel_id=channel.channel_id,
         host_id=host.host_id,
         boot_incarnation=host.boot_incarnation,
@@ -87,7 +87,7 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
     return ReplicaAdded(replica=replica, host=host)
 
 
-def _choose_host(tables: Tables, channel: Channel, host_id: bytes) -> Host:
+def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> HostRecord:
     """The live host asked for; else the live one with the fewest channels and copies that has none of this channel."""
     if host_id:
         host = tables.hosts.get(host_id)
@@ -110,7 +110,9 @@ def _choose_host(tables: Tables, channel: Channel, host_id: bytes) -> Host:
     return least
 
 
-def _same_kind(channel: Channel, host: Host, there: Replica | None, kind: ReplicaKind) -> Replica:
+def _same_kind(
+    channel: ChannelRecord, host: HostRecord, there: ReplicaRecord | None, kind: ReplicaKind
+) -> ReplicaRecord:
     if there is not None and there.kind is kind:
         return there
     holds = "owns it" if there is None else f"holds a {there.kind.value} copy of it"
@@ -121,7 +123,7 @@ def _same_kind(channel: Channel, host: Host, there: Replica | None, kind: Replic
     )
 
 
-def _source(tables: Tables, channel: Channel, operation: AddReplica) -> bytes:
+def _source(tables: Tables, channel: ChannelRecord, operation: AddReplica) -> bytes:
     source = operation.source_host_id or channel.host_id
     if source == channel.host_id:
         return source
@@ -142,7 +144,7 @@ def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
     return ReplicaRemoved()
 
 
-def drop_copy(tables: Tables, channel: Channel, host_id: bytes) -> None:
+def drop_copy(tables: Tables, channel: ChannelRecord, host_id: bytes) -> None:
     """Forget the copy of `channel` at a host, if there is one."""
     held = tables.replicas.of(channel.channel_id)
     left = tuple(one for one in held if one.host_id != host_id)
@@ -150,12 +152,12 @@ def drop_copy(tables: Tables, channel: Channel, host_id: bytes) -> None:
         store(tables, channel, tuple(_fed(one, {host_id}, channel.host_id) for one in left))
 
 
-def _fed(replica: Replica, gone: set[bytes], owner: bytes) -> Replica:
+def _fed(replica: ReplicaRecord, gone: set[bytes], owner: bytes) -> ReplicaRecord:
     """`replica`, fed by the owner if its source is gone."""
     return replace(replica, source_host_id=owner) if replica.source_host_id in gone else replica
 
 
-def adopted(tables: Tables, before: Channel, after: Channel) -> tuple[Replica, ...]:
+def adopted(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
     """The copies of a channel that gets another owner or begins anew, as `after` has them: the owner's own is none any
     more, what the former one fed is fed by the new one, and nobody is in sync with an owner that has just begun."""
     left = (one for one in tables.replicas.of(before.channel_id) if one.host_id != after.host_id)
@@ -163,7 +165,7 @@ def adopted(tables: Tables, before: Channel, after: Channel) -> tuple[Replica, .
     return tuple(replace(one, in_sync=False, epoch=after.epoch) for one in moved)
 
 
-def store(tables: Tables, channel: Channel, replicas: tuple[Replica, ...]) -> None:
+def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord, ...]) -> None:
     """`channel` is now like this, with these copies; watchers hear of it if its record is another."""
     tables.replicas.store(channel.channel_id, replicas)
     host_ids = tuple(one.host_id for one in replicas)
@@ -194,6 +196,6 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
     return ReplicaInSyncSet(replica=changed)
 
 
-def _no_copy(channel: Channel, host_id: bytes, what: str) -> HostNotFound:
+def _no_copy(channel: ChannelRecord, host_id: bytes, what: str) -> HostNotFound:
     text = f"channel {channel.name}: host {host_id.hex()} {what}"
     return HostNotFound(text, metadata={"channel": channel.name, "host_id": host_id.hex()})
