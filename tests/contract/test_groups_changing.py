@@ -182,7 +182,7 @@ async def test_what_is_under_way_goes_on_over_broken_streams_without_a_gap_or_a_
     async with group[left].subscribe() as items, group.subscribe() as cuts, group.match(left, "1ms") as matches:
         times: dict[str, list[int]] = {"items": [], "cuts": [], "matches": []}
         for step in (2, 3, 4, 5):
-            for stream in (items._stream, matches._stream, *(talk.conversation for talk in cuts._talks)):
+            for stream in (items._stream, matches._stream, *(one.conversation for one in cuts._streams)):
                 assert stream is not None
                 stream._call.cancel()
             await put_all([left, right], base + step * SECOND)

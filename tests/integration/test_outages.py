@@ -153,7 +153,7 @@ def test_a_connection_that_was_cut_is_counted_and_nothing_is_missed(cluster: Loc
                 assert next(items).payload == b"%d" % number
                 assert next(matches)[camera].payload == b"%d" % number
                 assert (items.reconnects, matches.reconnects, cuts.reconnects) == (number, number, number)
-                cuts._talks[0].conversation._call.cancel()
+                cuts._streams[0].conversation._call.cancel()
                 for stream in (items, matches):
                     stream._stream._call.cancel()  # type: ignore[attr-defined]
                 camera.put(b"between", time=st.now() - 10**9)

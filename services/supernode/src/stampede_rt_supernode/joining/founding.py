@@ -103,8 +103,9 @@ def note_started(data_dir: Path, founding: Founding) -> Founding:
 def restoring(data_dir: Path) -> Iterator[None]:
     """Mark the folder while the block writes into it: whoever finds the mark later knows that it was cut off.
 
-    A block that fails before anything is there leaves none.
+    A block that fails before anything is there leaves neither a mark nor a folder that was not there before.
     """
+    is_new = not data_dir.exists()
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     mark = data_dir / RESTORING_NAME
     mark.touch(0o600)
@@ -113,6 +114,9 @@ def restoring(data_dir: Path) -> Iterator[None]:
     except BaseException:
         if not holds_store(data_dir):
             mark.unlink()
+            if is_new:
+                with contextlib.suppress(OSError):  # something else is in it
+                    data_dir.rmdir()
         raise
     mark.unlink()
 
