@@ -139,7 +139,7 @@ async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:
         calls = [stub(ground, ChannelServiceStub).Get(metadata=ground.metadata) for _ in range(STREAMS)]
         under_way()
         for call_id in range(1, 17):
-            request = pb.GetRequest(call_id=call_id, interval=_everything(), **known)
+            request = pb.GetRequest(call_id=call_id, interval=everything(), **known)
             await all_of(*(call.write(request) for call in calls))
         await for_ever()
 
@@ -185,7 +185,7 @@ async def _held(channel: Any) -> None:
         await channel.put(bytes(MIB))
 
 
-def _everything() -> time_pb2.Interval:
+def everything() -> time_pb2.Interval:
     return time_pb2.Interval(
         start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT), end=time_pb2.Bound(instant_unix_nano=MAX_INSTANT)
     )

@@ -26,7 +26,7 @@ from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
 from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt.wire.runs import encode_run
 from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground, all_of, for_ever
-from tests.benchmarks.attacks.memory import MIB, NAME, STREAMS, put_all, stub
+from tests.benchmarks.attacks.memory import MIB, NAME, STREAMS, everything, put_all, stub
 
 ITEMS, RUN_ITEMS, GETTERS = 50_000, 250, 8
 SUBSCRIPTIONS, SUBSCRIPTIONS_OF_ONE_CONNECTION = 3000, 1000
@@ -38,17 +38,18 @@ async def large_gets(ground: Ground, under_way: Callable[[], None]) -> None:
     """8 callers get all of 50,000 items, again and again."""
     async with ground.connect() as rt:
         await rt.channel(NAME, max_items=ITEMS)
-        await put_all(ground, NAME, [encode_run([b"x" * 20] * RUN_ITEMS, times=None)] * (ITEMS // RUN_ITEMS))
+        await put_all(ground, NAME, [encode_run([b"x" * 20], times=None)] * ITEMS)
+        known = await ground.bound(NAME)
         under_way()
-        await all_of(*(_get_again_and_again(ground) for _ in range(GETTERS)))
+        await all_of(*(_get_again_and_again(ground, known) for _ in range(GETTERS)))
 
 
-async def _get_again_and_again(ground: Ground) -> None:
-    async with ground.connect() as rt:
-        channel = await rt.channel(NAME)
-        while True:
-            with suppress(st.StampedeError):
-                await channel.get(st.OLDEST, st.NEWEST)
+async def _get_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
+    call: Any = stub(ground, ChannelServiceStub).Get(metadata=ground.metadata)
+    for call_id in itertools.count(1):
+        await call.write(pb.GetRequest(call_id=call_id, interval=everything(), **known))
+        while not (response := await call.read()).HasField("summary"):
+            assert not response.HasField("error"), response.error
 
 
 async def many_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
