@@ -177,6 +177,7 @@ async def host_gone(supernode: Supernode, number: int) -> None:
     ("argv", "message"),
     [
         (("--members", "s1=localhost:1,s1=localhost:2", "--id", "s1"), "names an id twice"),
+        (("--members", "s1=localhost:1,s2=localhost:1", "--id", "s1"), "names an address twice"),
         (("--members", "s1=localhost:1,s2=localhost:2"), "--id is ''"),
         (("--members", "s1"), "ID=HOST:PORT"),
         (("--members", "s1=localhost:1", "--id", "s1", "--listen", "localhost:0"), "a port that the others know"),

@@ -85,6 +85,10 @@ class SupernodeSettings(ServiceSettings):
             parse_name(name, "supernode")
         if len(set(ids)) != len(ids):
             raise ValueError(f"--members names an id twice: {', '.join(ids)}; every member has an id of its own")
+        addresses = [member.partition("=")[2] for member in self.members]
+        if len(set(addresses)) != len(addresses):
+            text = f"--members names an address twice: {', '.join(addresses)}"
+            raise ValueError(f"{text}; every member has an address of its own")
         if len(ids) > MEMBERS_MAX:
             raise ValueError(f"--members names {len(ids)} members; {MEMBERS_MAX} at most")
         if self.members and self.id not in ids:
