@@ -1,11 +1,13 @@
 """Hostile callers beside good ones, in processes: what must hold on any machine, however busy.
 
-`python -m tests.benchmarks.attacks` measures the same attacks, and more of them.
+`python -m tests.benchmarks.attacks` measures the same attacks, and more of them. The suite plays a few, and
+`make robustness` plays all.
 """
 
 from __future__ import annotations
 
 import pytest
+from _pytest.mark.structures import ParameterSet
 
 from tests.benchmarks.attacks.trial import Found, trial
 
@@ -13,6 +15,11 @@ pytestmark = pytest.mark.timeout(120)
 SECONDS = 2.0
 BUDGET_MIB = 64  # of the host
 MARGIN_MIB = 100
+
+
+def rare(*names: str) -> list[ParameterSet]:
+    """Attacks that only long runs play."""
+    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 async def attacked(name: str) -> Found:
@@ -23,7 +30,7 @@ async def attacked(name: str) -> Found:
     return found
 
 
-@pytest.mark.parametrize("name", ["health-headers", "unfinished-health", "resets", "idle-connections"])
+@pytest.mark.parametrize("name", ["resets", *rare("health-headers", "unfinished-health", "idle-connections")])
 async def test_a_caller_without_credential_takes_no_call_no_lease_and_no_memory_from_others(name: str) -> None:
     found = await attacked(name)
     assert found.after_mib < found.before_mib + MARGIN_MIB
@@ -36,14 +43,9 @@ async def test_what_is_no_request_leaves_nothing_in_the_logs() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "repeated-fields",
-        "refused-runs",
-        "unknown-fields",
         "waiting-puts",
-        "waiting-enqueues",
-        "unfinished-puts",
-        "silent-subscriptions",
-        "silent-takers",
+        *rare("repeated-fields", "refused-runs", "unknown-fields", "waiting-enqueues"),
+        *rare("unfinished-puts", "silent-subscriptions", "silent-takers"),
     ],
 )
 async def test_what_clients_made_a_host_hold_goes_back_to_the_system_and_costs_no_call(name: str) -> None:
