@@ -24,7 +24,6 @@ from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_rec
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
-from stampede_rt_supernode.core.frozen_directory import Still, frozen
 from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
 from stampede_rt_supernode.core.records import (
     ChangeKind,
@@ -34,6 +33,7 @@ from stampede_rt_supernode.core.records import (
     QueueRecord,
     ReplicaRecord,
 )
+from stampede_rt_supernode.core.snapshot_view import SnapshotView, snapshot_view
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
@@ -63,15 +63,15 @@ class SnapshotWriter:
 
         The same state gives the same bytes on every replica.
         """
-        still = frozen(directory, self._channels.position)
-        return lambda: self._write(still)
+        view = snapshot_view(directory, self._channels.position)
+        return lambda: self._write(view)
 
-    def _write(self, still: Still) -> bytes:
-        directory, tables = still.directory, still.directory.tables
+    def _write(self, view: SnapshotView) -> bytes:
+        directory, tables = view.directory, view.directory.tables
         return b"".join(
             [
                 _head(directory),
-                *self._channels.encode(still),
+                *self._channels.encode(view),
                 *self._groups.encode(tables.groups.entries()),
                 *self._replicas.encode(tables.replicas.entries()),
                 *self._queues.encode(sorted(tables.queues.by_id.items())),
@@ -88,13 +88,13 @@ class _ChannelParts:
         self.position: int | None = None
         self._by_name: SortedDict[str, bytes] = SortedDict()
 
-    def encode(self, still: Still) -> Iterator[bytes]:
+    def encode(self, view: SnapshotView) -> Iterator[bytes]:
         """A part for each channel, in the order of names."""
-        if still.changes is None:
-            self._by_name = SortedDict({channel.name: _channel_part(channel) for channel in still.channels})
+        if view.changes is None:
+            self._by_name = SortedDict({channel.name: _channel_part(channel) for channel in view.channels})
         else:
-            self._follow(still.changes)
-        self.position = still.position
+            self._follow(view.changes)
+        self.position = view.position
         return iter(self._by_name.values())
 
     def _follow(self, changes: Iterable[DirectoryChange]) -> None:

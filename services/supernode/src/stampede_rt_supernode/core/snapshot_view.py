@@ -1,7 +1,8 @@
-"""What a snapshot is written from while the directory goes on: copies that stand still. Pure.
+"""A view of the directory that does not change. A snapshot is written from it while the directory goes on. Pure.
 
-The values are immutable, so it is enough to copy what holds them. Of the channels, of which there may be very many,
-only the changes since the snapshot before are taken, as long as they are all kept: a few milliseconds for any number.
+The values are immutable, so the view copies only the tables that hold them. There may be very many channels. Of them
+the view takes only the changes since the last snapshot, if the directory still holds all of these changes. That takes
+a few milliseconds for any number of channels.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Still:
+class SnapshotView:
     """A directory as of one log position. `directory` has no channels, and is good for reading in order alone."""
 
     directory: Directory
@@ -27,7 +28,7 @@ class Still:
     position: int  # behind the newest change
 
 
-def frozen(directory: Directory, since_position: int | None = None) -> Still:
+def snapshot_view(directory: Directory, since_position: int | None = None) -> SnapshotView:
     """The directory as of now; of its channels, what changed since `since_position`, a position of `tables.changes`.
 
     O(changes) for the channels, or O(channels) without a position and when not all changes since then are held.
@@ -35,25 +36,25 @@ def frozen(directory: Directory, since_position: int | None = None) -> Still:
     ring = directory.tables.changes
     page = None if since_position is None else ring.read(since_position, CHANGES_MAX)
     channels = tuple(directory.tables.channels.values()) if page is None else ()
-    return Still(_but_channels(directory), channels, None if page is None else page.changes, ring.end_position)
+    return SnapshotView(_but_channels(directory), channels, None if page is None else page.changes, ring.end_position)
 
 
 def _but_channels(directory: Directory) -> Directory:
-    still = copy(directory)
-    still.tables = _with_copies(directory.tables, "hosts")
-    still.tables.channels = {}
-    still.tables.groups = _with_copies(directory.tables.groups, "ids", "_entries")
-    still.tables.replicas = _with_copies(directory.tables.replicas, "_by_channel")
-    still.tables.queues = _with_copies(directory.tables.queues, "by_id")
-    still.tables.peers = _with_copies(directory.tables.peers, "by_id")
-    still.answered = _with_copies(directory.answered, "_answers")
-    return still
+    view = copy(directory)
+    view.tables = _with_copies(directory.tables, "hosts")
+    view.tables.channels = {}
+    view.tables.groups = _with_copies(directory.tables.groups, "ids", "_entries")
+    view.tables.replicas = _with_copies(directory.tables.replicas, "_by_channel")
+    view.tables.queues = _with_copies(directory.tables.queues, "by_id")
+    view.tables.peers = _with_copies(directory.tables.peers, "by_id")
+    view.answered = _with_copies(directory.answered, "_answers")
+    return view
 
 
 def _with_copies(holder: T, *names: str) -> T:
     """`holder` with these dictionaries copied; sorted ones become plain ones in the same order."""
-    still = copy(holder)
+    view = copy(holder)
     for name in names:
         table = getattr(holder, name)
-        setattr(still, name, table.copy() if type(table) is dict else dict(table.items()))
-    return still
+        setattr(view, name, table.copy() if type(table) is dict else dict(table.items()))
+    return view

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, encode_snapshot
 from stampede_rt_supernode.core.change_ring import CHANGES_MAX
-from stampede_rt_supernode.core.frozen_directory import frozen
+from stampede_rt_supernode.core.snapshot_view import snapshot_view
 from stampede_rt_supernode.replica import DirectoryReplica
 from tests.unit.supernode.operations import (
     Log,
@@ -59,12 +59,12 @@ def test_what_happens_afterwards_is_not_in_it(log: Log, snapshots_before: int) -
 
 
 def test_a_later_one_takes_only_the_channels_that_changed(log: Log) -> None:
-    position = frozen(log.directory).position
+    position = snapshot_view(log.directory).position
     go_on(log)
-    still = frozen(log.directory, position)
-    assert still.changes is not None
-    assert still.channels == ()
-    assert len(still.changes) < len(log.directory.tables.changes._changes)
+    view = snapshot_view(log.directory, position)
+    assert view.changes is not None
+    assert view.channels == ()
+    assert len(view.changes) < len(log.directory.tables.changes._changes)
 
 
 def test_a_channel_that_was_made_again_is_the_new_one(log: Log) -> None:
@@ -79,11 +79,11 @@ def test_a_channel_that_was_made_again_is_the_new_one(log: Log) -> None:
 def test_all_channels_are_written_when_there_were_too_many_changes(log: Log) -> None:
     writer = SnapshotWriter()
     writer.begin(log.directory)()
-    position = frozen(log.directory).position
+    position = snapshot_view(log.directory).position
     for change in [*log.directory.tables.changes._changes][:1] * (CHANGES_MAX + 1):
         log.directory.tables.changes.append(change)
     go_on(log)
-    assert len(frozen(log.directory, position).channels) == len(log.directory.tables.channels)
+    assert len(snapshot_view(log.directory, position).channels) == len(log.directory.tables.channels)
     assert writer.begin(log.directory)() == encode_snapshot(log.directory)
 
 
