@@ -69,7 +69,7 @@ async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
 
 
 async def _cut(world: World, told: Told) -> None:
-    dice = random.Random(1)
+    random_source = random.Random(1)
     while not told.met.is_set():
-        world.relay.cut(dice.choice(CUTS))
-        await asyncio.wait([asyncio.ensure_future(told.met.wait())], timeout=dice.random() * 0.1)
+        world.relay.cut(random_source.choice(CUTS))
+        await asyncio.wait([asyncio.ensure_future(told.met.wait())], timeout=random_source.random() * 0.1)

@@ -69,7 +69,7 @@ class Caller:
 
     def __init__(self, number: int, cluster: Cluster, recorder: Recorder, hosts: list[HostActor], seed: int) -> None:
         self._cluster, self._recorder, self._hosts = cluster, recorder, hosts
-        self._dice = random.Random(f"{seed}-{number}")
+        self._random_source = random.Random(f"{seed}-{number}")
         self._value = 1_000_000 * (number + 1)
         self._seen: dict[str, Seen] = {}
         self.not_done = 0
@@ -78,8 +78,8 @@ class Caller:
         """Call until cancelled."""
         while True:
             age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
-            await self.once(f"robust/{age}-{self._dice.randrange(NAMES_AT_ONCE)}")
-            await asyncio.sleep(self._dice.uniform(0, 2 * pause_s))
+            await self.once(f"robust/{age}-{self._random_source.randrange(NAMES_AT_ONCE)}")
+            await asyncio.sleep(self._random_source.uniform(0, 2 * pause_s))
 
     async def once(self, name: str) -> None:
         """One random call about a name, taken down."""
@@ -103,7 +103,7 @@ class Caller:
                 self._seen.pop(name, None)
 
     def _choose(self, name: str) -> Open | Resolve | Update | Delete:
-        chance, seen = self._dice.random(), self._seen.get(name)
+        chance, seen = self._random_source.random(), self._seen.get(name)
         if seen is None or chance < 0.15:
             return Open(0) if chance < 0.7 else Resolve()
         if chance < 0.5:
@@ -118,20 +118,22 @@ class Caller:
         match call:
             case Open():
                 request = pb.OpenChannelRequest(request_id=request_id(), name=name, create=True)
-                opened = await persist(self._cluster, "OpenChannel", request, self._dice)
+                opened = await persist(self._cluster, "OpenChannel", request, self._random_source)
                 self._check_owner(opened, invoked)
                 return seen_in(opened.channel, created=opened.created)
             case Resolve():
-                found = await persist(self._cluster, "ResolveChannel", pb.ResolveChannelRequest(name=name), self._dice)
+                found = await persist(
+                    self._cluster, "ResolveChannel", pb.ResolveChannelRequest(name=name), self._random_source
+                )
                 self._check_owner(found, invoked)
                 return seen_in(found.channel)
             case Update(channel_id=channel_id, epoch=epoch, value=value):
                 spec = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=value))
                 change = pb.UpdateChannelRequest(request_id=request_id(), channel_id=channel_id, epoch=epoch, spec=spec)
-                return seen_in((await persist(self._cluster, "UpdateChannel", change, self._dice)).channel)
+                return seen_in((await persist(self._cluster, "UpdateChannel", change, self._random_source)).channel)
             case Delete(channel_id=channel_id):
                 forget = pb.DeleteChannelRequest(request_id=request_id(), channel_id=channel_id)
-                await persist(self._cluster, "DeleteChannel", forget, self._dice)
+                await persist(self._cluster, "DeleteChannel", forget, self._random_source)
                 return Deleted()
 
     def _check_owner(self, answer: Any, invoked: float) -> None:
@@ -156,7 +158,7 @@ class HostActor:
         self._name = f"robust-host-{number}"
         self._boot = random.Random(f"boot-{seed}-{number}").getrandbits(64) | 1
         self._cluster = cluster
-        self._dice = random.Random(f"host-{seed}-{number}")
+        self._random_source = random.Random(f"host-{seed}-{number}")
         self._lease = HostLease()
         self._owned: dict[bytes, int] = {}
         self._entered = 0.0
@@ -187,8 +189,10 @@ class HostActor:
                 self._lease.give_up()
             except (NotDone, Unknown, StampedeError, grpc.aio.AioRpcError):
                 self.fenced += not self._held()
-            absent = self._dice.random() < 0.01
-            pause_s = self._dice.uniform(2.5, 5.0) if absent else self._lease.renewal_in_nanos(_boottime()) / 1e9
+            absent = self._random_source.random() < 0.01
+            pause_s = (
+                self._random_source.uniform(2.5, 5.0) if absent else self._lease.renewal_in_nanos(_boottime()) / 1e9
+            )
             await asyncio.sleep(max(0.05, pause_s))
 
     async def _enter(self) -> None:
@@ -201,7 +205,7 @@ class HostActor:
         )
         sent = _boottime()
         who = (Role.HOST, self._name)
-        entered = await persist(self._cluster, "RegisterHost", request, self._dice, seconds=4.0, who=who)
+        entered = await persist(self._cluster, "RegisterHost", request, self._random_source, seconds=4.0, who=who)
         self._owned = {record.channel_id: record.epoch for record in entered.channels}
         self._lease.granted(sent_nanos=sent, ttl_nanos=entered.lease_ttl_nanos)
         self._entered = time.monotonic()
@@ -209,7 +213,7 @@ class HostActor:
 
     async def _renew(self) -> None:
         request = pb.RenewHostLeaseRequest(host_id=self.host_id, boot_incarnation=self._boot)
-        for node in self._dice.sample(self._cluster.supernodes, len(self._cluster.supernodes)):
+        for node in self._random_source.sample(self._cluster.supernodes, len(self._cluster.supernodes)):
             sent = _boottime()
             try:
                 renewed = await node.stub_for(Role.HOST, self._name).RenewHostLease(request, timeout=0.6)

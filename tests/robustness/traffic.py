@@ -25,7 +25,7 @@ class Traffic:
 
     def __init__(self, cluster: Cluster, recorder: Recorder, seed: int) -> None:
         self._cluster, self.recorder = cluster, recorder
-        self._dice = random.Random(f"traffic-{seed}")
+        self._random_source = random.Random(f"traffic-{seed}")
         self._numbers = 0
         self._handles: dict[str, aio.Channel] = {}
         self._rt: aio.Connection | None = None
@@ -50,12 +50,12 @@ class Traffic:
         """Put and read until cancelled: channels come and go, and a few are in use at a time."""
         while True:
             age = int((time.monotonic() - began) / NAMES_CHANGE_SECONDS)
-            await self.once(f"robust-data/{age}-{self._dice.randrange(NAMES_AT_ONCE)}")
-            await asyncio.sleep(self._dice.uniform(0, 2 * PAUSE_SECONDS))
+            await self.once(f"robust-data/{age}-{self._random_source.randrange(NAMES_AT_ONCE)}")
+            await asyncio.sleep(self._random_source.uniform(0, 2 * PAUSE_SECONDS))
 
     async def once(self, name: str) -> None:
         """One random call about one channel, taken down."""
-        chance = self._dice.random()
+        chance = self._random_source.random()
         try:
             channel = await self.open(name)
             if chance < 0.6:

@@ -27,7 +27,7 @@ class CuttingRelay:
     def __init__(self, port: int, to_port: int, seed: int = 0) -> None:
         self._port = port
         self._to_port = to_port
-        self._dice = random.Random(seed)
+        self._random_source = random.Random(seed)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="relay", daemon=True)
         self._ready = threading.Event()
@@ -100,7 +100,7 @@ class CuttingRelay:
             while chunk := await reader.read(CHUNK_BYTES):
                 if self._breaks_off:
                     self._breaks_off = False
-                    writer.write(chunk[: self._dice.randrange(len(chunk))])
+                    writer.write(chunk[: self._random_source.randrange(len(chunk))])
                     await asyncio.sleep(0)  # lets it go out
                     for end in ends:
                         self._end(end, reset=True)

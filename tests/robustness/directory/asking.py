@@ -22,13 +22,13 @@ async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, 
             return outcome
         if isinstance(outcome, StampedeError) and not outcome.retryable:
             raise outcome
-        await world.sleep(0.02 + world.dice.random() * 0.1)
+        await world.sleep(0.02 + world.random_source.random() * 0.1)
     raise _Unanswered("nobody answered in time")
 
 
 def _members(world: DirectoryWorld) -> Iterator[Any]:
     members = list(world.members.values())
-    start = world.dice.randrange(len(members))
+    start = world.random_source.randrange(len(members))
     return itertools.islice(itertools.cycle(members), start, start + 6 * len(members))
 
 

@@ -16,13 +16,17 @@ QUEUES = "queue/"
 FINAL = FINAL_REASONS | {"QUEUE_NOT_FOUND"}
 
 
-def request_of(name: str, call: Call, dice: random.Random) -> tuple[str, Any]:
+def request_of(name: str, call: Call, random_source: random.Random) -> tuple[str, Any]:
     """The RPC and its request. Names below QUEUES are those of queues."""
-    return _queue_request(name, call, dice) if name.startswith(QUEUES) else _channel_request(name, call, dice)
+    return (
+        _queue_request(name, call, random_source)
+        if name.startswith(QUEUES)
+        else _channel_request(name, call, random_source)
+    )
 
 
-def _channel_request(name: str, call: Call, dice: random.Random) -> tuple[str, Any]:
-    identity = dice.randbytes(16)
+def _channel_request(name: str, call: Call, random_source: random.Random) -> tuple[str, Any]:
+    identity = random_source.randbytes(16)
     match call:
         case Open():
             return "OpenChannel", channels_pb.OpenChannelRequest(request_id=identity, name=name, create=True)
@@ -37,8 +41,8 @@ def _channel_request(name: str, call: Call, dice: random.Random) -> tuple[str, A
             return "DeleteChannel", channels_pb.DeleteChannelRequest(request_id=identity, channel_id=channel_id)
 
 
-def _queue_request(name: str, call: Call, dice: random.Random) -> tuple[str, Any]:
-    identity = dice.randbytes(16)
+def _queue_request(name: str, call: Call, random_source: random.Random) -> tuple[str, Any]:
+    identity = random_source.randbytes(16)
     match call:
         case Open():
             return "OpenQueue", queues_pb.OpenQueueRequest(request_id=identity, name=name, create=True)

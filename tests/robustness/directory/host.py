@@ -101,7 +101,7 @@ class SimHost:
 
     def _when_awake(self, call: Any) -> None:
         if self.frozen_until > self.world.now:
-            self.world.at(self.frozen_until + self.world.dice.random() * 0.001, call)
+            self.world.at(self.frozen_until + self.world.random_source.random() * 0.001, call)
         else:
             call()
 
@@ -138,7 +138,7 @@ class SimHost:
 
     async def _enter(self) -> None:
         request = pb.RegisterHostRequest(
-            request_id=self.world.dice.randbytes(16),
+            request_id=self.world.random_source.randbytes(16),
             host_id=self.identity.host_id,
             name=self.identity.name,
             gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],

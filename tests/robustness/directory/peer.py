@@ -33,7 +33,7 @@ class NameOwnership:
             raise PromiseBroken(f"peers {owners} all have the name {name} at one moment")
         alive: list[Any] = list(self._world.alive())
         if alive:
-            self._world.dice.choice(alive).machine.read(check_mailboxes)
+            self._world.random_source.choice(alive).machine.read(check_mailboxes)
 
 
 def check_mailboxes(directory: Directory) -> None:
@@ -61,7 +61,7 @@ class SimPeer:
     def restart(self) -> None:
         """Killed and started; it kept its id and proof."""
         self.boot = 1000 * (self.number + 1) + next(self._boots)
-        self.name = self.world.dice.choice(NAMES)
+        self.name = self.world.random_source.choice(NAMES)
         self.lease = HostLease()
         boot = self.boot
         drive(self._keep, alive=lambda: self.boot == boot, gate=self._when_awake)
@@ -72,14 +72,14 @@ class SimPeer:
 
     def _when_awake(self, call: Any) -> None:
         if self.frozen_until > self.world.now:
-            self.world.at(self.frozen_until + self.world.dice.random() * 0.001, call)
+            self.world.at(self.frozen_until + self.world.random_source.random() * 0.001, call)
         else:
             call()
 
     async def _keep(self) -> None:
         while True:
             try:
-                if self.believes() and self.world.dice.random() < 0.02:
+                if self.believes() and self.world.random_source.random() < 0.02:
                     await self._leave()
                 await (self._renew() if self.believes() else self._enter())
             except LeaseExpired:
@@ -90,7 +90,7 @@ class SimPeer:
 
     async def _enter(self) -> None:
         request = pb.RegisterPeerRequest(
-            request_id=self.world.dice.randbytes(16),
+            request_id=self.world.random_source.randbytes(16),
             peer_id=self._peer_id,
             name=self.name,
             boot_incarnation=self.boot,
@@ -109,7 +109,7 @@ class SimPeer:
     async def _leave(self) -> None:
         self.lease.give_up()
         request = pb.DeregisterPeerRequest(
-            request_id=self.world.dice.randbytes(16), peer_id=self._peer_id, boot_incarnation=self.boot
+            request_id=self.world.random_source.randbytes(16), peer_id=self._peer_id, boot_incarnation=self.boot
         )
         await ask(self.world, "DeregisterPeer", request, 4.0, caller=self)
 

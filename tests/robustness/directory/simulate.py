@@ -58,9 +58,9 @@ class Caller:
     async def run(self) -> None:
         self._storm.calling += 1
         while not self._storm.over:
-            name = f"{self._prefix}{int(self._world.now / 3)}-{self._world.dice.randrange(NAMES)}"
+            name = f"{self._prefix}{int(self._world.now / 3)}-{self._world.random_source.randrange(NAMES)}"
             await self._once(name)
-            await self._world.sleep(self._world.dice.expovariate(1 / 0.04))
+            await self._world.sleep(self._world.random_source.expovariate(1 / 0.04))
         self._storm.calling -= 1
 
     async def _once(self, name: str) -> None:
@@ -78,7 +78,7 @@ class Caller:
             self._seen.pop(name, None)
 
     def _choose(self, name: str) -> Open | Resolve | Update | Delete:
-        chance, seen = self._world.dice.random(), self._seen.get(name)
+        chance, seen = self._world.random_source.random(), self._seen.get(name)
         if seen is None or chance < 0.2:
             return Open(0) if chance < 0.7 else Resolve()
         if chance < 0.5:
@@ -90,7 +90,7 @@ class Caller:
 
     async def _answer(self, name: str, call: Open | Resolve | Update | Delete) -> object:
         """What the history gets; None: unknown; a StampedeError: certainly not done."""
-        method, request = request_of(name, call, self._world.dice)
+        method, request = request_of(name, call, self._world.random_source)
         outcome = await self._persist(method, request)
         if isinstance(outcome, StampedeError) and outcome.reason in FINAL:
             return refusal_of(outcome.reason)
@@ -102,10 +102,10 @@ class Caller:
         return shown(name, outcome)
 
     async def _persist(self, method: str, request: Any) -> Any:
-        deadline, unknown = self._world.now + self._world.dice.uniform(1, 6), False
+        deadline, unknown = self._world.now + self._world.random_source.uniform(1, 6), False
         outcome: Any = None
         while (left := deadline - self._world.now) > 0:
-            member = self._world.dice.choice(list(self._world.members.values()))
+            member = self._world.random_source.choice(list(self._world.members.values()))
             outcome = await self._world.call(member, method, request, min(left, 1.5))
             if outcome is None:
                 unknown = True
@@ -113,7 +113,7 @@ class Caller:
                 return outcome
             else:
                 unknown |= outcome.reason not in NOT_DONE_REASONS
-            await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
+            await self._world.sleep(self._world.random_source.uniform(0.02, 0.3))
         return None if unknown else outcome
 
 
@@ -135,13 +135,13 @@ class DirectoryStorm:
             (weather.crashes, self._crash),
             (weather.partitions, self._partition),
             (weather.freezes, self._freeze),
-            (weather.link_breaks, lambda: world.break_wire(world.dice.choice(list(world.wires)))),
+            (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
             (0.15, self._cut_leader_off),
             (0.15, self._hang_leader),
             (0.3, self._set_wall_clock),
-            (0.15, lambda: world.dice.choice(self._hosts).restart()),
+            (0.15, lambda: world.random_source.choice(self._hosts).restart()),
             (0.3, self._freeze_host),
-            (0.15, lambda: world.dice.choice(self._peers).restart()),
+            (0.15, lambda: world.random_source.choice(self._peers).restart()),
         ):
             if rate > 0:
                 self._repeat(rate, happen)
@@ -152,7 +152,7 @@ class DirectoryStorm:
         for _ in range(2):
             delay = self.world.trip()
             if owner is not None and delay is not None:
-                later = delay + self.world.dice.choice([0.0, 0.0, self.world.dice.uniform(0, 6)])
+                later = delay + self.world.random_source.choice([0.0, 0.0, self.world.random_source.uniform(0, 6)])
                 self.world.after(later, lambda: owner.put(seen.channel_id, seen.epoch))
 
     def _repeat(self, rate: float, happen: Callable[[], None]) -> None:
@@ -161,38 +161,40 @@ class DirectoryStorm:
                 happen()
                 self._repeat(rate, happen)
 
-        self.world.after(self.world.dice.expovariate(rate), once)
+        self.world.after(self.world.random_source.expovariate(rate), once)
 
     def _crash(self) -> None:
-        alive, everybody = self.world.alive(), self.world.dice.random() < 0.15
-        for member in alive if everybody else alive and [self.world.dice.choice(alive)]:
+        alive, everybody = self.world.alive(), self.world.random_source.random() < 0.15
+        for member in alive if everybody else alive and [self.world.random_source.choice(alive)]:
             member.crash()
 
     def _freeze(self) -> None:
         if alive := self.world.alive():
-            self.world.dice.choice(alive).frozen_until = self.world.now + self.world.dice.uniform(0.2, 4.0)
+            self.world.random_source.choice(alive).frozen_until = self.world.now + self.world.random_source.uniform(
+                0.2, 4.0
+            )
 
     def _freeze_host(self) -> None:
-        frozen: Any = self.world.dice.choice([*self._hosts, *self._peers])
-        frozen.frozen_until = self.world.now + self.world.dice.uniform(0.2, 5.0)
+        frozen: Any = self.world.random_source.choice([*self._hosts, *self._peers])
+        frozen.frozen_until = self.world.now + self.world.random_source.uniform(0.2, 5.0)
 
     def _cut_leader_off(self) -> None:
         """No other supernode reaches whoever leads. Nor does any host or peer; or some do, and reach nobody else.
 
         In the second case it may stand still, too, and go on as if no time had passed.
         """
-        dice, world = self.world.dice, self.world
+        random_source, world = self.world.random_source, self.world
         leaders = self._leaders()
         pairs = [ends for ends in world.wires if set(ends) & leaders]
         callers: list[Any] = [*self._hosts, *self._peers]
-        with_it = set() if dice.random() < 0.5 else set(dice.sample(callers, 2))
+        with_it = set() if random_source.random() < 0.5 else set(random_source.sample(callers, 2))
         ways = {(one, name) for one in callers for name in world.members if (one in with_it) != (name in leaders)}
-        seconds = dice.uniform(1.5, 6.0)
+        seconds = random_source.uniform(1.5, 6.0)
         world.block(pairs)
         world.unreachable |= ways
-        if with_it and dice.random() < 0.7:
+        if with_it and random_source.random() < 0.7:
             for name in leaders:
-                world.members[name].frozen_until = world.now + seconds * dice.uniform(0.5, 1.0)
+                world.members[name].frozen_until = world.now + seconds * random_source.uniform(0.5, 1.0)
 
         def heal() -> None:
             world.unblock(pairs)
@@ -205,10 +207,10 @@ class DirectoryStorm:
 
         Two hosts or peers reach nobody else meanwhile, so that its successor takes them for lost.
         """
-        dice, world = self.world.dice, self.world
-        leaders, apart = self._leaders(), dice.sample([*self._hosts, *self._peers], 2)
+        random_source, world = self.world.random_source, self.world
+        leaders, apart = self._leaders(), random_source.sample([*self._hosts, *self._peers], 2)
         ways: set[tuple[object, str]] = {(one, name) for one in apart for name in world.members if name not in leaders}
-        seconds = dice.uniform(2.0, 6.0)
+        seconds = random_source.uniform(2.0, 6.0)
         for name in leaders:
             world.members[name].hang(seconds)
         world.unreachable |= ways
@@ -218,31 +220,33 @@ class DirectoryStorm:
         return {name for name, one in self.world.members.items() if one.replica and one.replica.status().is_leader}
 
     def _set_wall_clock(self) -> None:
-        machine: Any = self.world.dice.choice([*self.world.members.values(), *self._hosts, *self._peers])
-        machine.clock.wall_offset_nanos = int(self.world.dice.uniform(-1e18, 1e18))
+        machine: Any = self.world.random_source.choice([*self.world.members.values(), *self._hosts, *self._peers])
+        machine.clock.wall_offset_nanos = int(self.world.random_source.uniform(-1e18, 1e18))
 
     def _partition(self) -> None:
-        dice, world = self.world.dice, self.world
+        random_source, world = self.world.random_source, self.world
         names = list(world.members)
-        side = set(dice.sample(names, dice.randint(1, len(names) - 1)))
-        kind = dice.choice(["split", "one way", "bridge"])
+        side = set(random_source.sample(names, random_source.randint(1, len(names) - 1)))
+        kind = random_source.choice(["split", "one way", "bridge"])
         pairs = [(a, b) for a, b in world.wires if a in side and b not in side]
         if kind == "bridge":
             pairs = pairs[:1]
         if kind != "one way":
             pairs += [(b, a) for a, b in pairs]
         world.block(pairs)
-        world.after(dice.uniform(0.3, 5.0), lambda: world.unblock(pairs))
+        world.after(random_source.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
 
 def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> DirectoryStorm:
     """One seed: storm, calm, judgement. Raises PromiseBroken or NotLinearizable; the arguments plant faults."""
-    dice = random.Random(f"directory-{seed}")
-    world = DirectoryWorld(seed, size=dice.choice([3, 3, 3, 5]), weather=weather_of(dice), leases=leases)
+    random_source = random.Random(f"directory-{seed}")
+    world = DirectoryWorld(
+        seed, size=random_source.choice([3, 3, 3, 5]), weather=weather_of(random_source), leases=leases
+    )
     with (
-        mock.patch("secrets.token_bytes", world.dice.randbytes),
-        mock.patch("secrets.randbits", world.dice.getrandbits),
-        mock.patch("secrets.token_hex", lambda count: world.dice.randbytes(count).hex()),
+        mock.patch("secrets.token_bytes", world.random_source.randbytes),
+        mock.patch("secrets.randbits", world.random_source.getrandbits),
+        mock.patch("secrets.token_hex", lambda count: world.random_source.randbytes(count).hex()),
     ):
         for member in world.members.values():
             member.disk.forgets = forgets
@@ -258,7 +262,7 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
 
 def _revive(world: DirectoryWorld) -> None:
     for member in world.members.values():
-        if member.replica is None and world.dice.random() < 0.3:
+        if member.replica is None and world.random_source.random() < 0.3:
             world.restart(member)
     world.after(0.4, lambda: _revive(world))
 
@@ -288,7 +292,7 @@ async def _read_until_answered(storm: DirectoryStorm, member: Any, name: str, wa
     world = storm.world
     while True:
         invoked = world.now
-        method, request = request_of(name, Resolve(), world.dice)
+        method, request = request_of(name, Resolve(), world.random_source)
         outcome = await world.call(member, method, request, 2.0)
         refused = isinstance(outcome, StampedeError)
         if outcome is not None and (not refused or outcome.reason in FINAL):

@@ -125,13 +125,13 @@ class Upgrade:
         self.capped = 0
         self._numbers = iter(range(1, 10**9))
         self._waiting = list(world.members.values())
-        world.dice.shuffle(self._waiting)
+        world.random_source.shuffle(self._waiting)
         weather = world.weather
         for rate, happen in (
             (weather.crashes, self._crash),
             (weather.partitions, self._split),
             (weather.freezes, self._freeze),
-            (weather.link_breaks, lambda: world.break_wire(world.dice.choice(list(world.wires)))),
+            (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
             (0.7, self._upgrade),
             (0.15, self._go_back),
             (2.0, self._register),
@@ -147,22 +147,24 @@ class Upgrade:
                 happen()
                 self._repeat(rate, happen)
 
-        self.world.after(self.world.dice.expovariate(rate), once)
+        self.world.after(self.world.random_source.expovariate(rate), once)
 
     def _crash(self) -> None:
         if alive := self.world.alive():
-            self.world.dice.choice(alive).crash()
+            self.world.random_source.choice(alive).crash()
 
     def _freeze(self) -> None:
         if alive := self.world.alive():
-            self.world.dice.choice(alive).frozen_until = self.world.now + self.world.dice.uniform(0.2, 3.0)
+            self.world.random_source.choice(alive).frozen_until = self.world.now + self.world.random_source.uniform(
+                0.2, 3.0
+            )
 
     def _split(self) -> None:
         names = list(self.world.members)
-        side = set(self.world.dice.sample(names, self.world.dice.randint(1, len(names) - 1)))
+        side = set(self.world.random_source.sample(names, self.world.random_source.randint(1, len(names) - 1)))
         pairs = [ends for ends in self.world.wires if len(side & set(ends)) == 1]
         self.world.block(pairs)
-        self.world.after(self.world.dice.uniform(0.3, 4.0), lambda: self.world.unblock(pairs))
+        self.world.after(self.world.random_source.uniform(0.3, 4.0), lambda: self.world.unblock(pairs))
 
     def _upgrade(self) -> None:
         if self._waiting:
@@ -170,7 +172,7 @@ class Upgrade:
 
     def _go_back(self) -> None:
         """One is started with the older release again: that may be, until the level has risen; then it ends."""
-        member = self.world.dice.choice(list(self.world.members.values()))
+        member = self.world.random_source.choice(list(self.world.members.values()))
         if member not in self._waiting:
             member.run_release(DirectoryReplica)
             self._waiting.append(member)
@@ -187,25 +189,27 @@ class Upgrade:
         )
 
     def _open(self) -> None:
-        name = f"cam/{self.world.dice.randrange(3)}"
-        new = self.world.dice.randbytes(16)
+        name = f"cam/{self.world.random_source.randrange(3)}"
+        new = self.world.random_source.randbytes(16)
         self._do(OpenChannel(name=name, new_channel_id=new, new_incarnation=next(self._numbers)))
 
     def _do(self, operation: Operation) -> None:
-        identity = self.world.dice.randbytes(16)
+        identity = self.world.random_source.randbytes(16)
         self._propose(encode_command(Command(op_id=identity, time_unix_nano=0, operation=operation)))
 
     def cap(self) -> None:
         """Somebody proposes the newer release's command, without a look at the level."""
-        for member in self.world.dice.sample(self.world.alive(), len(self.world.alive())):
+        for member in self.world.random_source.sample(self.world.alive(), len(self.world.alive())):
             directory = member.machine._directory
             for channel in directory.tables.channels.values():
-                self._propose(encode_cap(self.world.dice.randbytes(16), channel.channel_id, channel.epoch), member)
+                self._propose(
+                    encode_cap(self.world.random_source.randbytes(16), channel.channel_id, channel.epoch), member
+                )
                 return
 
     def _propose(self, encoded: bytes, member: Any = None) -> None:
         alive = self.world.alive()
-        member = member or (self.world.dice.choice(alive) if alive else None)
+        member = member or (self.world.random_source.choice(alive) if alive else None)
         if member is not None:
             member.replica.propose(Proposal(encoded, self.world.now + 2.0, self._note))
 
@@ -217,19 +221,19 @@ class Upgrade:
 
 def _revive(world: World) -> None:
     for member in world.members.values():
-        if member.replica is None and world.dice.random() < 0.3:
+        if member.replica is None and world.random_source.random() < 0.3:
             world.restart(member)
     world.after(0.4, lambda: _revive(world))
 
 
 def run(seed: int) -> Upgrade:
     """One seed: storm, calm, judgement. Raises PromiseBroken."""
-    dice = random.Random(f"upgrade-{seed}")
-    world = UpgradeWorld(seed, size=dice.choice([3, 3, 5]), weather=weather_of(dice))
+    random_source = random.Random(f"upgrade-{seed}")
+    world = UpgradeWorld(seed, size=random_source.choice([3, 3, 5]), weather=weather_of(random_source))
     with (
-        mock.patch("secrets.token_bytes", world.dice.randbytes),
-        mock.patch("secrets.randbits", world.dice.getrandbits),
-        mock.patch("secrets.token_hex", lambda count: world.dice.randbytes(count).hex()),
+        mock.patch("secrets.token_bytes", world.random_source.randbytes),
+        mock.patch("secrets.randbits", world.random_source.getrandbits),
+        mock.patch("secrets.token_hex", lambda count: world.random_source.randbytes(count).hex()),
     ):
         for member in world.members.values():
             member.start()

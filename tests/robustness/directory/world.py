@@ -34,8 +34,8 @@ class Clock:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._rate = 1 + world.dice.uniform(-CLOCK_DRIFT_MAX, CLOCK_DRIFT_MAX)
-        self._offset = world.dice.uniform(0, 1e6)
+        self._rate = 1 + world.random_source.uniform(-CLOCK_DRIFT_MAX, CLOCK_DRIFT_MAX)
+        self._offset = world.random_source.uniform(0, 1e6)
         self.wall_offset_nanos = 0
 
     def boottime_nanos(self) -> int:
@@ -69,7 +69,7 @@ class Submission:
                 if not (isinstance(result, Refused) and result.reason == "NO_QUORUM"):
                     return _checked(result, kind)
             ambiguous |= isinstance(outcome, Ambiguous)
-            await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
+            await self._world.sleep(self._world.random_source.uniform(0.02, 0.3))
         raise errors.Unavailable("not within the time", reason="AMBIGUOUS" if ambiguous else "NO_QUORUM")
 
     async def confirm(self, *, seconds: float) -> int:
@@ -78,7 +78,7 @@ class Submission:
             index = await wait(lambda resume, left=left: self._read(min(left, 2.0), resume))
             if index is not None:
                 return int(index)
-            await self._world.sleep(self._world.dice.uniform(0.02, 0.3))
+            await self._world.sleep(self._world.random_source.uniform(0.02, 0.3))
         raise errors.Unavailable("not within the time")
 
     def _later(self, resume: Resume) -> Resume:
@@ -237,7 +237,7 @@ class DirectoryWorld(World):
 
     def later(self, resume: Resume) -> Resume:
         """`resume`, but through the event loop of the process, a moment later."""
-        return lambda value: self.after(self.dice.random() * 0.002, lambda: resume(value))
+        return lambda value: self.after(self.random_source.random() * 0.002, lambda: resume(value))
 
     def leases_ended(self, index: int, holders: set[bytes]) -> None:
         """The command at this position has taken these out of the directory. Raises PromiseBroken.
@@ -286,10 +286,10 @@ class DirectoryWorld(World):
 
     def trip(self) -> float | None:
         """How long a message between a caller and a service is on its way; None: it is lost."""
-        if self.dice.random() < self.weather.loss / 2:
+        if self.random_source.random() < self.weather.loss / 2:
             return None
-        slow = self.dice.random() < 0.04
-        return self.dice.uniform(0.1, 3.0) if slow else self.dice.expovariate(1 / 0.003)
+        slow = self.random_source.random() < 0.04
+        return self.random_source.uniform(0.1, 3.0) if slow else self.random_source.expovariate(1 / 0.003)
 
 
 class _Context:

@@ -26,9 +26,9 @@ NAMES = "abcdexyz"
 class Liar:
     """Draws messages to one replica, whose state it knows."""
 
-    def __init__(self, dice: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:
+    def __init__(self, random_source: random.Random, victim: RaftReplica, asked: Sequence[int] = ()) -> None:
         """`asked`: ids of requests that the victim has sent."""
-        self._dice = dice
+        self._random_source = random_source
         self._victim = victim
         self._asked = asked
         self._drawn: tuple[Callable[[], ProtobufMessage], ...] = (
@@ -47,35 +47,39 @@ class Liar:
 
     def message(self) -> pb.RaftMessage:
         """The next one."""
-        return self._dice.choice(self._drawn)()  # type: ignore[return-value]
+        return self._random_source.choice(self._drawn)()  # type: ignore[return-value]
 
     def _near(self, number: int) -> int:
-        if self._dice.random() < 0.15:
-            return self._dice.choice(FAR)
-        return max(0, number + self._dice.choice((0, 0, 0, 1, 1, -1, -2, 2, 3)))
+        if self._random_source.random() < 0.15:
+            return self._random_source.choice(FAR)
+        return max(0, number + self._random_source.choice((0, 0, 0, 1, 1, -1, -2, 2, 3)))
 
     def _request_id(self) -> int:
-        return self._dice.choice(self._asked) if self._asked and self._dice.random() < 0.8 else self._near(5)
+        return (
+            self._random_source.choice(self._asked)
+            if self._asked and self._random_source.random() < 0.8
+            else self._near(5)
+        )
 
     def _term(self) -> int:
         return self._near(self._victim.status().term)
 
     def _index(self) -> int:
         log = self._victim._log
-        return self._near(self._dice.choice((log[0].log_index, log.commit_index, log.end()[1])))
+        return self._near(self._random_source.choice((log[0].log_index, log.commit_index, log.end()[1])))
 
     def _bytes(self, most: int = 40) -> bytes:
-        return self._dice.randbytes(self._dice.randint(0, most))
+        return self._random_source.randbytes(self._random_source.randint(0, most))
 
     def _member(self) -> Member:
-        name = self._dice.choice(NAMES)
-        return Member(member_id=name, address=f"{name}:{self._dice.randint(1, 2)}")
+        name = self._random_source.choice(NAMES)
+        return Member(member_id=name, address=f"{name}:{self._random_source.randint(1, 2)}")
 
     def _entry_command(self) -> bytes:
-        kind = self._dice.choice((COMMAND, COMMAND, NO_OP, CONFIGURATION, 9))
-        if kind == CONFIGURATION and self._dice.random() < 0.8:
+        kind = self._random_source.choice((COMMAND, COMMAND, NO_OP, CONFIGURATION, 9))
+        if kind == CONFIGURATION and self._random_source.random() < 0.8:
             members = {member.member_id: member for member in (self._member() for _ in range(3))}
-            retired = [name for name in NAMES if name not in members and self._dice.random() < 0.1]
+            retired = [name for name in NAMES if name not in members and self._random_source.random() < 0.1]
             return encode_configuration(Configuration.of(list(members.values()), retired))
         return bytes((kind,)) + self._bytes()
 
@@ -88,32 +92,34 @@ class Liar:
             commit_index=self._index(),
             round=self._near(1),
             previous_log_index=previous,
-            previous_log_term=held.term if held and self._dice.random() < 0.8 else self._term(),
+            previous_log_term=held.term if held and self._random_source.random() < 0.8 else self._term(),
             digest_index=self._index(),
             digest=self._bytes(16),
         )
-        for number in range(self._dice.randint(0, 4)):
+        for number in range(self._random_source.randint(0, 4)):
             body.entries.add(
-                log_index=min(previous + 1 + number, 2**64 - 1) if self._dice.random() < 0.95 else self._index(),
-                term=term if self._dice.random() < 0.7 else self._term(),
+                log_index=min(previous + 1 + number, 2**64 - 1)
+                if self._random_source.random() < 0.95
+                else self._index(),
+                term=term if self._random_source.random() < 0.7 else self._term(),
                 command=self._entry_command(),
             )
         return pb.RaftMessage(append_entries=body)
 
     def _snapshot_piece(self) -> pb.RaftMessage:
         """A whole one that may even be sound, a part, or rubbish."""
-        record = self._snapshot() if self._dice.random() < 0.7 else self._bytes(200) or b"x"
-        start = 0 if self._dice.random() < 0.8 else self._dice.randrange(len(record))
-        end = len(record) if self._dice.random() < 0.8 else self._dice.randint(start, len(record))
+        record = self._snapshot() if self._random_source.random() < 0.7 else self._bytes(200) or b"x"
+        start = 0 if self._random_source.random() < 0.8 else self._random_source.randrange(len(record))
+        end = len(record) if self._random_source.random() < 0.8 else self._random_source.randint(start, len(record))
         chunk = pb.RaftSnapshotChunk(
             last_log_index=self._index(),
-            offset_bytes=start if self._dice.random() < 0.95 else self._index(),
-            total_bytes=len(record) if self._dice.random() < 0.95 else self._index(),
-            sha256=hashlib.sha256(record).digest() if self._dice.random() < 0.9 else self._bytes(),
+            offset_bytes=start if self._random_source.random() < 0.95 else self._index(),
+            total_bytes=len(record) if self._random_source.random() < 0.95 else self._index(),
+            sha256=hashlib.sha256(record).digest() if self._random_source.random() < 0.9 else self._bytes(),
             data=record[start:end],
         )
         body = pb.RaftAppendEntries(term=self._term(), commit_index=self._index(), installing_snapshot=True)
-        if self._dice.random() < 0.9:
+        if self._random_source.random() < 0.9:
             body.chunk.CopyFrom(chunk)
         return pb.RaftMessage(append_entries=body)
 
@@ -127,7 +133,7 @@ class Liar:
             previous=Entry(b"\x00p", last - 1, max(0, self._near(term)) % 2**63),
             last=Entry(b"\x00l", last, term % 2**63),
             configuration=Configuration.of([self._member()]),
-            state=machine.snapshot() if self._dice.random() < 0.8 else self._bytes(),
+            state=machine.snapshot() if self._random_source.random() < 0.8 else self._bytes(),
         )
 
     def _append_reply(self) -> pb.RaftMessage:
@@ -135,8 +141,8 @@ class Liar:
             term=self._term(),
             round=self._near(1),
             next_index=self._index(),
-            reset=self._dice.random() < 0.5,
-            success=self._dice.random() < 0.5,
+            reset=self._random_source.random() < 0.5,
+            success=self._random_source.random() < 0.5,
         )
         return pb.RaftMessage(append_reply=body)
 
@@ -145,12 +151,12 @@ class Liar:
             term=self._term(),
             last_log_index=self._index(),
             last_log_term=self._term(),
-            trial=self._dice.random() < 0.5,
+            trial=self._random_source.random() < 0.5,
         )
         return pb.RaftMessage(vote_request=body)
 
     def _vote_reply(self) -> pb.RaftMessage:
-        trial = self._dice.random() < 0.5
+        trial = self._random_source.random() < 0.5
         return pb.RaftMessage(vote_reply=pb.RaftVoteReply(term=self._term(), trial=trial, voter_term=self._term()))
 
     def _command(self) -> pb.RaftMessage:
@@ -162,7 +168,7 @@ class Liar:
             request_id=self._request_id(),
             log_index=self._index(),
             log_term=self._term(),
-            refusal=self._dice.choice((0, 0, 1, 2, 3, 4, 9)),  # type: ignore[arg-type]  # also one that is none
+            refusal=self._random_source.choice((0, 0, 1, 2, 3, 4, 9)),  # type: ignore[arg-type]  # also one that is none
         )
         return pb.RaftMessage(forwarded_command_reply=body)
 

@@ -32,22 +32,22 @@ SILENCE_SECONDS = RaftTiming().link_silence_seconds
 HEAL_SECONDS = 8.0
 
 
-def weather_of(dice: random.Random) -> Weather:
+def weather_of(random_source: random.Random) -> Weather:
     """Some kind of bad weather."""
     return Weather(
-        loss=dice.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
-        delay_mean=dice.choice([0.001, 0.005, 0.03, 0.15]),
-        unruly=dice.choice([0.0, 0.0, 0.05, 0.3]),
-        unruly_seconds=dice.choice([0.5, 0.5, 4.0]),
-        crashes=dice.choice([0.0, 0.2, 0.6]),
-        disk_seconds=dice.choice([0.0, 0.0005, 0.005, 0.03]),
-        disk_crash=dice.choice([0.0, 0.0, 0.002, 0.01]),
-        disk_hangs=dice.choice([0.0, 0.0, 0.001]),
-        partitions=dice.choice([0.0, 0.2, 0.5]),
-        freezes=dice.choice([0.0, 0.0, 0.3]),
-        link_breaks=dice.choice([0.0, 0.3, 2.0]),
-        full_links=dice.choice([0.0, 0.0, 0.3]),
-        changes=dice.choice([0.0, 0.0, 0.5, 2.0]),
+        loss=random_source.choice([0.0, 0.0, 0.01, 0.05, 0.2]),
+        delay_mean=random_source.choice([0.001, 0.005, 0.03, 0.15]),
+        unruly=random_source.choice([0.0, 0.0, 0.05, 0.3]),
+        unruly_seconds=random_source.choice([0.5, 0.5, 4.0]),
+        crashes=random_source.choice([0.0, 0.2, 0.6]),
+        disk_seconds=random_source.choice([0.0, 0.0005, 0.005, 0.03]),
+        disk_crash=random_source.choice([0.0, 0.0, 0.002, 0.01]),
+        disk_hangs=random_source.choice([0.0, 0.0, 0.001]),
+        partitions=random_source.choice([0.0, 0.2, 0.5]),
+        freezes=random_source.choice([0.0, 0.0, 0.3]),
+        link_breaks=random_source.choice([0.0, 0.3, 2.0]),
+        full_links=random_source.choice([0.0, 0.0, 0.3]),
+        changes=random_source.choice([0.0, 0.0, 0.5, 2.0]),
     )
 
 
@@ -82,43 +82,43 @@ class Storm:
             happen()
             self._repeat(rate, happen)
 
-        self._world.after(self._world.dice.expovariate(rate), once)
+        self._world.after(self._world.random_source.expovariate(rate), once)
 
     def _some(self) -> SimMember | None:
         alive = self._world.alive()
-        return self._world.dice.choice(alive) if alive else None
+        return self._world.random_source.choice(alive) if alive else None
 
     def _crash(self) -> None:
-        dice, world = self._world.dice, self._world
-        everybody = dice.random() < 0.15
+        random_source, world = self._world.random_source, self._world
+        everybody = random_source.random() < 0.15
         for member in world.alive() if everybody else [self._some()]:
             if member is not None:
                 member.crash()
 
     def _freeze(self) -> None:
         if (member := self._some()) is not None:
-            member.frozen_until = self._world.now + self._world.dice.uniform(0.2, 4.0)
+            member.frozen_until = self._world.now + self._world.random_source.uniform(0.2, 4.0)
 
     def _break_wire(self) -> None:
         if self._world.wires:
-            self._world.break_wire(self._world.dice.choice(list(self._world.wires)))
+            self._world.break_wire(self._world.random_source.choice(list(self._world.wires)))
 
     def _partition(self) -> None:
-        dice, world = self._world.dice, self._world
+        random_source, world = self._world.random_source, self._world
         names = list(world.members)
         if len(names) == 1:
             return
-        kind = dice.choice(["split", "one way", "bridge"])
-        side = set(dice.sample(names, dice.randint(1, len(names) - 1)))
+        kind = random_source.choice(["split", "one way", "bridge"])
+        side = set(random_source.sample(names, random_source.randint(1, len(names) - 1)))
         if kind == "bridge":
-            a, b = dice.sample(names, 2)
+            a, b = random_source.sample(names, 2)
             pairs = [(a, b), (b, a)]
         else:
             pairs = [(a, b) for a, b in world.wires if a in side and b not in side]
             if kind == "split":
                 pairs += [(b, a) for a, b in pairs]
         world.block(pairs)
-        world.after(dice.uniform(0.3, 5.0), lambda: world.unblock(pairs))
+        world.after(random_source.uniform(0.3, 5.0), lambda: world.unblock(pairs))
 
     def _isolate(self) -> None:
         """Whoever leads is cut off from all others, and goes on to take commands for a while that nobody commits."""
@@ -126,29 +126,32 @@ class Storm:
         names = [name for name, one in world.members.items() if one.replica and one.replica.status().is_leader]
         pairs = [ends for ends in world.wires if set(ends) & set(names)]
         world.block(pairs)
-        world.after(world.dice.uniform(1.0, 4.0), lambda: world.unblock(pairs))
+        world.after(world.random_source.uniform(1.0, 4.0), lambda: world.unblock(pairs))
 
     def _outvote(self) -> None:
         """Whoever leads is left with one follower, whose last answers are late. The others elect another leader, after
         whom the first one leads again, unless somebody else does; and only then those answers come.
         """
-        dice, world = self._world.dice, self._world
+        random_source, world = self._world.random_source, self._world
         leaders = self._leaders()
         if not leaders or self._outvoted:
             return
-        [leader, follower] = pair = [leaders[0], dice.choice([name for name in world.members if name != leaders[0]])]
+        [leader, follower] = pair = [
+            leaders[0],
+            random_source.choice([name for name in world.members if name != leaders[0]]),
+        ]
         of_leader, of_follower = (
             [ends for ends in world.wires if name in ends and set(ends) != set(pair)] for name in pair
         )
-        silent_at = world.now + dice.uniform(0.5, 1.8)
-        late_until = silent_at + dice.uniform(0.7, 1.0) * SILENCE_SECONDS
+        silent_at = world.now + random_source.uniform(0.5, 1.8)
+        late_until = silent_at + random_source.uniform(0.7, 1.0) * SILENCE_SECONDS
 
         def fall_silent() -> None:
             world.wires[follower, leader].stalled_until = late_until
 
         def come_back() -> None:
             world.unblock(of_leader)
-            world.wires[leader, follower].stalled_until = late_until + dice.uniform(0.0, 0.5)
+            world.wires[leader, follower].stalled_until = late_until + random_source.uniform(0.0, 0.5)
             self._let_lead(leader, until=late_until)
 
         def end() -> None:
@@ -184,22 +187,22 @@ class Storm:
 
     def _change(self) -> None:
         """Somebody asks whoever seems to lead to let a member come or go, or to hand over."""
-        dice, world = self._world.dice, self._world
+        random_source, world = self._world.random_source, self._world
         leaders = [each for each in world.alive() if each.replica and each.replica.status().is_leader]
         if not leaders:
             return
-        leader = dice.choice(leaders)
+        leader = random_source.choice(leaders)
         assert leader.replica is not None
         members = leader.replica.status().members
-        kind = dice.choice(["add", "add", "remove", "hand over"])
+        kind = random_source.choice(["add", "add", "remove", "hand over"])
         if kind == "hand over":
             self._hand_over()
         elif kind == "remove":
-            world.change(leader, dice.choice(members), is_removal=True)
+            world.change(leader, random_source.choice(members), is_removal=True)
         elif len(world.members) < PROCESSES_MAX:
             world.change(leader, world.volunteer(members).member, is_removal=False)
         else:
-            world.change(leader, dice.choice(list(world.members.values())).member, is_removal=False)
+            world.change(leader, random_source.choice(list(world.members.values())).member, is_removal=False)
 
     def _snapshot(self) -> None:
         """Somebody asks a member for a snapshot, as for a backup."""
@@ -209,26 +212,26 @@ class Storm:
     def _propose(self) -> None:
         if (member := self._some()) is not None:
             self._commands += 1
-            command = f"command-{self._commands}-{'x' * self._world.dice.randint(0, 30)}"
-            self._world.propose(member, command.encode(), timeout=self._world.dice.uniform(0.2, 4.0))
+            command = f"command-{self._commands}-{'x' * self._world.random_source.randint(0, 30)}"
+            self._world.propose(member, command.encode(), timeout=self._world.random_source.uniform(0.2, 4.0))
 
     def _read(self) -> None:
         if (member := self._some()) is not None:
-            self._world.read(member, timeout=self._world.dice.uniform(0.2, 3.0))
+            self._world.read(member, timeout=self._world.random_source.uniform(0.2, 3.0))
 
 
 def _revive(world: World) -> None:
     """Crashed members come back after a while, for as long as the world turns."""
     for member in world.members.values():
-        if member.replica is None and world.dice.random() < 0.3:
+        if member.replica is None and world.random_source.random() < 0.3:
             world.restart(member)
     world.after(0.4, lambda: _revive(world))
 
 
 def run(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) -> World:
     """One seed: storm, calm, check. Raises PromiseBroken. `rules` and `forgets` plant faults."""
-    dice = random.Random(f"weather-{seed}")
-    size, weather, every = dice.choice([1, 2, 3, 3, 3, 5]), weather_of(dice), OFTEN
+    random_source = random.Random(f"weather-{seed}")
+    size, weather, every = random_source.choice([1, 2, 3, 3, 3, 5]), weather_of(random_source), OFTEN
     if seed % 5 == 4:  # as in production: a snapshot is old, and much has happened since
         weather, every = replace(weather, changes=2.0, snapshots=0.2), PRODUCTION
     elif seed % 5 == 2:  # leaders come and go, and leave behind what only they hold

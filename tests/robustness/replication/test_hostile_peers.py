@@ -108,8 +108,8 @@ class CredulousMachine(ListMachine):
 class Victim:
     """Member `a` of `a`, `b` and `c` with a store on a disk, and a clock that is moved by hand."""
 
-    def __init__(self, dice: random.Random, folder: Path) -> None:
-        self._dice, self._folder = dice, folder
+    def __init__(self, random_source: random.Random, folder: Path) -> None:
+        self._random_source, self._folder = random_source, folder
         members = [Member(member_id=name, address=f"{name}:1") for name in "abc"]
         self._settings = ReplicationSettings(
             self_member=members[0],
@@ -128,7 +128,7 @@ class Victim:
             store=SqliteStore(self._folder, cluster_id="", member_id="a", create=True),
             network=self.network,
             clock=lambda: self.now,
-            random_source=self._dice,
+            random_source=self._random_source,
         )
         for name in "bc":
             replica.deliver(Connected(name))
@@ -145,9 +145,9 @@ class Victim:
 
     def step(self) -> None:
         """Let a little time pass, and perhaps somebody ask for something."""
-        self.now += self._dice.choice((0.001, 0.03, 0.5))
-        if self._dice.random() < 0.3:
-            self.replica.propose(Proposal(self._dice.randbytes(8), self.now + 1.0, lambda outcome: None))
+        self.now += self._random_source.choice((0.001, 0.03, 0.5))
+        if self._random_source.random() < 0.3:
+            self.replica.propose(Proposal(self._random_source.randbytes(8), self.now + 1.0, lambda outcome: None))
             self.replica.read(ConfirmedRead(self.now + 1.0, lambda index: None))
         self.replica.step()
 
@@ -159,13 +159,13 @@ class Victim:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_message_of_a_member_ends_a_process_or_spoils_its_store(seed: int, tmp_path: Path) -> None:
-    dice = random.Random(f"hostile-{seed}")
-    victim = Victim(dice, tmp_path)
+    random_source = random.Random(f"hostile-{seed}")
+    victim = Victim(random_source, tmp_path)
     for _ in range(MESSAGES):
-        victim.hear(dice.choice("bbc"), Liar(dice, victim.replica, victim.network.asked).message())
-        if dice.random() < 0.5:
+        victim.hear(random_source.choice("bbc"), Liar(random_source, victim.replica, victim.network.asked).message())
+        if random_source.random() < 0.5:
             victim.step()
-        if dice.random() < 0.01:
+        if random_source.random() < 0.01:
             victim.restart()
     victim.restart()
     victim.replica.close()
@@ -178,7 +178,7 @@ class Outsider:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._dice = random.Random(f"outsider-{world.dice.random()}")
+        self._random_source = random.Random(f"outsider-{world.random_source.random()}")
         self.over = False
         self.heard = 0
 
@@ -189,10 +189,10 @@ class Outsider:
         for member in self._world.alive():
             assert member.replica is not None
             self._bother(member.replica)
-        self._world.after(self._dice.uniform(0.005, 0.05), self.begin)
+        self._world.after(self._random_source.uniform(0.005, 0.05), self.begin)
 
     def _bother(self, replica: RaftReplica) -> None:
-        name = f"outsider{self._dice.randint(0, 40)}"
+        name = f"outsider{self._random_source.randint(0, 40)}"
         member = Member(member_id=name, address=f"{name}:1")
         if name not in replica.roster.peers:  # as a hello is refused, and remembered
             replica.deliver(Introduced(name, member))
@@ -202,7 +202,7 @@ class Outsider:
         replica.deliver(StreamOpened(name))
         replica.deliver(MembersTold(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
         try:
-            message = Liar(self._dice, replica).message()
+            message = Liar(self._random_source, replica).message()
             replica.deliver(Received(name, decode_message(pb.RaftMessage.FromString(message.SerializeToString()))))
         except (MalformedMessage, InboxFull):
             pass

@@ -126,19 +126,19 @@ class SimMember:
             store=DiskStore(self.disk, self._write),
             network=self,
             clock=lambda: self.now,
-            random_source=random.Random(self.world.dice.getrandbits(64)),
+            random_source=random.Random(self.world.random_source.getrandbits(64)),
             wake=lambda: self._plan(0.0),
             rules=self.world.rules,
             run_in_background=self._run_in_background,
         )
 
     def _run_in_background(self, work: Callable[[], T], /) -> LateResult[T]:
-        return LateResult(work, self.world.dice.randint(0, 20))
+        return LateResult(work, self.world.random_source.randint(0, 20))
 
     def crash(self) -> None:
         """Lose everything but what is on the disk by now."""
         self.replica = None
-        self.disk.lose_power(self.world.now, lucky=lambda: self.world.dice.random() < 0.5)
+        self.disk.lose_power(self.world.now, lucky=lambda: self.world.random_source.random() < 0.5)
         self.said.check_kept(self.disk.newest)
         self.world.on_crash(self)
 
@@ -186,25 +186,27 @@ class SimMember:
         self.world.fault(member_id, self.member.member_id, why)
 
     def has_room(self, member_id: str) -> bool:
-        if self.world.dice.random() < self.world.weather.full_links:
+        if self.world.random_source.random() < self.world.weather.full_links:
             return False
         wire = self.world.wires.get((self.member.member_id, member_id), Wire())
         return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
 
     def _write(self) -> tuple[float, float]:
         """Spend the time of a commit; perhaps the power is lost within it."""
-        weather, dice, start, began = self.world.weather, self.world.dice, self._starts, self.now
-        seconds = dice.expovariate(1 / weather.disk_seconds) if weather.disk_seconds else 0.0
-        if dice.random() < weather.disk_hangs:
-            seconds += dice.uniform(0.2, 4.0)
-        if dice.random() < weather.disk_crash:
-            lost = began + seconds * dice.uniform(0.0, 1.1)
+        weather, random_source, start, began = self.world.weather, self.world.random_source, self._starts, self.now
+        seconds = random_source.expovariate(1 / weather.disk_seconds) if weather.disk_seconds else 0.0
+        if random_source.random() < weather.disk_hangs:
+            seconds += random_source.uniform(0.2, 4.0)
+        if random_source.random() < weather.disk_crash:
+            lost = began + seconds * random_source.uniform(0.0, 1.1)
             self.world.at(lost, lambda: self.crash() if self.replica and self._starts == start else None)
         self._waited += seconds
         return began, self.now
 
     def _plan(self, delay: float) -> None:
-        at = max(self.world.now + delay + self.world.dice.random() * 0.001, self.frozen_until, self._busy_until)
+        at = max(
+            self.world.now + delay + self.world.random_source.random() * 0.001, self.frozen_until, self._busy_until
+        )
         if at < self._next_step:
             self._next_step = at
             replica = self.replica
@@ -268,7 +270,7 @@ class World:
         snapshot_every: int = 15,
         kept_log_bytes: int = 1,
     ) -> None:
-        self.dice = random.Random(seed)
+        self.random_source = random.Random(seed)
         self.weather = weather
         self.rules = rules
         self.snapshot_every = snapshot_every
@@ -328,16 +330,16 @@ class World:
 
     def send(self, sender: str, to: str, message: Message) -> None:
         wire = self.wires.get((sender, to), Wire())  # to outsiders there is none
-        if not wire.up or wire.blocked or self.dice.random() < self.weather.loss:
+        if not wire.up or wire.blocked or self.random_source.random() < self.weather.loss:
             return
         data, generation = encode_message(message).SerializeToString(), wire.generation
-        arrival = max(self.now, wire.stalled_until) + self.dice.expovariate(1 / self.weather.delay_mean)
+        arrival = max(self.now, wire.stalled_until) + self.random_source.expovariate(1 / self.weather.delay_mean)
         if wire.bytes_per_second < float("inf"):
             arrival = max(arrival, wire.last_arrival) + len(data) / wire.bytes_per_second
-        if self.dice.random() < self.weather.unruly:
-            arrival += self.dice.random() * self.weather.unruly_seconds
-            if not isinstance(message, ForwardedCommand) and self.dice.random() < 0.5:
-                again = self.now + self.dice.random() * self.weather.late_seconds_max
+        if self.random_source.random() < self.weather.unruly:
+            arrival += self.random_source.random() * self.weather.unruly_seconds
+            if not isinstance(message, ForwardedCommand) and self.random_source.random() < 0.5:
+                again = self.now + self.random_source.random() * self.weather.late_seconds_max
                 self.at(again, lambda: self._arrive(sender, to, generation, data))
         else:
             arrival = wire.last_arrival = max(arrival, wire.last_arrival)
@@ -383,10 +385,10 @@ class World:
             if replica is not None and not wire.up and wire.generation == generation:
                 replica.deliver(StreamEnded(ends[0]))
 
-        self.after(self.dice.choice([0.0, 0.3]), notice)
+        self.after(self.random_source.choice([0.0, 0.3]), notice)
 
     def _plan_connect(self, ends: tuple[str, str]) -> None:
-        self.after(self.dice.uniform(0.1, 0.5), lambda: self._connect(ends))
+        self.after(self.random_source.uniform(0.1, 0.5), lambda: self._connect(ends))
 
     def _connect(self, ends: tuple[str, str]) -> None:
         wire, sender, receiver = self.wires[ends], self.members[ends[0]].replica, self.members[ends[1]].replica
@@ -435,8 +437,8 @@ class World:
         """Nothing passes on these wires; their senders notice some time later, or never."""
         for ends in pairs:
             self.wires[ends].blocked = True
-            if self.dice.random() < 0.7:
-                self.after(self.dice.uniform(0.0, 3.0), lambda ends=ends: self._notice(ends))
+            if self.random_source.random() < 0.7:
+                self.after(self.random_source.uniform(0.0, 3.0), lambda ends=ends: self._notice(ends))
 
     def _notice(self, ends: tuple[str, str]) -> None:
         if self.wires[ends].blocked:
@@ -453,7 +455,7 @@ class World:
                 wire.up, wire.generation = False, wire.generation + 1
                 self._stream_ends(ends)
             elif ends[1] == member.member.member_id:
-                self.after(self.dice.random() * 0.2, lambda ends=ends: self.break_wire(ends))
+                self.after(self.random_source.random() * 0.2, lambda ends=ends: self.break_wire(ends))
 
     def restart(self, member: SimMember) -> None:
         if member.replica is not None or member.refused:

@@ -313,14 +313,14 @@ def test_what_others_have_promised_outlives_the_process(tmp_path: Path) -> None:
 def test_no_flipped_bit_is_applied_and_none_ends_in_a_defect(tmp_path: Path) -> None:
     copy_as_after_a_crash(tmp_path / "a", tmp_path / "crashed")
     fill(tmp_path / "closed")
-    dice = random.Random(5)
+    random_source = random.Random(5)
     for original in (tmp_path / "crashed", tmp_path / "closed"):
         told = sorted(file.name for file in original.iterdir() if "shm" not in file.name)
         whole = read_copy(original, tmp_path / "copy")
         for _ in range(300):
-            data = bytearray((original / (name := dice.choice(told))).read_bytes())
-            place = dice.randrange(len(data))
-            data[place] ^= 1 << dice.randrange(8)
+            data = bytearray((original / (name := random_source.choice(told))).read_bytes())
+            place = random_source.randrange(len(data))
+            data[place] ^= 1 << random_source.randrange(8)
             found = read_copy(original, tmp_path / "copy", name, bytes(data))
             assert found in (None, whole), (original, name, place)
 
