@@ -11,7 +11,7 @@ from stampede_rt._async import attempts
 from stampede_rt._async.attempts import attempt
 from stampede_rt.cluster.binding import Binding
 
-BINDING = Binding(channel_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
+BINDING = Binding(subject_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
 
 
 class Clock:

@@ -16,7 +16,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.model import ChannelInfo, Policy
 
 LEASE_NANOS = 15_000_000
-BINDING = Binding(channel_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
+BINDING = Binding(subject_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
 INFO = ChannelInfo(
     channel_id=b"c" * 16, name="a", host_id=b"h" * 16, host="h1", host_alive=True, epoch=3, incarnation=7,
     policy=Policy(consumers=1), spec_version=1,

@@ -131,7 +131,7 @@ def test_the_nearest_supernode_comes_first_and_the_silent_ones_last() -> None:
 def test_what_is_stale_is_forgotten_for_every_thread() -> None:
     cache = BindingCache()
     cache.learn_owner(b"c", Owner(host_id=b"h", epoch=1, spec_version=1), ["h:1"])
-    binding = Binding(channel_id=b"c", target="h:1", epoch=1, incarnation=1)
+    binding = Binding(subject_id=b"c", target="h:1", epoch=1, incarnation=1)
     cache.learn_binding(binding, 1)
     cache.learn_binding(binding, 2)
     assert cache.binding(b"c", 2) is binding

@@ -67,7 +67,7 @@ class Place:
 
     async def perform(self, state: ChannelState, operation: Any, timeout_s: float | None = None) -> Any:
         await self.found.wait()
-        return await operation(Binding(channel_id=b"c", target="there", epoch=1, incarnation=1))
+        return await operation(Binding(subject_id=b"c", target="there", epoch=1, incarnation=1))
 
 
 def producer_at(place: Place) -> Producer:

@@ -112,7 +112,7 @@ class Channel(Reader):
         async def advance_at(binding: Binding) -> int:
             endpoint = self._session.endpoints.to(binding.target)
             request = channel_pb.AdvanceRequest(
-                channel_id=binding.channel_id, epoch=binding.epoch, time_unix_nano=instant
+                channel_id=binding.subject_id, epoch=binding.epoch, time_unix_nano=instant
             )
             response = await endpoint.call(endpoint.channels.Advance, request, CALL_TIMEOUT_S)
             return int(response.advance_unix_nano)
@@ -124,7 +124,7 @@ class Channel(Reader):
 
         async def status_at(binding: Binding) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
-            request = channel_pb.GetChannelStatusRequest(channel_id=binding.channel_id, epoch=binding.epoch)
+            request = channel_pb.GetChannelStatusRequest(channel_id=binding.subject_id, epoch=binding.epoch)
             sent_s, sent = monotonic_s(), time_ns()
             response = await endpoint.call(endpoint.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
@@ -164,7 +164,7 @@ class Channel(Reader):
             endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.ConfigureChannelRequest(
                 request_id=identity,
-                channel_id=binding.channel_id,
+                channel_id=binding.subject_id,
                 epoch=binding.epoch,
                 spec=policy_to_spec(policy),
             )
@@ -181,7 +181,7 @@ class Channel(Reader):
         async def drop_at(binding: Binding) -> None:
             endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
-                request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
+                request_id=identity, channel_id=binding.subject_id, epoch=binding.epoch
             )
             await endpoint.call(endpoint.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=age_clock_s() - since_s)
 

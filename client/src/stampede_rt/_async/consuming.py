@@ -67,7 +67,7 @@ async def _consume(
     async def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
         endpoint = session.endpoints.to(binding.target)
         request = channel_pb.ConsumeRequest(
-            channel_id=binding.channel_id,
+            channel_id=binding.subject_id,
             epoch=binding.epoch,
             consumer_id=session.consumer_id,
             seqs=seqs,

@@ -92,7 +92,7 @@ class Settler:
     ) -> Sequence[queue_pb2.SettlementResult]:
         endpoint = self._session.endpoints.to(binding.target)
         request = queue_service_pb.SettleRequest(
-            queue_id=binding.channel_id, epoch=binding.epoch, taker_id=self._taker_id, settlements=settlements
+            queue_id=binding.subject_id, epoch=binding.epoch, taker_id=self._taker_id, settlements=settlements
         )
         response: queue_service_pb.SettleResponse = await endpoint.call(endpoint.queues.Settle, request, timeout_s)
         return response.results

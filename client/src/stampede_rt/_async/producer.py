@@ -203,7 +203,7 @@ class Producer(BoundToProcess):
             endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
-            head = put_head(binding.channel_id, binding.epoch, self._producer_id)
+            head = put_head(binding.subject_id, binding.epoch, self._producer_id)
             with self._mutex:
                 self._stream = stream = endpoint.duplex(on_acks, on_end)
                 self._opened[:] = [stream]

@@ -85,7 +85,7 @@ class QueueLocator:
         if owner is None or not targets:
             raise Unavailable(f"the {self._state.kind} {self._state.name!r} has no owner at present")
         return Binding(
-            channel_id=queue_id,
+            subject_id=queue_id,
             target=targets[self._turn % len(targets)],
             epoch=owner.epoch,
             incarnation=owner.incarnation,

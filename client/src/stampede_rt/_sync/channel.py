@@ -113,7 +113,7 @@ class Channel(Reader):
         def advance_at(binding: Binding) -> int:
             endpoint = self._session.endpoints.to(binding.target)
             request = channel_pb.AdvanceRequest(
-                channel_id=binding.channel_id, epoch=binding.epoch, time_unix_nano=instant
+                channel_id=binding.subject_id, epoch=binding.epoch, time_unix_nano=instant
             )
             response = endpoint.call(endpoint.channels.Advance, request, CALL_TIMEOUT_S)
             return int(response.advance_unix_nano)
@@ -125,7 +125,7 @@ class Channel(Reader):
 
         def status_at(binding: Binding) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
-            request = channel_pb.GetChannelStatusRequest(channel_id=binding.channel_id, epoch=binding.epoch)
+            request = channel_pb.GetChannelStatusRequest(channel_id=binding.subject_id, epoch=binding.epoch)
             sent_s, sent = monotonic_s(), time_ns()
             response = endpoint.call(endpoint.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
@@ -165,7 +165,7 @@ class Channel(Reader):
             endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.ConfigureChannelRequest(
                 request_id=identity,
-                channel_id=binding.channel_id,
+                channel_id=binding.subject_id,
                 epoch=binding.epoch,
                 spec=policy_to_spec(policy),
             )
@@ -182,7 +182,7 @@ class Channel(Reader):
         def drop_at(binding: Binding) -> None:
             endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
-                request_id=identity, channel_id=binding.channel_id, epoch=binding.epoch
+                request_id=identity, channel_id=binding.subject_id, epoch=binding.epoch
             )
             endpoint.call(endpoint.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=age_clock_s() - since_s)
 

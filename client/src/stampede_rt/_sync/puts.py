@@ -77,7 +77,7 @@ class Puts:
 
         def put_at(binding: Binding) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # one that is tried again does not wait anew
-            head = put_head(binding.channel_id, binding.epoch, numbers.producer_id)
+            head = put_head(binding.subject_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
             with self._session.put_streams.use(
                 self._handle_id, ends_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))

@@ -217,12 +217,12 @@ class Queue(MessageTaking, Reference):
         def update_at(binding: Binding) -> QueuePolicy:
             request = queue_directory_pb.UpdateQueueRequest(
                 request_id=identity,
-                queue_id=binding.channel_id,
+                queue_id=binding.subject_id,
                 epoch=binding.epoch,
                 spec=queue_policy_to_spec(policy),
             )
             response = self._session.supernodes.call("UpdateQueue", request, CALL_TIMEOUT_S, since_s=since_s)
-            request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.channel_id)
+            request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.subject_id)
             now = self._session.supernodes.call("ResolveQueue", request_now, CALL_TIMEOUT_S)
             self._state.info = learn_queue(self._session, response.queue, now.host)
             return self._state.info.policy
@@ -243,7 +243,7 @@ def stats_at(session: Session, locator: Locator) -> QueueStats:
 
     def status_at(binding: Binding) -> QueueStats:
         endpoint = session.endpoints.to(binding.target)
-        request = queue_pb.GetQueueStatusRequest(queue_id=binding.channel_id, epoch=binding.epoch)
+        request = queue_pb.GetQueueStatusRequest(queue_id=binding.subject_id, epoch=binding.epoch)
         response = endpoint.call(endpoint.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
         return queue_stats(response.status)
 
@@ -260,7 +260,7 @@ def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMe
         after, more = 0, True
         while more and len(found) < most:  # each page lies behind the one before
             request = queue_pb.ListPendingRequest(
-                queue_id=binding.channel_id,
+                queue_id=binding.subject_id,
                 epoch=binding.epoch,
                 after_delivery_id=after,
                 page_size=min(most - len(found), PENDING_PAGE_MAX),

@@ -62,7 +62,7 @@ def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: Se
 
 def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | None) -> channel_pb.GetRequest:
     return channel_pb.GetRequest(
-        channel_id=binding.channel_id,
+        channel_id=binding.subject_id,
         epoch=binding.epoch,
         interval=interval_to_message(query.interval),
         match=match_to_message(query.match),

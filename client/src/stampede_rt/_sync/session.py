@@ -276,7 +276,7 @@ class Session:
         if not targets:
             raise Unavailable(f"the host of channel {record.name!r} offers no transport that this client has")
         binding = Binding(
-            channel_id=record.channel_id, target=targets[0], epoch=record.epoch, incarnation=record.incarnation
+            subject_id=record.channel_id, target=targets[0], epoch=record.epoch, incarnation=record.incarnation
         )
         self.cache.learn_binding(binding, thread_id())
         return binding

@@ -153,7 +153,7 @@ class Subscription(BoundToProcess):
         self._session.perform(self._state, self._open_at, timeout_s)
 
     def _open_at(self, binding: Binding) -> None:
-        self._begun.channel_id, self._begun.epoch = binding.channel_id, binding.epoch
+        self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_bidi(endpoint.channels.Subscribe)
         try:

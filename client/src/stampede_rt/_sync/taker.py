@@ -208,7 +208,7 @@ class Taker:
         stream: BidiStream[queue_pb.TakeResponse] = endpoint.open_bidi(endpoint.queues.Take)
         heard = False
         opening = queue_pb.TakeOpen(
-            queue_id=binding.channel_id,
+            queue_id=binding.subject_id,
             epoch=binding.epoch,
             taker_id=self._taker_id,
             taker_name=self._name,

@@ -10,12 +10,12 @@ CACHE_ENTRIES_MAX = 100_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Binding:
-    """Where a channel's data is reached, and the epoch and incarnation that hold there.
+    """The address at which a client reaches the data of a channel or queue, with the epoch and incarnation there.
 
-    A queue's is the same with the queue's id as `channel_id`.
+    `subject_id`: the id of the channel or queue.
     """
 
-    channel_id: bytes
+    subject_id: bytes
     target: str
     epoch: int
     incarnation: int
@@ -33,47 +33,47 @@ class Owner:
 
 @dataclass(slots=True)
 class BindingCache:
-    """Host gatekeeper endpoints, channel data endpoints, and channel-to-host mappings.
+    """The gatekeepers of hosts, the owners of channels and queues, and the bindings of channels.
 
-    Data endpoints are keyed by channel and thread, so that threads keep connections of their own. What turns out to be
-    stale is forgotten and then counts as a miss. Bounded: a full cache starts anew.
+    The cache keeps one binding for each channel and thread, so that each thread has a connection of its own. Its user
+    makes it forget a stale entry. Bounded: a full cache starts anew.
     """
 
     _gatekeepers: dict[bytes, Sequence[str]] = field(default_factory=dict)
     _owners: dict[bytes, Owner] = field(default_factory=dict)
     _bindings: dict[bytes, dict[int, Binding]] = field(default_factory=dict)
 
-    def binding(self, channel_id: bytes, thread_id: int) -> Binding | None:
-        """The data endpoint of a channel for a thread."""
-        by_thread = self._bindings.get(channel_id)
+    def binding(self, subject_id: bytes, thread_id: int) -> Binding | None:
+        """The binding of a channel for a thread; None if the cache has none."""
+        by_thread = self._bindings.get(subject_id)
         return by_thread.get(thread_id) if by_thread else None
 
-    def owner(self, channel_id: bytes) -> Owner | None:
-        """The host of a channel."""
-        return self._owners.get(channel_id)
+    def owner(self, subject_id: bytes) -> Owner | None:
+        """The owner of a channel or queue; None if the cache has none."""
+        return self._owners.get(subject_id)
 
     def gatekeepers(self, host_id: bytes) -> Sequence[str]:
         """Where a host's gatekeeper listens, best first; empty if it is not known."""
         return self._gatekeepers.get(host_id, ())
 
-    def learn_owner(self, channel_id: bytes, owner: Owner, gatekeepers: Sequence[str]) -> None:
-        """A supernode has told who owns a channel and where that host listens."""
+    def learn_owner(self, subject_id: bytes, owner: Owner, gatekeepers: Sequence[str]) -> None:
+        """Keep what a supernode said: the owner of a channel or queue, and the gatekeepers of that host."""
         if len(self._owners) >= CACHE_ENTRIES_MAX:
             self._owners.clear()
             self._gatekeepers.clear()
-        self._owners[channel_id] = owner
+        self._owners[subject_id] = owner
         self._gatekeepers[owner.host_id] = tuple(gatekeepers)
 
     def learn_binding(self, binding: Binding, thread_id: int) -> None:
-        """A gatekeeper has bound a channel for a thread."""
+        """Keep the binding that a gatekeeper gave a thread."""
         if len(self._bindings) >= CACHE_ENTRIES_MAX:
             self._bindings.clear()
-        self._bindings.setdefault(binding.channel_id, {})[thread_id] = binding
+        self._bindings.setdefault(binding.subject_id, {})[thread_id] = binding
 
-    def forget(self, channel_id: bytes) -> None:
-        """What is cached of a channel turned out to be stale, its host's endpoint perhaps, too."""
-        self._bindings.pop(channel_id, None)
-        owner = self._owners.pop(channel_id, None)
+    def forget(self, subject_id: bytes) -> None:
+        """Drop the bindings and the owner of a channel or queue, and the gatekeepers of that host."""
+        self._bindings.pop(subject_id, None)
+        owner = self._owners.pop(subject_id, None)
         if owner is not None:
             self._gatekeepers.pop(owner.host_id, None)
 

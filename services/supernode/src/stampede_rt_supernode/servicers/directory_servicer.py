@@ -68,7 +68,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._clock = clock
 
     async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
-        """See the contract."""
+        """Say what this supernode knows by itself. The answer needs no leader."""
         return pb.DirectoryServicePingResponse(
             time_unix_nano=self._clock.time_unix_nano(),
             supernode_id=self._members.self_id,
