@@ -25,6 +25,7 @@ from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReleaseTooOld
+from stampede_rt_supernode.replication.network.refusals import Refusals
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
 from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
@@ -66,6 +67,7 @@ class UpgradedMember(DirectoryMember):
     def start(self) -> None:
         """As in production; a release that is too old for its own folder does not come up."""
         self.was_newer |= self.software is CheckedReplica
+        self._outdated = Refusals()
         try:
             super().start()
         except ReleaseTooOld:
@@ -80,10 +82,13 @@ class UpgradedMember(DirectoryMember):
 
         self.run(keep)
 
-    def refuse_release(self) -> None:
-        """Another member has told it that it is too old: it ends."""
-        self._left_behind()
-        self.crash()
+    def refuse_release(self, by: str, why: str) -> None:
+        """Another member has told it that it is too old: it ends once that is confirmed."""
+        assert self.replica is not None
+        others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
+        if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):
+            self._left_behind()
+            self.crash()
 
     def run_release(self, release: type[DirectoryReplica]) -> None:
         """Somebody starts it with another release."""

@@ -11,7 +11,7 @@ from typing import Generic, TypeVar
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
-from stampede_rt_supernode.replication.network.greetings import introduction, newly_met
+from stampede_rt_supernode.replication.network.greetings import TOO_OLD, introduction, newly_met
 from stampede_rt_supernode.replication.replica import MemberRoster, RaftReplica
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange
@@ -157,7 +157,7 @@ class SimMember:
         """For how long it has waited for a disk that does not answer."""
         return self.world.now - self._hangs_since if self._busy_until > self.world.now else 0.0
 
-    def refuse_release(self) -> None:
+    def refuse_release(self, by: str, why: str) -> None:
         """Another member has told it that its release is too old."""
         raise PromiseBroken(f"{self.member.member_id} is refused though all are of one release")
 
@@ -402,7 +402,7 @@ class World:
             return
         if sender.highest_level < receiver.feature_level:
             self._plan_connect(ends)
-            self.members[ends[0]].refuse_release()
+            self.members[ends[0]].refuse_release(ends[1], f"{ends[0]!r} {TOO_OLD}")
             return
         if not receiver.promise_of(ends[0]).is_kept_by(*sender.standing):
             self._refuse(self.members[ends[0]])

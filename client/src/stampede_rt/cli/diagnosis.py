@@ -18,6 +18,8 @@ STORE_ADVICE = (
 )
 # In what a supernode says of itself whose state is not the leader's.
 DIVERGED = "differs from the leader's"
+# In what one says of another whose release does not know the cluster's feature level.
+TOO_OLD = "is of a release that is too old"
 REPLACE_ADVICE = (
     "let it go (stampede supernode remove), empty its folder, and have it join under a new id (runbook: replace one)"
 )
@@ -37,6 +39,8 @@ def refusal(why: str) -> tuple[str, str]:
     """The state of a supernode that others refuse, or that refuses to serve, for `why`; and what to do."""
     if DIVERGED in why:
         return "diverged", f"{why}; {REPLACE_ADVICE}"
+    if TOO_OLD in why:
+        return "release refused", f"{why}; start it with the release of the others and the same folder"
     return "store refused", f"{why}; {STORE_ADVICE}"
 
 

@@ -209,8 +209,8 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
             )
         if status.too_old:
             raise StampedeError(
-                f"supernode {status.self_id} is of a release that is too old: {status.too_old}; start it with the "
-                "release of the others and the same data folder, and it goes on"
+                f"supernode {status.too_old}; start it with the release of the others and the same data folder, and it "
+                "goes on"
             )
         if status.has_old_store:
             raise StampedeError(

@@ -70,13 +70,13 @@ class ReplicationStatus:
     `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may
     be committed or not yet. `removed`: the leader, or most of the others, say that this one was removed, for good;
     `has_lost_store`: that it was here before with another store, or lacks one; `has_old_store`: that its store lacks
-    what it has promised. `refused_by`: which members say one of these, and their words; it does not vote meanwhile.
+    what it has promised. `refused_by`: which members say one of these or `too_old`, and their words.
     `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
     take the store with which another member came last. `diverged_at`:
     where this one's state was found to differ from the leader's; 0: nowhere. `feature_level` is the state's,
-    `highest_levels` what each member has told of its release, this one included. `too_old`: what another member has
-    said of this one's release, which does not know the cluster's level. `retired`: ids that were members, and never
-    come back.
+    `highest_levels` what each member has told of its release, this one included. `too_old`: what the leader, or most of
+    the others, say of this one's release, which does not know the cluster's level. `retired`: ids that were members, and
+    never come back.
     """
 
     self_id: str

@@ -124,19 +124,19 @@ class PySyncObjLog:
             status = replace(status, leader_id=None, is_leader=False, tenure=0)
         status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}
-        doubted = links.refusals.by or links.refusals.confirmed or links.other_cluster or links.too_old
-        if not (doubted or refused):
+        said = {**links.outdated.by, **links.refusals.by}
+        confirmed, too_old = links.refusals.confirmed, links.outdated.why
+        if not (said or confirmed or too_old or links.other_cluster or refused):
             return status
-        confirmed = links.refusals.confirmed
         return replace(
             status,
             removed=confirmed is Grounds.REMOVED,
             has_lost_store=confirmed in (Grounds.ANOTHER_STORE, Grounds.NO_STORE),
             has_old_store=confirmed is Grounds.OLDER_STORE,
             other_cluster=links.other_cluster,
-            too_old=links.too_old,
+            too_old=too_old,
             refused=refused,
-            refused_by=dict(links.refusals.by),
+            refused_by=said,
         )
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:

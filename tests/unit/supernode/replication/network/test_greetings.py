@@ -10,6 +10,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.greetings import HelloRefusal, introduction, refusal_of
 from stampede_rt_supernode.replication.network.links import PeerLinks
+from stampede_rt_supernode.replication.network.refusals import Grounds
 from stampede_rt_supernode.replication.replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
@@ -35,18 +36,53 @@ def test_a_release_that_knows_the_clusters_level_or_more_is_heard() -> None:
     assert refused(knows=3, cluster=2) is None
 
 
-def test_a_release_that_knows_less_is_refused_and_its_member_ends_with_a_folder_as_good_as_before() -> None:
-    refusal = refused(knows=1, cluster=2)
+class Links3(PeerLinks):
+    """The links of s2, which is one of three. `done`: what else they have had done."""
+
+    def __init__(self, leader_id: str | None = None) -> None:
+        settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
+        super().__init__(settings, lambda address: pytest.fail("nobody is called"), None, lambda error: None)  # type: ignore[arg-type]
+        self.done: list[object] = []
+        self.see = lambda: ({"s1", "s3"}, leader_id)
+        self.on_refusal_confirmed = self.done.append
+
+    def hear(self, member_id: str, refusal: HelloRefusal | None) -> None:
+        """That one has refused s2."""
+        assert refusal is not None
+        self._on_refused(member_id, f"{refusal.code.name}: {refusal.why}", self.done.append)
+
+
+def test_a_release_that_knows_less_is_refused_and_one_members_word_does_not_end_it() -> None:
+    refusal, links = refused(knows=1, cluster=2), Links3(leader_id="s3")
     assert refusal is not None
     assert refusal.code is grpc.StatusCode.FAILED_PRECONDITION
-    settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
-    links = PeerLinks(settings, lambda address: pytest.fail("nobody is called"), None, lambda error: None)  # type: ignore[arg-type]
-    noted: list[object] = []
-    links.on_refusal_confirmed = noted.append
-    links._on_refused("s1", f"{refusal.code.name}: {refusal.why}", noted.append)
-    assert links.too_old == "it knows feature level 1, and the cluster is at level 2"
-    assert noted == []
+    for _ in range(3):
+        links.hear("s1", refusal)
+    assert links.outdated.confirmed is None
+    assert list(links.outdated.by) == ["s1"]
+
+
+@pytest.mark.parametrize(("refusing", "leader_id"), [(["s1"], "s1"), (["s1", "s3"], None)])
+def test_the_word_of_the_leader_or_of_most_ends_an_old_release_with_a_vote_and_a_folder_as_good_as_before(
+    refusing: list[str], leader_id: str | None
+) -> None:
+    links = Links3(leader_id)
+    for member_id in refusing:
+        links.hear(member_id, refused(knows=1, cluster=2))
+    assert links.outdated.confirmed is Grounds.TOO_OLD
+    assert "it knows feature level 1, and the cluster is at level 2 (says s1" in links.outdated.why
+    assert links.done == [], "neither is it disputed, nor is its folder marked"
     assert not links.refusals.by
+
+
+def test_what_two_members_say_of_two_things_does_not_add_up() -> None:
+    links = Links3()
+    links.hear("s1", refused(knows=1, cluster=2))
+    links.hear("s3", refused(term=0))
+    assert links.outdated.confirmed is links.refusals.confirmed is None
+    links.hear("s1", refused(term=0))
+    assert links.refusals.confirmed is Grounds.OLDER_STORE
+    assert not links.outdated.by, "s1 takes the release now"
 
 
 @pytest.mark.parametrize("version", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])

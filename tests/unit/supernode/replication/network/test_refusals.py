@@ -10,6 +10,7 @@ from stampede_rt_supernode.replication.network.greetings import (
     OLDER_STORE,
     OTHER_CLUSTER,
     REMOVED,
+    TOO_OLD,
     UNKNOWN,
 )
 from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
@@ -57,7 +58,7 @@ def test_who_takes_the_store_again_refuses_it_no_more() -> None:
 
 
 def test_only_what_cannot_pass_by_itself_counts() -> None:
-    for words in (ANOTHER_STORE, NO_STORE, OLDER_STORE, REMOVED):
+    for words in (ANOTHER_STORE, NO_STORE, OLDER_STORE, REMOVED, TOO_OLD):
         assert grounds_of(f"'a' {words}; more") is not None
     for words in (UNKNOWN, OTHER_CLUSTER, "UNAVAILABLE: closing"):
         assert grounds_of(words) is None

@@ -18,8 +18,8 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, TOO_OLD, UNKNOWN, other_protocol
-from stampede_rt_supernode.replication.network.refusals import Refusals, grounds_of
+from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, UNKNOWN, other_protocol
+from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
@@ -260,8 +260,8 @@ class PeerLinks:
         self.refusals = Refusals()
         # What a member has said that is of another cluster; empty if none has.
         self.other_cluster = ""
-        # What a member has said of this one's release, which does not know the cluster's feature level.
-        self.too_old = ""
+        # Who says that this one's release does not know the cluster's feature level.
+        self.outdated = Refusals()
         # Every other member by the log, and the leader whom it follows.
         self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
         # Told once why others refuse this member for good; blocks for one small file.
@@ -300,8 +300,10 @@ class PeerLinks:
         member_id = member.member_id
 
         def deliver_first(event: NetworkEvent) -> None:
-            if isinstance(event, Connected) and self.refusals.accepted(member_id):
-                deliver(Disputed(member_id, ""))
+            if isinstance(event, Connected):
+                self.outdated.accepted(member_id)
+                if self.refusals.accepted(member_id):
+                    deliver(Disputed(member_id, ""))
             deliver(event)
 
         def on_refused(why: str) -> None:
@@ -312,24 +314,28 @@ class PeerLinks:
     def _on_refused(self, member_id: str, why: str, deliver: Callable[[NetworkEvent], None]) -> None:
         if OTHER_CLUSTER in why:
             self.other_cluster = why
-        if TOO_OLD in why:
-            self.too_old = why.partition(TOO_OLD)[2].removeprefix(": ")
-        if grounds_of(why) is None:
-            return
-        why = _STATUS.sub("", why)
-        is_new = member_id not in self.refusals.by
-        was_confirmed, (others, leader_id) = self.refusals.confirmed is not None, self.see()
-        is_confirmed = self.refusals.refused(member_id, why, others=others, leader_id=leader_id)
-        if is_new:
-            deliver(Disputed(member_id, why))
-        if is_confirmed and not was_confirmed:
-            self.on_refusal_confirmed(self.refusals.why)
-        elif is_new and not is_confirmed:
+        grounds, why = grounds_of(why), _STATUS.sub("", why)
+        if grounds is Grounds.TOO_OLD:
+            self._count(self.outdated, member_id, why, "and ends")
+        elif grounds is not None:
+            self.outdated.accepted(member_id)
+            if member_id not in self.refusals.by:
+                deliver(Disputed(member_id, why))
+            if self._count(self.refusals, member_id, why, "without a vote, and ends for good"):
+                self.on_refusal_confirmed(self.refusals.why)
+
+    def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
+        """Note what a member says against this one; whether that has confirmed it."""
+        is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
+        others, leader_id = self.see()
+        is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
+        if is_new and not is_confirmed:
             logger.warning(
-                "%s refuses this member for good; until the leader or most of the others say the same, it goes on "
-                "without a vote (if %s is mistaken, stop that one and start this one again): %s",
-                *(member_id, member_id, why),
+                "%s refuses this member; it goes on %s once the leader or most of the others say the same (if %s is "
+                "mistaken, stop that one and start this one again): %s",
+                *(member_id, what_follows, member_id, why),
             )
+        return is_confirmed and not was_confirmed
 
     def drop(self, member_id: str, why: str) -> None:
         """Have the stream of a member ended that breaks the rules; from the tick thread."""

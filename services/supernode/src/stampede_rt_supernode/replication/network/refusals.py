@@ -1,7 +1,8 @@
-"""What other members have said against this one, and when that holds for good. Pure.
+"""What other members have said against this one, and when that holds. Pure.
 
-One of them may be mistaken, or lie. While any refuses, this member does not vote: it might have forgotten what it has
-promised. That it is so, for good, holds by the word of the leader whom it follows, or of most of the others.
+One of them may be mistaken, or lie. While any refuses its store, this member does not vote: it might have forgotten what
+it has promised. A release that is said to be too old does not hold its vote back: its store is sound. Either ends this
+member by the word of the leader whom it follows, or of most of the others.
 """
 
 from __future__ import annotations
@@ -9,16 +10,23 @@ from __future__ import annotations
 from collections.abc import Collection
 from enum import Enum
 
-from stampede_rt_supernode.replication.network.greetings import ANOTHER_STORE, NO_STORE, OLDER_STORE, REMOVED
+from stampede_rt_supernode.replication.network.greetings import (
+    ANOTHER_STORE,
+    NO_STORE,
+    OLDER_STORE,
+    REMOVED,
+    TOO_OLD,
+)
 
 
 class Grounds(Enum):
-    """On which a member is refused for good, each with the words by which a refusal tells it."""
+    """On which a member is refused until somebody acts, each with the words by which a refusal tells it."""
 
     REMOVED = REMOVED
     ANOTHER_STORE = ANOTHER_STORE
     OLDER_STORE = OLDER_STORE
     NO_STORE = NO_STORE
+    TOO_OLD = TOO_OLD
 
 
 def grounds_of(why: str) -> Grounds | None:
@@ -27,7 +35,7 @@ def grounds_of(why: str) -> Grounds | None:
 
 
 class Refusals:
-    """Who refuses this member at present, and what has been confirmed. On one thread only."""
+    """Who refuses this member's store, or its release, at present, and what has been confirmed. On one thread only."""
 
     def __init__(self) -> None:
         # Member id -> its words.

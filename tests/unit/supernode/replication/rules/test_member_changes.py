@@ -1,0 +1,97 @@
+"""Which releases a leader lets in: those that know the cluster's feature level, and the one to which it is to rise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pytest
+
+from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated
+from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange, MemberChanges
+from stampede_rt_supernode.replication.wire.mailroom import Connected, StreamOpened
+from tests.robustness.replication.machine import ListMachine
+from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement
+
+NEWCOMER = Member(member_id="new", address="new:1")
+
+
+class Leader(LoneNode):
+    """Leads `a`, `b` and `c`, of which `b` and `c` have told what levels they know; a newcomer is about to join."""
+
+    def __init__(self, *, level: int, knows: int, told: Mapping[str, int]) -> None:
+        machine = ListMachine()
+        machine.feature_level, machine.highest_level = level, knows
+        super().__init__(machine=machine)
+        self.term = self.lead()
+        for member_id, known in told.items():
+            self.node.mailroom.deliver(StreamOpened(member_id, known))
+        self.outcomes: list[ChangeOutcome] = []
+        self.changes = MemberChanges(
+            self.node, lambda: self.now, lambda call: call(), round_seconds=1.0, alive_seconds=2.0
+        )
+        self._all_acknowledge("b", "c")
+
+    def _all_acknowledge(self, *member_ids: str) -> None:
+        for member_id in member_ids:
+            self.receive(member_id, acknowledgement(self.term, self.node.log.last_index + 1))
+        self.tick()
+
+    def let_in(self, knows: int | None) -> ChangeOutcome:
+        """The newcomer joins, holds the whole log, and has told what level it knows; None: it has told nothing."""
+        self.changes.add(MemberChange(NEWCOMER, False, self.outcomes.append))
+        self.node.mailroom.deliver(Connected(NEWCOMER.member_id))
+        if knows is not None:
+            self.node.mailroom.deliver(StreamOpened(NEWCOMER.member_id, knows))
+        self._all_acknowledge(NEWCOMER.member_id)
+        self.changes.advance()
+        if not self.outcomes:
+            self._all_acknowledge("b", "c", NEWCOMER.member_id)
+            self.changes.advance()
+        [outcome] = self.outcomes
+        return outcome
+
+
+@pytest.mark.parametrize(
+    ("level", "members_know", "newcomer", "needed"),
+    [
+        (1, (1, 1, 1), 1, None),
+        (1, (2, 1, 1), 1, None),
+        (2, (2, 2, 2), 2, None),
+        (2, (2, 2, 2), 3, None),
+        (2, (2, 2, 2), 1, 2),
+        (2, (3, 3, 2), 1, 2),
+        (1, (2, 2, 2), 1, 2),
+        (1, (3, 2, 3), 1, 2),
+        (1, (1, 1, 1), None, 1),
+    ],
+)
+def test_a_newcomer_must_know_the_clusters_level_and_the_one_to_which_it_is_about_to_rise(
+    level: int, members_know: tuple[int, int, int], newcomer: int | None, needed: int | None
+) -> None:
+    own, b, c = members_know
+    leader = Leader(level=level, knows=own, told={"b": b, "c": c})
+    outcome = leader.let_in(newcomer)
+    is_member = leader.node.configuration().find(NEWCOMER.member_id) is not None
+    if needed is None:
+        assert isinstance(outcome, int)
+        assert is_member
+    else:
+        assert isinstance(outcome, ReleaseOutdated)
+        assert f"new is of a release that knows feature level {newcomer or 0}, and the members know {needed}" in str(
+            outcome
+        )
+        assert not is_member
+        assert leader.node.learner is None
+        assert leader.changes.is_idle, "others can come"
+
+
+def test_a_member_that_has_not_told_its_level_holds_the_rise_down_and_so_an_older_newcomer_may_come() -> None:
+    assert isinstance(Leader(level=1, knows=2, told={"b": 2}).let_in(1), int)
+    assert isinstance(Leader(level=2, knows=2, told={"b": 2}).let_in(1), ReleaseOutdated)
+
+
+def test_one_that_was_refused_for_its_release_comes_with_the_release_of_the_others() -> None:
+    leader = Leader(level=2, knows=2, told={"b": 2, "c": 2})
+    assert isinstance(leader.let_in(1), ReleaseOutdated)
+    leader.outcomes.clear()
+    assert isinstance(leader.let_in(2), int)
