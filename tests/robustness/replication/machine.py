@@ -94,6 +94,10 @@ class ListMachine:
         """The last position, and a digest of all commands."""
         return (self.entries[-1][0] if self.entries else 0), self._digest
 
+    def adopt_digest(self, digest: bytes) -> None:
+        """The leader's."""
+        self._digest = digest
+
     def snapshot(self) -> bytes:
         """All commands."""
         return json.dumps([[index, command.decode()] for index, command in self.entries]).encode()

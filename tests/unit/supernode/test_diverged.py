@@ -14,6 +14,7 @@ from stampede_rt_supernode.core.channels.commands import DeleteChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure
 from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.network.greetings import TOO_OLD
 from tests.unit.supernode.node import Node, running_node
 from tests.unit.supernode.operations import TTL_NANOS, id_of
 
@@ -74,3 +75,9 @@ async def test_it_refuses_reads_and_updates_and_says_where_it_went_wrong(node: N
     assert "log position 7" in why
     state, advice = refusal(why)  # as `supernode status` and `doctor` show it
     assert (state, "join under a new id" in advice, "folder as it was" in advice) == ("diverged", True, False)
+
+
+def test_doctor_tells_a_release_that_is_refused_from_a_store() -> None:
+    state, advice = refusal(f"'s2' {TOO_OLD}: it knows feature level 1 (says s1)")
+    assert (state, "release of the others and the same folder" in advice) == ("release refused", True)
+    assert "remove" not in advice

@@ -83,6 +83,10 @@ class DirectoryReplica:
         """The last log position applied, and a digest of all that was done up to there; on the log's thread."""
         return self._directory.applied_index, self._directory.digest
 
+    def adopt_digest(self, digest: bytes) -> None:
+        """Go on from the leader's: this state came from a snapshot without one; on the log's thread."""
+        self._directory.digest = digest
+
     def begin_snapshot(self) -> Callable[[], bytes]:
         """The whole state, as of the last applied command, to be encoded by any thread; one at a time.
 

@@ -42,6 +42,9 @@ class StateMachine(Protocol):
         Cheap: it is asked for with every command and every message. Empty: not known.
         """
 
+    def adopt_digest(self, digest: bytes) -> None:
+        """Go on from the leader's digest at the last position applied: the state's own is not known."""
+
     def begin_snapshot(self) -> Callable[[], bytes]:
         """Copy the whole state as of the last applied command, and return what encodes it.
 

@@ -42,7 +42,8 @@ def build_node(
     others = [assembly.make_member(member_id) for member_id in peers]
     log.track_members(Configuration.of(settings.initial_members))
     node = assembly.allocate(rules)
-    node.clock, node.state_machine, node.has_room, node.digests = clock, state_machine, has_room, Digests()
+    node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
+    node.digests = Digests(state_machine.adopt_digest)
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
     node._told = dict(peers)
     node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()
