@@ -24,7 +24,7 @@ class Leader(LoneNode):
         super().__init__(machine=machine)
         self.term = self.lead()
         for member_id, known in told.items():
-            self.node.mailroom.deliver(StreamOpened(member_id, known))
+            self.node.transport.deliver(StreamOpened(member_id, known))
         self.outcomes: list[ChangeOutcome] = []
         self.changes = MemberChanges(
             self.node, lambda: self.now, lambda call: call(), round_seconds=1.0, alive_seconds=2.0
@@ -39,9 +39,9 @@ class Leader(LoneNode):
     def let_in(self, knows: int | None) -> ChangeOutcome:
         """The newcomer joins, holds the whole log, and has told what level it knows; None: it has told nothing."""
         self.changes.add(MemberChange(NEWCOMER, False, self.outcomes.append))
-        self.node.mailroom.deliver(Connected(NEWCOMER.member_id))
+        self.node.transport.deliver(Connected(NEWCOMER.member_id))
         if knows is not None:
-            self.node.mailroom.deliver(StreamOpened(NEWCOMER.member_id, knows))
+            self.node.transport.deliver(StreamOpened(NEWCOMER.member_id, knows))
         self._all_acknowledge(NEWCOMER.member_id)
         self.changes.advance()
         if not self.outcomes:

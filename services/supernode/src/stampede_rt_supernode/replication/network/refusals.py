@@ -1,8 +1,8 @@
 """What other members have said against this one, and when that holds. Pure.
 
-One of them may be mistaken, or lie. While any refuses its store, this member does not vote: it might have forgotten what
-it has promised. A release that is said to be too old does not hold its vote back: its store is sound. Either ends this
-member by the word of the leader whom it follows, or of most of the others.
+One of them may be mistaken, or lie. While any refuses its store, this member does not vote: it might have forgotten
+what it has promised. A release that is said to be too old does not hold its vote back: its store is sound. Either ends
+this member by the word of the leader whom it follows, or of most of the others.
 """
 
 from __future__ import annotations
