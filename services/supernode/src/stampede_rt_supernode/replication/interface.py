@@ -78,8 +78,8 @@ class ReplicationStatus:
     take the store with which another member came last. `diverged_at`:
     where this one's state was found to differ from the leader's; 0: nowhere. `feature_level` is the state's,
     `highest_levels` what each member has told of its release, this one included. `too_old`: what the leader, or most of
-    the others, say of this one's release, which does not know the cluster's level. `retired`: ids that were members, and
-    never come back.
+    the others, say of this one's release, which does not know the cluster's level. `retired`: ids that were members,
+    and never come back.
     """
 
     self_id: str
