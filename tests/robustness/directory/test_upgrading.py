@@ -7,7 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import ReleaseOutdated
 from tests.robustness.directory import upgrading
+from tests.robustness.replication.weather import Weather
 
 SEEDS_IN_SUITE, BLOCKS = 24, 2
 
@@ -21,17 +24,41 @@ def _no_complaints_of_the_weather() -> Iterator[None]:
 
 @pytest.mark.parametrize("block", range(BLOCKS))
 def test_no_states_differ_while_supernodes_of_two_releases_run_together(block: int) -> None:
-    capped = 0
+    capped = joined = 0
     for seed in range(block, SEEDS_IN_SUITE, BLOCKS):
         try:
-            capped += upgrading.run(seed).capped
+            upgrade = upgrading.run(seed)
+            capped += upgrade.capped
+            joined += upgrade.answered(int)
         except Exception as error:
             error.add_note(f"replay: python -m tests.robustness.directory.upgrading --first {seed} --seeds 1")
             raise
     assert capped > SEEDS_IN_SUITE, "the newer release's command was hardly ever done"
+    assert joined > SEEDS_IN_SUITE / BLOCKS, "hardly anybody has joined"
 
 
 def test_a_seed_gives_the_same_upgrade_every_time() -> None:
     first, second = upgrading.run(3), upgrading.run(3)
     assert first.capped == second.capped > 0
     assert first.world.now == second.world.now
+
+
+def test_an_older_newcomer_is_refused_while_the_level_is_about_to_rise_and_comes_in_with_the_newer_release() -> None:
+    world = upgrading.UpgradeWorld(1, size=3, weather=Weather())
+    members = list(world.members.values())
+    for member in members:
+        member.start()
+    world.run_until(5.0)
+    world.level_tick_seconds = 1000.0
+    for member in members:
+        member.run_release(upgrading.CheckedReplica)
+        world.run_until(world.now + 5.0)
+    assert {member.machine.feature_level for member in members} == {1}, "the level has not risen yet"
+    [leader] = [one for one in members if one.replica is not None and one.replica.status().is_leader]
+    newcomer = world.volunteer([one.member for one in members])
+    assert isinstance(newcomer, upgrading.UpgradedMember)
+    for release, answer in ((DirectoryReplica, ReleaseOutdated), (upgrading.CheckedReplica, int)):
+        newcomer.run_release(release)
+        outcomes = world.change(leader, newcomer.member, is_removal=False)
+        assert world.run_until(world.now + 20.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+        assert isinstance(outcomes[0], answer), outcomes

@@ -1,10 +1,10 @@
 """Rolling upgrades in seeded bad weather: `python -m tests.robustness.directory.upgrading --seeds 100`.
 
 Three or five supernodes of today's release are replaced by those of a newer one (tests/support/newer_release.py), one
-by one and sometimes back again, while they are killed, split and hang. All the time somebody proposes the newer
-release's command straight to the log, which no supernode would do: the log must keep it out until all know it. No two
-states may come to differ, no command above the level may be in the log, and no member may be left behind by a level
-that it never told to know. In the end all run the newer release, and the command works.
+by one and sometimes back again, while they are killed, split and hang, and newcomers of both releases join. All the
+time somebody proposes the newer release's command straight to the log, which no supernode would do: the log must keep
+it out until all know it. No two states may come to differ, no command above the level may be in the log, and no member
+may be left behind by a level that it never told to know. In the end all run the newer release, and the command works.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import logging
 import random
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 from unittest import mock
 
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
@@ -24,18 +24,20 @@ from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.interface import ReleaseTooOld
+from stampede_rt_supernode.replication.interface import Member, ReleaseTooOld
 from stampede_rt_supernode.replication.network.refusals import Refusals
+from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
 from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
 from tests.robustness.replication.machine import PromiseBroken
-from tests.robustness.replication.simulate import weather_of
+from tests.robustness.replication.simulate import settled_members, weather_of
 from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
 from tests.support.newer_release import NEW_LEVEL, NewerReplica, encode_cap
 
 STORM_SECONDS, HEAL_SECONDS = 16.0, 20.0
+NEWCOMERS_MAX = 3
 HOST_ID = (1).to_bytes(16, "big")
 
 
@@ -52,6 +54,7 @@ class CheckedReplica(NewerReplica):
 class UpgradedMember(DirectoryMember):
     """One supernode, of today's release at first."""
 
+    world: UpgradeWorld
     software: type[DirectoryReplica] = DirectoryReplica
     # Whether it ever ran the newer release, and may have told so.
     was_newer = False
@@ -78,7 +81,7 @@ class UpgradedMember(DirectoryMember):
         async def keep() -> None:
             while True:
                 await levels.tick()
-                await self.world.sleep(TICK_SECONDS)
+                await self.world.sleep(self.world.level_tick_seconds)
 
         self.run(keep)
 
@@ -105,20 +108,30 @@ class UpgradedMember(DirectoryMember):
             self.crash()
 
     def _left_behind(self) -> None:
-        if not self.was_newer:
+        if not self.was_newer and self._is_in():
             raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever told to know")
+
+    def _is_in(self) -> bool:
+        """Whether it is a member by what another one has applied, and not somebody who would like to be."""
+        name, replicas = self.member.member_id, [one.replica for one in self.world.alive() if one is not self]
+        return any(one._log.configurations.at(one._node.last_applied).find(name) is not None for one in replicas if one)
 
 
 class UpgradeWorld(DirectoryWorld):
     """A DirectoryWorld whose members change their release."""
 
     members: dict[str, UpgradedMember]  # type: ignore[assignment]
+    # A leader that is slow to raise the level leaves time for newcomers to come in between.
+    level_tick_seconds = TICK_SECONDS
 
     def __init__(self, seed: int, *, size: int, weather: Weather) -> None:
         super().__init__(seed, size=size, weather=weather)
         self.members = {
             name: UpgradedMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
         }
+
+    def _newcomer(self, member: Member, seeds: Sequence[Member]) -> UpgradedMember:
+        return UpgradedMember(self, member, seeds, joining=True)
 
 
 class Upgrade:
@@ -129,6 +142,9 @@ class Upgrade:
         # What became of the newer release's command.
         self.capped = 0
         self._numbers = iter(range(1, 10**9))
+        # What those who asked to join were told.
+        self._asked: list[list[ChangeOutcome]] = []
+        self._newcomers: list[UpgradedMember] = []
         self._waiting = list(world.members.values())
         world.random_source.shuffle(self._waiting)
         weather = world.weather
@@ -139,6 +155,8 @@ class Upgrade:
             (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
             (0.7, self._upgrade),
             (0.15, self._go_back),
+            (0.1, self._volunteer),
+            (5.0, self._join),
             (2.0, self._register),
             (5.0, self._open),
             (10.0, self.cap),
@@ -174,6 +192,8 @@ class Upgrade:
     def _upgrade(self) -> None:
         if self._waiting:
             self._waiting.pop().run_release(CheckedReplica)
+        if not self._waiting:
+            self._volunteer()  # just before the level rises
 
     def _go_back(self) -> None:
         """One is started with the older release again: that may be, until the level has risen; then it ends."""
@@ -181,6 +201,29 @@ class Upgrade:
         if member not in self._waiting:
             member.run_release(DirectoryReplica)
             self._waiting.append(member)
+
+    def _join(self) -> None:
+        """The last newcomer asks a leader to let it in, again and again."""
+        leaders = [one for one in self.world.alive() if one.replica is not None and one.replica.status().is_leader]
+        if leaders and self._newcomers:
+            newcomer = self._newcomers[-1].member
+            self._asked.append(self.world.change(self.world.random_source.choice(leaders), newcomer, is_removal=False))
+
+    def _volunteer(self) -> None:
+        """One of either release would like to be a member; an older one is upgraded as the others are."""
+        if len(self._newcomers) == NEWCOMERS_MAX:
+            return
+        seeds = next(iter(self.world.members.values())).settings.initial_members
+        newcomer = cast(UpgradedMember, self.world.volunteer(seeds))
+        self._newcomers.append(newcomer)
+        if self.world.random_source.random() < 0.3:
+            newcomer.run_release(CheckedReplica)
+        else:
+            self._waiting.insert(0, newcomer)
+
+    def answered(self, kind: type) -> int:
+        """How many who asked to join were answered so."""
+        return sum(isinstance(outcome, kind) for outcomes in self._asked for outcome in outcomes)
 
     def _register(self) -> None:
         self._do(
@@ -235,6 +278,7 @@ def run(seed: int) -> Upgrade:
     """One seed: storm, calm, judgement. Raises PromiseBroken."""
     random_source = random.Random(f"upgrade-{seed}")
     world = UpgradeWorld(seed, size=random_source.choice([3, 3, 5]), weather=weather_of(random_source))
+    world.level_tick_seconds = random_source.choice([TICK_SECONDS, 8.0])
     with (
         mock.patch("secrets.token_bytes", world.random_source.randbytes),
         mock.patch("secrets.randbits", world.random_source.getrandbits),
@@ -246,19 +290,20 @@ def run(seed: int) -> Upgrade:
         storm = Upgrade(world)
         world.run_until(STORM_SECONDS)
         storm.over = True
-        _calm(storm, list(world.members.values()))
+        _calm(storm)
     return storm
 
 
-def _calm(storm: Upgrade, members: Sequence[UpgradedMember]) -> None:
+def _calm(storm: Upgrade) -> None:
     """Heal everything and upgrade everybody: the level rises by itself, the command works, and all states are one."""
     world = storm.world
     world.weather = Weather()
     world.unblock(list(world.wires))
-    for member in members:
+    for member in world.members.values():
         member.frozen_until = 0.0
         if member.software is not CheckedReplica:
             member.run_release(CheckedReplica)
+    members = cast(Sequence[UpgradedMember], settled_members(world, world.now + HEAL_SECONDS))
     end = world.now + HEAL_SECONDS
     if not world.run_until(end, lambda: all(one.machine.feature_level == NEW_LEVEL for one in members)):
         levels = {one.member.member_id: one.machine.feature_level for one in members}
@@ -274,7 +319,8 @@ def _calm(storm: Upgrade, members: Sequence[UpgradedMember]) -> None:
         raise PromiseBroken(f"the newer release's command does not work {HEAL_SECONDS} s after all run it")
 
     def agree() -> bool:
-        return len({encode_snapshot(one.machine._directory) for one in members}) == 1
+        same = len({one.machine.digest() for one in members}) == 1
+        return same and len({encode_snapshot(one.machine._directory) for one in members}) == 1
 
     if not world.run_until(world.now + HEAL_SECONDS, agree):
         raise PromiseBroken("two supernodes end with different states")

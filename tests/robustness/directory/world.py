@@ -160,9 +160,11 @@ class DirectoryMember(SimMember):
     world: DirectoryWorld
     _directory: DirectoryReplica
 
-    def __init__(self, world: DirectoryWorld, member: Member, seeds: Sequence[Member]) -> None:
+    def __init__(
+        self, world: DirectoryWorld, member: Member, seeds: Sequence[Member], *, joining: bool = False
+    ) -> None:
         self.clock = Clock(world)
-        super().__init__(world, member, seeds)
+        super().__init__(world, member, seeds, joining=joining)
 
     @property
     def machine(self) -> Any:

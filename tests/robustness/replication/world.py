@@ -298,10 +298,13 @@ class World:
             self.wires[pair] = Wire()
             self._plan_connect(pair)
 
+    def _newcomer(self, member: Member, seeds: Sequence[Member]) -> SimMember:
+        return SimMember(self, member, seeds, joining=True)
+
     def volunteer(self, seeds: Sequence[Member]) -> SimMember:
         """A new process that wants to be a member, and was told who the members are."""
         name = f"m{len(self.members)}"
-        newcomer = SimMember(self, Member(member_id=name, address=f"{name}:1"), seeds, joining=True)
+        newcomer = self._newcomer(Member(member_id=name, address=f"{name}:1"), seeds)
         newcomer.disk.forgets = next(iter(self.members.values())).disk.forgets
         self._place(newcomer)
         newcomer.start()

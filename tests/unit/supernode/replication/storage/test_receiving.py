@@ -8,10 +8,12 @@ from typing import TypeVar
 
 import pytest
 
+from stampede_rt_supernode.replication.interface import ReleaseTooOld
 from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoreChanges
 from stampede_rt_supernode.replication.threads.aside import Result
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message
+from tests.robustness.replication.machine import ListMachine
 from tests.unit.supernode.replication.lone_node import LoneNode, append, piece
 from tests.unit.supernode.replication.rules.test_closed_faults import snapshot_pieces
 
@@ -145,3 +147,19 @@ def test_a_failure_to_decode_it_rises_before_anything_is_acknowledged() -> None:
         lone.receive("b", piece(5, chunk, commit=12))
     with pytest.raises(ValueError, match="cannot be read"):
         lone.open_snapshot()
+
+
+class Older(ListMachine):
+    """The state of a release that does not know the level of any snapshot."""
+
+    def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
+        raise ReleaseTooOld(1, 2)
+
+
+def test_a_snapshot_above_the_level_of_this_release_ends_this_member_and_does_not_put_its_sender_at_fault() -> None:
+    lone = LoneNode(machine=Older())
+    for chunk in snapshot_pieces(last=9, term=5):
+        lone.receive("b", piece(5, chunk, commit=9))
+    with pytest.raises(ReleaseTooOld):
+        lone.open_snapshot()
+    assert lone.held() == [(1, 0)]

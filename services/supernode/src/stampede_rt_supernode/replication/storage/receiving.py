@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from stampede_rt_supernode.replication.interface import StateMachine
+from stampede_rt_supernode.replication.interface import ReleaseTooOld, StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
@@ -46,7 +46,7 @@ class UnreadableSnapshot(Exception):
 class _Opening:
     """A whole snapshot that another thread decodes; then, piece by piece, on its way to the disk."""
 
-    decoded: Result[_Decoded | UnreadableSnapshot]
+    decoded: Result[_Decoded | UnreadableSnapshot | ReleaseTooOld]
     pieces_written: int = 0
 
 
@@ -90,10 +90,12 @@ class SnapshotReceiver:
     def open(self, received: StoredSnapshot) -> None:
         """Begin to open a snapshot. None other is being opened."""
 
-        def decode() -> _Decoded | UnreadableSnapshot:
+        def decode() -> _Decoded | UnreadableSnapshot | ReleaseTooOld:
             try:
                 snapshot = records.decode_snapshot(received.record)
                 restore = self._state_machine.prepare_restore(snapshot.state)
+            except ReleaseTooOld as error:
+                return error  # the snapshot is sound, and so is its sender
             except Exception as error:  # noqa: BLE001 - a peer has made it, and whatever it holds must end nobody
                 return UnreadableSnapshot(f"it cannot be read: {error!r}")
             return _Decoded(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
@@ -104,13 +106,14 @@ class SnapshotReceiver:
         """Go on, a piece to the disk at a time; the last entry once state and log begin with the snapshot.
 
         One that ends at or before `newer_than` is dropped: going back would undo what was applied. Raises
-        UnreadableSnapshot for one that is none, or of a later term than `term_max`; then the log is as before.
+        UnreadableSnapshot for one that is none, or of a later term than `term_max`, and ReleaseTooOld; then the log is
+        as before.
         """
         opening = self._opening
         if opening is None or not opening.decoded.done():
             return None
         decoded = opening.decoded.result()
-        if isinstance(decoded, UnreadableSnapshot):
+        if isinstance(decoded, (UnreadableSnapshot, ReleaseTooOld)):
             self._opening = None
             raise decoded
         stored, snapshot = decoded.stored, decoded.snapshot
