@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
-from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX, PreVoteElections
+from stampede_rt_supernode.replication.rules.elections import TERM_MAX, PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
@@ -158,7 +158,7 @@ class RaftReplica:
         )
         node.open_snapshot()
         last_term, _ = node.log_end()
-        if node.is_voter() and node.term > last_term + 2 * TERMS_AHEAD_MAX:
+        if node.term > TERM_MAX:
             raise StoreDamaged(
                 f"it has taken over term {node.term}, and its log ends in term {last_term}: no elections explain that, "
                 f"so somebody hostile has raised it. {REJOIN}; if all supernodes say so, found a new cluster from the "

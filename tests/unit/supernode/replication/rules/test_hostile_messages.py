@@ -61,6 +61,16 @@ def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) ->
     assert "b" not in lone.log.promises
 
 
+def test_elections_go_on_from_the_last_term_that_is_taken_over() -> None:
+    lone = LoneNode()
+    lone.receive("b", vote_request(TERMS_AHEAD_MAX))
+    assert lone.node.term == TERMS_AHEAD_MAX
+    [(to, reply)] = lone.receive("c", vote_request(TERMS_AHEAD_MAX + 1))
+    assert (to, reply.term) == ("c", TERMS_AHEAD_MAX + 1)  # type: ignore[union-attr]
+    lone.now += 100.0
+    assert lone.lead() == TERMS_AHEAD_MAX + 2
+
+
 def test_a_claim_to_lead_does_not_end_the_leader() -> None:
     lone = LoneNode()
     term = lone.lead()

@@ -30,6 +30,11 @@ from stampede_rt_supernode.replication.wire.messages import (
 # Every leader begins with an entry, so no term is so many elections ahead of the log: at one a second without a pause,
 # they take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
+# Nor so many ahead of the own term. Elections go on from wherever a member has come to; a hostile one that raises the
+# term by so much with each message comes to the end of the numbers in a hundred thousand years.
+TERMS_STEP_MAX = 1000
+# A stored term from which elections cannot go on for long.
+TERM_MAX = 1 << 61
 
 
 class RaftRules(Following, Leading):
@@ -72,9 +77,10 @@ class RaftRules(Following, Leading):
         Who has never held an entry knows no term to measure it by.
         """
         claimed, (last_term, _) = _claimed_term(message), self.log_end()
+        term_max = max(last_term + TERMS_AHEAD_MAX, self.term + TERMS_STEP_MAX)
         is_new = self.log.last_index <= 1 and not self.is_voter()
-        if claimed > last_term + TERMS_AHEAD_MAX and not is_new:
-            raise PeerAtFault(member_id, f"speaks of term {claimed}, and the log ends in term {last_term}")
+        if claimed > term_max and not is_new:
+            raise PeerAtFault(member_id, f"speaks of term {claimed}, and this is term {self.term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
         """Remember what a member says of itself: it was on its disk before it was said.
