@@ -25,15 +25,15 @@ from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.replica import RaftReplica
+from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.threads.aside import WorkerThread
-from stampede_rt_supernode.replication.wire.mailroom import Connected, Outgoing, Received, StreamOpened
+from stampede_rt_supernode.replication.threads.worker_thread import WorkerThread
+from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Outgoing, Received, StreamOpened
 from stampede_rt_supernode.replication.wire.messages import InstallSnapshot
 
 BATCH = 250

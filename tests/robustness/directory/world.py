@@ -11,8 +11,8 @@ from stampede_rt_supernode.codecs.command_codec import decode_result, encode_com
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Success
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.proposals import Proposal
-from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.threads.tick_thread import STUCK_SECONDS
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer

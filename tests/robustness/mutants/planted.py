@@ -41,7 +41,7 @@ class Mutant:
 MUTANTS = (
     Mutant(
         name="acknowledge_before_the_disk",
-        file=f"{REPLICATION}/replica.py",
+        file=f"{REPLICATION}/raft_replica.py",
         edits=(
             (
                 "        self._log.sync()\n        self._take_in()\n",
@@ -54,7 +54,7 @@ MUTANTS = (
     ),
     Mutant(
         name="release_before_the_sync",
-        file=f"{REPLICATION}/replica.py",
+        file=f"{REPLICATION}/raft_replica.py",
         edits=(
             (
                 "        self._log.sync()\n        self._release()\n",
@@ -66,7 +66,7 @@ MUTANTS = (
     ),
     Mutant(
         name="second_vote_not_durable",
-        file=f"{REPLICATION}/storage/journal.py",
+        file=f"{REPLICATION}/storage/raft_log.py",
         edits=(
             (
                 "            self._term, self._voted_for = term, voted_for\n            self._dirty = True\n",
@@ -131,7 +131,7 @@ MUTANTS = (
     ),
     Mutant(
         name="snapshot_not_checked",
-        file=f"{REPLICATION}/storage/receiving.py",
+        file=f"{REPLICATION}/storage/snapshot_receiver.py",
         edits=(("if hashlib.sha256(incoming.data).digest() != incoming.sha256:", "if False:"),),
         noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
     ),

@@ -15,7 +15,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import COMMAND, CONFIGURATION, NO_OP, Entry
-from stampede_rt_supernode.replication.replica import RaftReplica
+from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.wire.records import encode_configuration, encode_snapshot
 from tests.robustness.replication.machine import ListMachine
 

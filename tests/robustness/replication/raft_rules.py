@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredState
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, VoteReply, VoteRequest
 from tests.robustness.replication.machine import PromiseBroken

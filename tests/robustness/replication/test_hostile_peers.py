@@ -15,13 +15,12 @@ import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.replica import InboxFull, MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.raft_replica import InboxFull, MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.proposals import Proposal
-from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
-from stampede_rt_supernode.replication.wire.codec import decode_message
-from stampede_rt_supernode.replication.wire.mailroom import (
+from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     Introduced,
     MembersTold,
@@ -29,6 +28,7 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     Received,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, ReadIndexRequest
 from stampede_rt_supernode.replication.wire.records import MalformedMessage
 from tests.robustness.replication.hostile_messages import Liar

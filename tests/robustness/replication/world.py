@@ -11,16 +11,15 @@ from typing import Generic, TypeVar
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member, ReplicationStatus
-from stampede_rt_supernode.replication.network.greetings import TOO_OLD, introduction, newly_met
-from stampede_rt_supernode.replication.replica import MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.network.hello import TOO_OLD, introduction, newly_met
+from stampede_rt_supernode.replication.raft_replica import MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
-from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.store import StoredState
-from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
-from stampede_rt_supernode.replication.wire.mailroom import (
+from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     Disconnected,
     Introduced,
@@ -30,6 +29,7 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     StreamEnded,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Message
 from tests.robustness.replication.disk import Disk, DiskStore
 from tests.robustness.replication.machine import History, Ignorant, ListMachine, PromiseBroken

@@ -9,11 +9,11 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import MemoryStore, Store
-from stampede_rt_supernode.replication.threads.aside import RunInBackground, run_inline
+from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, run_inline
+from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Received
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
-from stampede_rt_supernode.replication.wire.mailroom import Connected, Received
 from stampede_rt_supernode.replication.wire.messages import (
     AppendEntries,
     AppendReply,

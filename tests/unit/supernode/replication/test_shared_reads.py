@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from stampede_rt_supernode.replication.interface import LogUnavailable
-from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 

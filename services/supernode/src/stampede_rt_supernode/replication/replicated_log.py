@@ -20,11 +20,11 @@ from stampede_rt_supernode.replication.interface import (
     StateMachine,
     TakenSnapshot,
 )
-from stampede_rt_supernode.replication.network.greetings import introduction
+from stampede_rt_supernode.replication.network.hello import introduction
 from stampede_rt_supernode.replication.network.links import Dial, PeerLinks
 from stampede_rt_supernode.replication.network.refusals import Grounds
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
-from stampede_rt_supernode.replication.replica import RaftReplica
+from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, HandOver, MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
@@ -33,9 +33,9 @@ from stampede_rt_supernode.replication.shared_reads import SharedReads
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore, holds_store
 from stampede_rt_supernode.replication.storage.store import REJOIN, MemoryStore, Store, StoreRefused
-from stampede_rt_supernode.replication.threads.aside import RunInBackground, WorkerThread
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 from stampede_rt_supernode.replication.threads.tick_thread import TickThread, end_process
+from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, WorkerThread
 
 T = TypeVar("T")
 

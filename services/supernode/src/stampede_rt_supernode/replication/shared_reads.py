@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt_supernode.replication.interface import LogUnavailable
-from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 
 _Waiting = tuple[float, asyncio.Future[int | None]]  # with its deadline, by time.monotonic

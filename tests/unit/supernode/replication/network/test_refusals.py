@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt_supernode.replication.network.greetings import (
+from stampede_rt_supernode.replication.network.hello import (
     ANOTHER_STORE,
     NO_STORE,
     OLDER_STORE,

@@ -13,22 +13,22 @@ import pytest
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import OLDER_STORE, introduction
+from stampede_rt_supernode.replication.network.hello import OLDER_STORE, introduction
 from stampede_rt_supernode.replication.network.links import PeerLink
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
-from stampede_rt_supernode.replication.replica import MemberRoster
+from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise
-from stampede_rt_supernode.replication.wire.codec import encode_message
-from stampede_rt_supernode.replication.wire.mailroom import (
+from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     NetworkEvent,
     Received,
     StreamEnded,
     StreamOpened,
 )
+from stampede_rt_supernode.replication.wire.codec import encode_message
 from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 
 SELF, OTHER = (Member(member_id=name, address=f"{name}:1") for name in ("self", "other"))

@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import Promise
-from stampede_rt_supernode.replication.wire.mailroom import Connected, Introduced, MembersTold, Received
+from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Introduced, MembersTold, Received
 from stampede_rt_supernode.replication.wire.messages import (
     AppendReply,
     ForwardedCommandReply,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member
-from stampede_rt_supernode.replication.replica import SNAPSHOTS_MAX, RaftReplica
+from stampede_rt_supernode.replication.raft_replica import SNAPSHOTS_MAX, RaftReplica
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings

@@ -14,8 +14,8 @@ import pytest
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage import store as storage
-from stampede_rt_supernode.replication.storage.journal import RaftLog
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.sqlite_store import (
     DATABASE_NAME,
     WATERMARK_NAME,

@@ -10,9 +10,9 @@ from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.library.pinned_copy import load_library
 from stampede_rt_supernode.replication.library.seams import LibraryLog, LibrarySerializer, LibraryTransport
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 
 
 class Assembly:

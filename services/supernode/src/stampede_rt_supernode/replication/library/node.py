@@ -18,7 +18,7 @@ from stampede_rt_supernode.replication.interface import Member, StateMachine
 from stampede_rt_supernode.replication.library.seams import LibraryLog
 from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.wire.messages import Message
 
 T = TypeVar("T")

@@ -11,10 +11,10 @@ from typing import Any, overload
 
 from stampede_rt_supernode.replication.library.translation import LibraryMessage, from_library
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 
 # The library's SERIALIZER_STATE numbers.
 _NOT_SERIALIZING, _SERIALIZING, _SUCCESS = 0, 1, 2

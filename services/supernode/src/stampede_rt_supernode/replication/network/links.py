@@ -18,14 +18,13 @@ import grpc.aio
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import OTHER_CLUSTER, UNKNOWN, other_protocol
+from stampede_rt_supernode.replication.network.hello import OTHER_CLUSTER, UNKNOWN, other_protocol
 from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
-from stampede_rt_supernode.replication.replica import MemberRoster
+from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
-from stampede_rt_supernode.replication.wire.codec import encode_message
-from stampede_rt_supernode.replication.wire.mailroom import (
+from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     Disconnected,
     Disputed,
@@ -33,6 +32,7 @@ from stampede_rt_supernode.replication.wire.mailroom import (
     NetworkEvent,
     Outgoing,
 )
+from stampede_rt_supernode.replication.wire.codec import encode_message
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, decode_members
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from enum import Enum
 
-from stampede_rt_supernode.replication.network.greetings import (
+from stampede_rt_supernode.replication.network.hello import (
     ANOTHER_STORE,
     NO_STORE,
     OLDER_STORE,

@@ -17,7 +17,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
-from stampede_rt_supernode.replication.network.greetings import (
+from stampede_rt_supernode.replication.network.hello import (
     ANOTHER_STORE,
     OLDER_STORE,
     OTHER_CLUSTER,
@@ -28,11 +28,11 @@ from stampede_rt_supernode.replication.network.greetings import (
 from stampede_rt_supernode.replication.network.links import REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.network.refusals import grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
-from stampede_rt_supernode.replication.replica import InboxFull, RaftReplica
+from stampede_rt_supernode.replication.raft_replica import InboxFull, RaftReplica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
+from stampede_rt_supernode.replication.wire.buffered_transport import Introduced, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.wire.codec import decode_message
-from stampede_rt_supernode.replication.wire.mailroom import Introduced, Received, StreamEnded, StreamOpened
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
 HELLO_SECONDS = 5.0

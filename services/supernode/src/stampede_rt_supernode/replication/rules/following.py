@@ -9,7 +9,7 @@ from stampede_rt_supernode.replication.library.node import FOLLOWER
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
-from stampede_rt_supernode.replication.storage.receiving import UnreadableSnapshot
+from stampede_rt_supernode.replication.storage.snapshot_receiver import UnreadableSnapshot
 from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, FromLeader, InstallSnapshot
 
 

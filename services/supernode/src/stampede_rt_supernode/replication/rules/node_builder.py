@@ -9,14 +9,14 @@ from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.library.assembling import Assembly
 from stampede_rt_supernode.replication.library.node import RandomSource
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedReads
 from stampede_rt_supernode.replication.rules.digests import Digests
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
-from stampede_rt_supernode.replication.rules.reads import ConfirmedReads
 from stampede_rt_supernode.replication.settings import ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.threads.aside import RunInBackground, run_inline
-from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
+from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, run_inline
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 
 APPEND_BATCH_BYTES = 1 << 20
 

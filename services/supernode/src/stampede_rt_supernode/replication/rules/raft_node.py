@@ -12,7 +12,7 @@ from typing import Any
 from stampede_rt_supernode.replication.library.node import LibraryNode
 from stampede_rt_supernode.replication.rules.digests import Digests
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 
 
 class InvariantViolation(RuntimeError):

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from stampede_rt_supernode.replication.interface import LogUnavailable
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 
 SnapshotOutcome = StoredSnapshot | LogUnavailable

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import RaftLog
-from stampede_rt_supernode.replication.storage.receiving import SnapshotReceiver
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
+from stampede_rt_supernode.replication.storage.snapshot_receiver import SnapshotReceiver
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.threads.aside import Result, RunInBackground, run_inline
+from stampede_rt_supernode.replication.threads.worker_thread import Result, RunInBackground, run_inline
 from stampede_rt_supernode.replication.wire import records
 from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 

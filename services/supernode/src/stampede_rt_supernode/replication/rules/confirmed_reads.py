@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from stampede_rt_supernode.replication.wire.mailroom import BufferedTransport
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, ReadIndexRequest
 
 

@@ -8,7 +8,7 @@ import grpc
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.replica import MemberRoster
+from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import STORE_ID_BYTES_MAX, KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise

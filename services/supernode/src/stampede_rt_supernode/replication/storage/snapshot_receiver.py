@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 from stampede_rt_supernode.replication.interface import ReleaseTooOld, StateMachine
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
-from stampede_rt_supernode.replication.threads.aside import Result, RunInBackground
+from stampede_rt_supernode.replication.threads.worker_thread import Result, RunInBackground
 from stampede_rt_supernode.replication.wire import records
 from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 

@@ -11,18 +11,18 @@ from typing import Any, Protocol
 
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import TERM_MAX, PreVoteElections
 from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
-from stampede_rt_supernode.replication.rules.reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest, SnapshotRequests
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import REJOIN, Promise, Store, StoreDamaged
-from stampede_rt_supernode.replication.threads.aside import RunInBackground, run_inline
-from stampede_rt_supernode.replication.wire.mailroom import NetworkEvent, Outgoing, Received
+from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, run_inline
+from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEvent, Outgoing, Received
 
 CHANGES_MAX = 100
 SNAPSHOTS_MAX = 10

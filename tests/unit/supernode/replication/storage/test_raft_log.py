@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage import store as storage
-from stampede_rt_supernode.replication.storage.journal import RaftLog
+from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import Store, StoredSnapshot
 from tests.robustness.replication.disk import Disk, DiskStore

@@ -8,10 +8,10 @@ import grpc
 import pytest
 
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.network.greetings import HelloRefusal, introduction, refusal_of
+from stampede_rt_supernode.replication.network.hello import HelloRefusal, introduction, refusal_of
 from stampede_rt_supernode.replication.network.links import PeerLinks
 from stampede_rt_supernode.replication.network.refusals import Grounds
-from stampede_rt_supernode.replication.replica import MemberRoster
+from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.storage.store import Promise

@@ -11,7 +11,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import ReleaseTooOld
 from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoreChanges
-from stampede_rt_supernode.replication.threads.aside import Result
+from stampede_rt_supernode.replication.threads.worker_thread import Result
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message
 from tests.robustness.replication.machine import ListMachine
 from tests.unit.supernode.replication.lone_node import LoneNode, append, piece
