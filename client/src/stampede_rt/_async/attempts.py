@@ -55,13 +55,15 @@ async def attempt(
         try:
             return await operation(await locator.find(backoff.deadline_s))
         except StampedeError as error:
+            if locator.closed:
+                locator.check()  # says so, instead of what the call met when its connection went
             locator.explain(error)
             slow = isinstance(error, DeadlineExceeded)  # a host that hangs may be lost soon
             if not (error.retryable or slow):
                 raise
             locator.forget()
             told = told if slow and told is not None else error
-            delay_s = None if locator.closed else backoff.next_delay_s(time.monotonic(), random.random())
+            delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:
                 raise told from (None if told is error else error)
         await sleep(delay_s)

@@ -105,11 +105,11 @@ class CutSubscription(BoundToProcess):
             try:
                 await self._open()
             except StampedeError:
-                if self._group.session.closed:
-                    break
+                self._group.session.check()
                 raise
-            if not self._streams:
-                break  # closed while it was being opened
+            if not self._streams:  # closed while it was being opened
+                self._group.session.check()
+                break
             try:
                 parts: list[group_pb.CutPart] = []
                 boundary = await self._next_boundary(parts)
@@ -118,8 +118,9 @@ class CutSubscription(BoundToProcess):
                 self._hang_up()
             except StampedeError as error:
                 self._hang_up()
-                if self._closed or self._group.session.closed:
+                if self._closed:
                     break
+                self._group.session.check()
                 if not may_heal(error):
                     self._closed = True
                     raise self._group.explained(error) from None

@@ -88,6 +88,7 @@ class Session:
         self.cache = BindingCache()
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
+        self.closing = False
         self.closed = False
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # who the connection is where items are consumed
         self.consumer_places: dict[bytes, SessionTask] = {}  # that it keeps, by channel id; see `consuming`
@@ -101,7 +102,9 @@ class Session:
         """End everything that is under way, the latest first. In a forked child it is the parent's, and goes on."""
         if self.inherited:
             self.closed = True
+        if self.closing or self.inherited:  # whoever began it ends it: what takes its leave is not cut off meanwhile
             return
+        self.closing = True
         try:
             for one in reversed(tuple(self._attached)):
                 await one.end()
@@ -137,7 +140,7 @@ class Session:
         """Raises ForkedProcess, or Unavailable if the connection is closed."""
         self.check_process()
         if self.closed:
-            raise Unavailable("this connection is closed; connect() again")
+            raise connection_closed()
 
     def attach(self, one: SessionTask) -> None:
         """End `one` before the connection is closed."""
@@ -308,6 +311,11 @@ class ChannelLocator:
     def closed(self) -> bool:
         """The connection is closed."""
         return self.session.closed
+
+
+def connection_closed() -> Unavailable:
+    """What every call meets whose connection is closed, before it begins or while it waits."""
+    return Unavailable("this connection is closed; connect() again")
 
 
 def left_s(deadline_s: float) -> float:

@@ -54,13 +54,15 @@ def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s:
         try:
             return operation(locator.find(backoff.deadline_s))
         except StampedeError as error:
+            if locator.closed:
+                locator.check()  # says so, instead of what the call met when its connection went
             locator.explain(error)
             slow = isinstance(error, DeadlineExceeded)  # a host that hangs may be lost soon
             if not (error.retryable or slow):
                 raise
             locator.forget()
             told = told if slow and told is not None else error
-            delay_s = None if locator.closed else backoff.next_delay_s(time.monotonic(), random.random())
+            delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:
                 raise told from (None if told is error else error)
         sleep(delay_s)

@@ -181,7 +181,8 @@ class MatchSubscription(BoundToProcess):
             self._resume()
         except StampedeError as error:
             self._resume()
-            if not may_heal(error) or self._group.session.closed:
+            self._group.session.check()
+            if not may_heal(error):
                 self._closed = True
                 raise self._group.explained(error) from None
             self._reconnecting.broke()

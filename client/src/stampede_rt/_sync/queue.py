@@ -12,7 +12,7 @@ from stampede_rt._sync.message import Message
 from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._sync.reconnecting import Reconnecting
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, connection_closed, request_id
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
@@ -95,6 +95,8 @@ class MessageTaking:
 
     def __next__(self) -> Message:
         if self._taker.closed:
+            if self._session.closing:
+                raise connection_closed()
             raise StopIteration
         found: list[Message | None] = []
 

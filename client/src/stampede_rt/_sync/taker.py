@@ -14,7 +14,7 @@ from stampede_rt._sync.attempts import Locator, attempt
 from stampede_rt._sync.message import Message, Settler
 from stampede_rt._sync.prefetch_buffer import PrefetchBuffer
 from stampede_rt._sync.queue_locator import QueueState
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, connection_closed
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.pacing.retry import FIRST_DELAY_S
@@ -72,12 +72,12 @@ class Taker:
         self.closed = False
 
     def get(self, wait: Wait) -> Message | None:
-        """The next message, or None when the wait is over or this is closed. Raises what keeps it from coming."""
+        """The next message, or None when the wait is over or the handle is closed. Raises what keeps it from coming."""
         self._session.check_process()
         waiter = WaitingTake()
         with self._mutex:
             if self._session.closed:
-                raise Unavailable("this connection is closed; connect() again")
+                raise connection_closed()
             if self.closed:
                 raise InvalidArgument(f"this handle of {self._state.name!r} is closed; open another")
             waiter.message = self._ready.take()
@@ -313,6 +313,7 @@ class Taker:
             waiting, worker = tuple(self._waiting), self._worker
             self._waiting.clear()
         for waiter in waiting:
+            waiter.error = connection_closed() if self._session.closing else None
             waiter.asked.set()
             waiter.come.set()
         self._drain(END_TIMEOUT_S)

@@ -1,0 +1,82 @@
+"""A connection that is closed while calls wait at it: each of them says so, in the same words."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+LIMIT_S = 20.0
+SECOND = 10**9
+SENTENCE = "this connection is closed; connect() again"
+CALLS = ("take", "messages", "items", "cuts", "matches", "newest", "complete", "peers")
+
+
+def test_every_thread_that_waits_hears_that_the_connection_is_closed(cluster: LocalCluster) -> None:
+    rt = st.connect(cluster.address)
+    channel, queue = rt.channel("closing/sync", max_age="60s"), rt.queue("closing/sync")
+    group = rt.group("closing/sync", [channel])
+    waits: dict[str, Callable[[], Any]] = {
+        "take": queue.get,
+        "messages": lambda: next(iter(rt.queue("closing/sync"))),
+        "items": lambda: next(iter(channel.subscribe())),
+        "cuts": lambda: next(iter(group.subscribe())),
+        "matches": lambda: next(iter(group.match(channel, "1ms"))),
+        "newest": lambda: channel.newest(after=st.now(), timeout=LIMIT_S),
+        "complete": lambda: channel.get(st.now(), st.now() + 60 * SECOND, complete=True, timeout=LIMIT_S),
+        "peers": lambda: next(iter(rt.watch_peers())),
+    }
+    heard: dict[str, str] = {}
+
+    def wait(name: str) -> None:
+        try:
+            heard[name] = f"returned {waits[name]()!r}"
+        except Exception as error:  # noqa: BLE001  # it is what the test looks at
+            heard[name] = f"{type(error).__name__}: {error}"
+
+    threads = [threading.Thread(target=wait, args=(name,), daemon=True) for name in CALLS]
+    for thread in threads:
+        thread.start()
+    with st.connect(cluster.address) as other:
+        while (
+            other.channel("closing/sync").stats().waiting_gets < 2
+            or other.queue("closing/sync").stats().waiting_gets < 2
+        ):
+            assert not heard
+    rt.close()
+    for thread in threads:
+        thread.join(LIMIT_S)
+    assert heard == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
+
+
+async def test_every_task_that_waits_hears_that_the_connection_is_closed(cluster: LocalCluster) -> None:
+    rt = await aio.connect(cluster.address)
+    channel, queue = await rt.channel("closing/aio", max_age="60s"), await rt.queue("closing/aio")
+    group = await rt.group("closing/aio", [channel])
+    waits: dict[str, Any] = {
+        "take": queue.get(),
+        "messages": anext(await rt.queue("closing/aio")),
+        "items": anext(aiter(channel.subscribe())),
+        "cuts": anext(aiter(group.subscribe())),
+        "matches": anext(aiter(group.match(channel, "1ms"))),
+        "newest": channel.newest(after=st.now(), timeout=LIMIT_S),
+        "complete": channel.get(st.now(), st.now() + 60 * SECOND, complete=True, timeout=LIMIT_S),
+        "peers": anext(aiter(rt.watch_peers())),
+    }
+    tasks = {name: asyncio.ensure_future(waits[name]) for name in CALLS}
+    async with await aio.connect(cluster.address) as other:
+        far, far_queue = await other.channel("closing/aio"), await other.queue("closing/aio")
+        while (await far.stats()).waiting_gets < 2 or (await far_queue.stats()).waiting_gets < 2:
+            assert not any(task.done() for task in tasks.values())
+    await rt.aclose()
+    async with asyncio.timeout(LIMIT_S):
+        heard = await asyncio.gather(*tasks.values(), return_exceptions=True)
+    told = {name: f"{type(one).__name__}: {one}" for name, one in zip(CALLS, heard, strict=True)}
+    assert told == dict.fromkeys(CALLS, f"Unavailable: {SENTENCE}")
