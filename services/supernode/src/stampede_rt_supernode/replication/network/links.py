@@ -43,6 +43,8 @@ Introduce = Callable[[str], pb.RaftHello]
 
 REQUEST_MESSAGES_MAX = 256
 REQUEST_BYTES = 1 << 20
+# How often the others are asked for their word at most, so that none can keep this member's streams from standing.
+ASK_OTHERS_SECONDS = 5.0
 HELLO_SECONDS = 2.0
 REASON_CHARACTERS_MAX = 500
 # A snapshot is fed to a link only while less than this waits in it.
@@ -101,7 +103,14 @@ class PeerLink:
         self._told: tuple[Member, ...] = ()
         # True when an empty request shall ask for an answer.
         self._probe_due = False
+        self._greet_anew = False
         self._work = asyncio.Event()
+
+    def greet_anew(self) -> None:
+        """End the stream, if there is one, so that the member says once more whether it takes this one."""
+        if self._open:
+            self._greet_anew = True
+            self._work.set()
 
     def enqueue(self, message: pb.RaftMessage) -> None:
         """Queue one message; drop it when the link is down, and the whole link when its queue is full."""
@@ -211,6 +220,8 @@ class PeerLink:
             if self._probe_due:
                 self._probe_due = False
                 await call.write(pb.RaftServiceExchangeRequest())
+            if self._greet_anew:
+                raise LinkBroken("it is greeted anew, since another member refuses this one")
             if self._overflow:
                 raise LinkBroken("the queue is full: the peer does not keep up")
 
@@ -224,7 +235,7 @@ class PeerLink:
         return request
 
     def _drop_queue(self) -> None:
-        self._open = self._overflow = self._probe_due = False
+        self._open = self._overflow = self._probe_due = self._greet_anew = False
         self._queue.clear()
         self.queued_bytes = 0
         self._unanswered_since = None
@@ -258,6 +269,8 @@ class PeerLinks:
         self._introduce: Introduce | None = None
         # Who refuses this member for good.
         self.refusals = Refusals()
+        # When the others were asked last whether they take this member, by the clock of durations.
+        self._others_asked_at = float("-inf")
         # What a member has said that is of another cluster; empty if none has.
         self.other_cluster = ""
         # Who says that this one's release does not know the cluster's feature level.
@@ -335,7 +348,17 @@ class PeerLinks:
                 "mistaken, stop that one and start this one again): %s",
                 *(member_id, what_follows, member_id, why),
             )
+            self._ask_the_others(refusals)
         return is_confirmed and not was_confirmed
+
+    def _ask_the_others(self, refusals: Refusals) -> None:
+        """Have those say their word who have not refused this member: it sends them nothing by which they would."""
+        now = time.monotonic()
+        if now - self._others_asked_at > ASK_OTHERS_SECONDS:
+            self._others_asked_at = now
+            for member_id, link in self._links.items():
+                if member_id not in refusals.by:
+                    link.greet_anew()
 
     def drop(self, member_id: str, why: str) -> None:
         """Have the stream of a member ended that breaks the rules; from the tick thread."""
