@@ -147,9 +147,12 @@ class Storm:
         late_until = silent_at + random_source.uniform(0.7, 1.0) * SILENCE_SECONDS
 
         def fall_silent() -> None:
-            world.wires[follower, leader].stalled_until = late_until
+            if not self.over:
+                world.wires[follower, leader].stalled_until = late_until
 
         def come_back() -> None:
+            if self.over:
+                return
             world.unblock(of_leader)
             world.wires[leader, follower].stalled_until = late_until + random_source.uniform(0.0, 0.5)
             self._let_lead(leader, until=late_until)
@@ -176,7 +179,7 @@ class Storm:
 
     def _let_lead(self, wanted: str, *, until: float) -> None:
         """Others hand over until this one leads, or it is too late for that."""
-        if self._world.now < until and self._leaders() != [wanted]:
+        if not self.over and self._world.now < until and self._leaders() != [wanted]:
             self._hand_over()
             self._world.after(0.2, lambda: self._let_lead(wanted, until=until))
 
@@ -257,13 +260,14 @@ def calm(world: World) -> None:
 
     It is not healed before the last late message has come.
     """
-    late_seconds = world.weather.late_seconds_max
+    stalls_end = max((wire.stalled_until for wire in world.wires.values()), default=0.0)
+    late_until = max(world.now + world.weather.late_seconds_max, stalls_end)
     world.weather = Weather()
     world.unblock(list(world.wires))
     for member in world.members.values():
         member.frozen_until = 0.0
         world.restart(member)
-    world.run_until(world.now + late_seconds)
+    world.run_until(late_until)
     settled = settled_members(world, world.now + HEAL_SECONDS)
     end = world.now + HEAL_SECONDS
     for number, member in enumerate(settled):
