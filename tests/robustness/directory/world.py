@@ -225,6 +225,8 @@ class DirectoryWorld(World):
         self.leases = leases
         # Who cannot reach which supernode at present.
         self.unreachable: set[tuple[object, str]] = set()
+        # Which supernode answered whom last.
+        self.last_answered: dict[object, DirectoryMember] = {}
         # Hosts and peers by id: whether they count on their lease at this moment.
         self.counts_on_lease: dict[bytes, Callable[[], bool]] = {}
         self._applied_first = 0
