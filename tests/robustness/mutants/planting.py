@@ -70,5 +70,5 @@ def ask(who: str, *, package_path: Path | None, seeds: int = SEEDS_MAX) -> tuple
     if not simulated and done.returncode == TESTS_FAILED:
         return True, next((line.split("::")[-1] for line in said if line.startswith("FAILED")), last)
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:
-        return False, f"{NOT_ASKED}: {(done.stderr.strip().splitlines() or [last])[-1]}"
+        return False, f"{NOT_ASKED}: exit code {done.returncode}: {(done.stderr.strip().splitlines() or [last])[-1]}"
     return False, f"{seeds} seeds found nothing" if simulated else "the test passes"
