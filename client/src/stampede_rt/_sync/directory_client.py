@@ -58,6 +58,7 @@ class DirectoryClient:
         self._measure_again_s = float("-inf")
         self._leader = ""  # who led when it was looked for last
         self.cluster_id = ""
+        self._strangers: set[str] = set()  # at the addresses of supernodes, by their own word of another cluster
         self.clock: ClockOffset | None = None  # this machine's, by the last call that told a supernode's time
 
     def bind(self, timeout_s: float) -> None:
@@ -119,15 +120,18 @@ class DirectoryClient:
     def _measure(self) -> None:
         """Ping all supernodes at once and put the nearest first, those of our zone before others.
 
-        What does not answer within PING_TIMEOUT_S goes last. The next time comes earlier or later than for others who
+        What does not answer within PING_TIMEOUT_S goes last. A supernode of another cluster is left out: somebody has
+        restored a backup at the address of one of ours. The next time comes earlier or later than for others who
         began at the same moment.
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
+        self._strangers.clear()
         clocks = run_concurrently([functools.partial(self._ping, target) for target in targets])
         answered = {target: clock for target, clock in zip(targets, clocks, strict=True) if clock is not None}
         round_trips_s = {target: 2e-9 * clock.uncertainty_nanos for target, clock in answered.items()}
-        self._targets = order_by_round_trip(self._targets, round_trips_s, self._elsewhere)
+        own = [target for target in self._targets if target not in self._strangers]
+        self._targets = order_by_round_trip(own, round_trips_s, self._elsewhere)
         if self._targets:
             self.clock = answered.get(self._targets[0], self.clock)
 
@@ -140,6 +144,9 @@ class DirectoryClient:
         except StampedeError:
             return None
         took = time.monotonic_ns() - began
+        if pong.cluster_id and self.cluster_id and pong.cluster_id != self.cluster_id:
+            self._strangers.add(target)
+            return None
         if not pong.ready:
             return None
         return ClockOffset.measured(
