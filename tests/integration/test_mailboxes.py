@@ -103,15 +103,21 @@ def test_whoever_left_and_came_back_is_found_anew(cluster: LocalCluster) -> None
 
 def test_closing_the_connection_wakes_whoever_waits_at_its_mailbox(cluster: LocalCluster) -> None:
     rt = st.connect(cluster.address, name="waiter")
-    found: list[Any] = []
-    waiting = threading.Thread(target=lambda: found.append(rt.mailbox.get()))
+    told: list[st.Unavailable] = []
+
+    def wait() -> None:
+        with pytest.raises(st.Unavailable) as caught:
+            rt.mailbox.get()
+        told.append(caught.value)
+
+    waiting = threading.Thread(target=wait)
     waiting.start()
     with st.connect(cluster.address) as other:
         while rt.mailbox.stats().waiting_gets != 1:
             assert other.peer("waiter").alive
     rt.close()
     waiting.join(10)
-    assert found == [None]
+    assert [error.message for error in told] == ["this connection is closed; connect() again"]
 
 
 async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:

@@ -76,7 +76,7 @@ class Staying(BindingCache):
 class Host:
     """A session with one host, which keeps the streams and what was given back."""
 
-    closed = False
+    closing = closed = False
     inherited = False
 
     def check_process(self) -> None:
