@@ -21,8 +21,9 @@ from stampede_rt_supernode.servicers.peer_servicer import PeerServicer
 from stampede_rt_supernode.servicers.queue_servicer import QueueDirectoryServicer
 from tests.robustness.directory.tasks import Resume, drive, wait
 from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.weather import Weather
-from tests.robustness.replication.world import SimMember, World
+from tests.robustness.replication.world import World
 
 LEASE_TTL_NANOS = 2 * 10**9
 CLOCK_DRIFT_MAX = 0.02  # of each machine's clock against true time; ten times what NTP calls a broken clock

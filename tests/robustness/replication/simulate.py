@@ -18,8 +18,9 @@ from stampede_rt_supernode.replication.rules.member_changes import HandOver
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.weather import Weather
-from tests.robustness.replication.world import SimMember, World
+from tests.robustness.replication.world import World
 
 STORM_SECONDS = 12.0
 [PRODUCTION] = (one.default for one in fields(ReplicationSettings) if one.name == "snapshot_every_entries")

@@ -35,7 +35,8 @@ from tests.robustness.replication.hostile_messages import Liar
 from tests.robustness.replication.machine import History, ListMachine
 from tests.robustness.replication.raft_rules import Committed
 from tests.robustness.replication.simulate import Storm, calm, weather_of
-from tests.robustness.replication.world import Weather, World
+from tests.robustness.replication.weather import Weather
+from tests.robustness.replication.world import World
 
 SEEDS = range(int(os.environ.get("STAMPEDE_HOSTILE_SEEDS", "40")))
 MESSAGES = 400

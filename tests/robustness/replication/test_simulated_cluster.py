@@ -16,9 +16,10 @@ from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRe
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.wire.messages import InstallSnapshot, Message, VoteRequest
 from tests.robustness.replication.machine import FORK, PromiseBroken
+from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.simulate import PRODUCTION, run
 from tests.robustness.replication.weather import Weather
-from tests.robustness.replication.world import SimMember, World
+from tests.robustness.replication.world import World
 
 SEEDS_IN_SUITE = 40
 

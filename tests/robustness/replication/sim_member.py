@@ -1,0 +1,242 @@
+"""One member of a simulated cluster: a real replica on a disk that stays, with false wires to the others."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from stampede_rt_supernode.replication.interface import Member, ReplicationStatus
+from stampede_rt_supernode.replication.raft_replica import MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.settings import ReplicationSettings
+from stampede_rt_supernode.replication.storage.store import StoredState
+from stampede_rt_supernode.replication.wire.buffered_transport import (
+    Outgoing,
+)
+from tests.robustness.replication.disk import Disk, DiskStore
+from tests.robustness.replication.machine import Ignorant, ListMachine, PromiseBroken
+from tests.robustness.replication.raft_rules import Said, check_match
+
+if TYPE_CHECKING:
+    from tests.robustness.replication.world import World
+
+T = TypeVar("T")
+
+# A slow wire takes pieces of snapshots and entries until so much waits on it.
+ROOM_SECONDS = 0.5
+
+
+@dataclass
+class Wire:
+    """The connection from one member to another, as its sender sees it."""
+
+    up: bool = False
+    blocked: bool = False
+    # Messages of an earlier connection are lost with it.
+    generation: int = 0
+    last_arrival: float = 0.0
+    answer_due: float = 0.0
+    # What is sent waits until then, as while TCP sends again and again.
+    stalled_until: float = 0.0
+    # How fast it is; one that is slow lets nothing overtake anything.
+    bytes_per_second: float = float("inf")
+
+
+class LateResult(Generic[T]):
+    """Work that another thread does: finished when it was asked for some times."""
+
+    def __init__(self, work: Callable[[], T], times: int) -> None:
+        self._work = work
+        self._times = times
+
+    def done(self) -> bool:
+        self._times -= 1
+        return self._times < 0
+
+    def result(self) -> T:
+        return self._work()
+
+
+class SimMember:
+    """One member: a disk that stays, and a replica that comes and goes. It is its replica's RaftNetwork."""
+
+    def __init__(self, world: World, member: Member, seeds: Sequence[Member], *, joining: bool = False) -> None:
+        self.world = world
+        self.member = member
+        self.settings = ReplicationSettings(
+            self_member=member,
+            initial_members=seeds,
+            joining=joining,
+            timing=world.timing,
+            cluster_id="simulated",
+            snapshot_every_entries=world.snapshot_every,
+            snapshot_piece_bytes=200,
+            kept_log_bytes_max=world.kept_log_bytes,
+        )
+        self.disk = Disk()
+        self.said = Said(member.member_id)
+        # Whether it does not know the command `FORK`, as a member of an older release.
+        self.forks = False
+        self.machine = ListMachine(world.history)
+        self.replica: RaftReplica | None = None
+        self.frozen_until = 0.0
+        # Whether the disk was put back to an earlier state, and whether another member found that out.
+        self.rolled_back = self.refused = False
+        self._next_step = float("inf")
+        # How often it was started; for how long the present step has waited for the disk; when the last one ends.
+        self._starts = 0
+        self._waited = self._busy_until = self._hangs_since = 0.0
+        self._checked = (0, 0)
+
+    @property
+    def now(self) -> float:
+        """What its clock says: in a step that waits for the disk, later than the world's."""
+        return self.world.now + self._waited
+
+    def start(self) -> None:
+        """Come up from the disk, with every connection still to be made."""
+        self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
+        self._starts += 1
+        self._checked, self._waited, self._hangs_since = (0, 0), 0.0, self.world.now
+        self.replica = self._open()
+        self._busy_until, self._waited = self.now, 0.0
+        self._next_step = float("inf")
+        self._plan(0.0)
+
+    def _open(self) -> RaftReplica:
+        return RaftReplica(
+            self.settings,
+            self.machine,
+            store=DiskStore(self.disk, self._write),
+            network=self,
+            clock=lambda: self.now,
+            random_source=random.Random(self.world.random_source.getrandbits(64)),
+            wake=lambda: self._plan(0.0),
+            rules=self.world.rules,
+            run_in_background=self._run_in_background,
+        )
+
+    def _run_in_background(self, work: Callable[[], T], /) -> LateResult[T]:
+        return LateResult(work, self.world.random_source.randint(0, 20))
+
+    def crash(self) -> None:
+        """Lose everything but what is on the disk by now."""
+        self.replica = None
+        self.disk.lose_power(self.world.now, lucky=lambda: self.world.random_source.random() < 0.5)
+        self.said.check_kept(self.disk.newest)
+        self.world.on_crash(self)
+
+    def put_back(self, state: StoredState) -> None:
+        """While it is down, somebody restores a backup of its disk."""
+        self.disk.put_back(state)
+        self.said, self.rolled_back = Said(self.member.member_id), True
+
+    def hang(self, seconds: float) -> None:
+        """Its disk does not answer for so long: the log stands still, and the rest of the process goes on."""
+        self._hangs_since = self.world.now
+        self._busy_until = max(self._busy_until, self.world.now + seconds)
+
+    @property
+    def stuck_seconds(self) -> float:
+        """For how long it has waited for a disk that does not answer."""
+        return self.world.now - self._hangs_since if self._busy_until > self.world.now else 0.0
+
+    def refuse_release(self, by: str, why: str) -> None:
+        """Another member has told it that its release is too old."""
+        raise PromiseBroken(f"{self.member.member_id} is refused though all are of one release")
+
+    def after_disk(self, call: Callable[[], None]) -> None:
+        """Call when the step has come so far, its waiting for the disk included, unless the process ends before."""
+        start = self._starts
+        self.world.after(self._waited, lambda: call() if self.replica and self._starts == start else None)
+
+    def release(self, messages: Sequence[Outgoing]) -> None:
+        def leave() -> None:
+            for to, message in messages:
+                self.said.note(to, message)
+                self.world.send(self.member.member_id, to, message)
+            # The power might be lost at this very moment.
+            self.said.check_kept(self.disk.durable(self.world.now))
+
+        self.after_disk(leave)
+
+    def follow(self, roster: MemberRoster) -> None:
+        for ends in self.world.wires:
+            if ends[0] == self.member.member_id and ends[1] not in roster.peers:
+                self.world.break_wire(ends)
+
+    def drop(self, member_id: str, why: str) -> None:
+        """A member broke the rules: its stream ends."""
+        self.world.fault(member_id, self.member.member_id, why)
+
+    def has_room(self, member_id: str) -> bool:
+        if self.world.random_source.random() < self.world.weather.full_links:
+            return False
+        wire = self.world.wires.get((self.member.member_id, member_id), Wire())
+        return wire.last_arrival < self.world.now + ROOM_SECONDS or wire.bytes_per_second == float("inf")
+
+    def _write(self) -> tuple[float, float]:
+        """Spend the time of a commit; perhaps the power is lost within it."""
+        weather, random_source, start, began = self.world.weather, self.world.random_source, self._starts, self.now
+        seconds = random_source.expovariate(1 / weather.disk_seconds) if weather.disk_seconds else 0.0
+        if random_source.random() < weather.disk_hangs:
+            seconds += random_source.uniform(0.2, 4.0)
+        if random_source.random() < weather.disk_crash:
+            lost = began + seconds * random_source.uniform(0.0, 1.1)
+            self.world.at(lost, lambda: self.crash() if self.replica and self._starts == start else None)
+        self._waited += seconds
+        return began, self.now
+
+    def _plan(self, delay: float) -> None:
+        at = max(
+            self.world.now + delay + self.world.random_source.random() * 0.001, self.frozen_until, self._busy_until
+        )
+        if at < self._next_step:
+            self._next_step = at
+            replica = self.replica
+            self.world.at(at, lambda: self._step(replica, at))
+
+    def _step(self, replica: RaftReplica | None, at: float) -> None:
+        if replica is None or replica is not self.replica or at != self._next_step:
+            return
+        self._next_step = float("inf")
+        if max(self.frozen_until, self._busy_until) > self.world.now:
+            self._plan(0.0)
+            return
+        roster, before = replica.roster, replica.status()
+        again = replica.step()
+        self._hangs_since, self._busy_until, self._waited = self.world.now, self.now, 0.0
+        self._judge(replica, roster, before)
+        self._plan(0.0 if again else self.world.timing.tick_seconds)
+
+    def _judge(self, replica: RaftReplica, roster: MemberRoster, before: ReplicationStatus) -> None:
+        """Hold what it has committed in this step against the rules of Raft."""
+        status, log, committed = replica.status(), replica._log, self.world.committed
+        commit_index, changed_at = log.commit_index, log.configurations.current_index
+        if status.diverged_at and not self.forks:
+            raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
+        if status.is_leader:
+            self.world.history.leads(self.member.member_id, status.term)
+        # One that has heard nobody for too long commits, and leads no more, in one step.
+        led = status.is_leader or (before.is_leader and before.term == status.term)
+        entry = log.entry_at(commit_index)
+        if commit_index <= self._checked[0]:
+            pass
+        elif led and entry is not None and entry.term == status.term:
+            disks = {name: one.disk.durable(self.world.now) for name, one in self.world.members.items()}
+            disks[self.member.member_id] = self.disk.newest
+            rosters = [roster.members, replica.roster.members]
+            committed.by_leader(status.term, commit_index, log, rosters, disks)
+        else:
+            committed.by_follower(self.member.member_id, commit_index, log)
+        if status.is_leader:
+            for node, match in replica._node.match_index.items():
+                other = self.world.members[node.id]
+                if not other.rolled_back:
+                    disk = other.disk.durable(self.world.now)
+                    check_match(status.term, node.id, match, log.entry_at(match), disk)
+        change = log.entry_at(changed_at)
+        if changed_at > self._checked[1] and status.is_leader and change is not None and change.term == status.term:
+            committed.configured(status.term, changed_at)
+        self._checked = (max(commit_index, self._checked[0]), changed_at)
