@@ -301,6 +301,9 @@ class Group(Reference):
         await self._members.refresh()
 
     async def delete(self) -> None:
-        """Forget the group, for everyone; its channels stay."""
+        """Forget the group, for everyone; its channels stay.
+
+        The directory forgets it at once. Its hosts hear of that a moment later, and may still answer reads until then.
+        """
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
         await self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)
