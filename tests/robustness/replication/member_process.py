@@ -1,6 +1,7 @@
 """One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `leader`.
 
-Arguments: member id, folder for stores and sockets, and the ids of all members. Every answer is one line.
+Arguments: member id, folder for stores and sockets, and the ids of all members. Every answer is one line. Two of them
+are no results: UNKNOWN_OUTCOME and REFUSED.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from stampede_rt_supernode.replication import (
     open_replicated_log,
 )
 from tests.robustness.replication.machine import ListMachine
+
+UNKNOWN_OUTCOME = "may-or-may-not-be-done"
+REFUSED = "certainly-not-done"
 
 
 async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
@@ -45,8 +49,10 @@ async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
             else:
                 await log.confirm_read(timeout=10.0)
                 answer = " ".join(command.decode() for _, command in machine.entries)
-        except (Ambiguous, LogUnavailable) as error:
-            answer = type(error).__name__
+        except Ambiguous:
+            answer = UNKNOWN_OUTCOME
+        except LogUnavailable:
+            answer = REFUSED
         print(answer, flush=True)
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE
 from tests.robustness.replication.ext4 import Ext4
+from tests.robustness.replication.member_process import REFUSED, UNKNOWN_OUTCOME
 from tests.robustness.replication.test_killed_processes import IDS, MemberProcess, write
 from tests.unit.supernode.processes import attempts
 
@@ -132,7 +133,7 @@ async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_it_goes_on
     stuck = asyncio.create_task(leader.ask("propose stuck"))
     while not (await witness.ask("propose meanwhile")).isdigit():
         pass
-    assert await stuck in ("Ambiguous", "Unavailable")
+    assert await stuck in (UNKNOWN_OUTCOME, REFUSED)
     # It does not go on to call itself the leader.
     assert await leader.ask("leader") == "None"
     leader.disk.thaw()
