@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-Place = tuple[int, int]
+ItemKey = tuple[int, int]
 
 
-def paired(own: Iterable[Place], other: Iterable[Place], tolerance: int) -> dict[Place, Place]:
+def paired(own: Iterable[ItemKey], other: Iterable[ItemKey], tolerance: int) -> dict[ItemKey, ItemKey]:
     """All pairs of items (time, seq) at most `tolerance` apart; of equally near ones that with the earlier items."""
     possible = [(abs(one[0] - two[0]), one, two) for one in own for two in other if abs(one[0] - two[0]) <= tolerance]
-    made: dict[Place, Place] = {}
+    made: dict[ItemKey, ItemKey] = {}
     possible.sort(key=lambda pair: (pair[0], pair[1:]))
     for _, one, two in possible:
         if all(one != former and two != near and (one < former) == (two < near) for former, near in made.items()):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import ChannelCore, Offer
 from stampede_rt_channel_host.core.group import OWN, FarTrack, Matcher, OwnTimes, OwnTrack, Track
-from tests.oracle.pairs import Place, paired
+from tests.oracle.pairs import ItemKey, paired
 
 NOW, FAR = 10_000, 5_000
 OTHER = b"other"
@@ -27,8 +27,8 @@ class Replay:
         self.tolerance, self.lateness, self.unique = tolerance, lateness, unique
         self.far = FarTrack() if is_far else None
         self.times = {OWN: OwnTimes(self.own, NOW), OTHER: OwnTimes(self.other, NOW)}
-        self.placed: dict[bytes, list[Place]] = {OWN: [], OTHER: []}
-        self.found: dict[Place, Place] = {}
+        self.placed: dict[bytes, list[ItemKey]] = {OWN: [], OTHER: []}
+        self.found: dict[ItemKey, ItemKey] = {}
         self.dropped = 0
         self.matcher = Matcher(self.own, self.tracks, tolerance, NOW, partners={} if unique else None)
 
@@ -61,7 +61,7 @@ class Replay:
         """By another host, which knows what the cursor says."""
         self.dropped += self.matcher.dropped
         partners = dict(self.matcher.partners) if self.unique else None
-        place, next_seq = self.matcher.place, self.matcher.next_seq
+        place, next_seq = self.matcher.position, self.matcher.next_seq
         self.matcher = Matcher(self.own, self.tracks, self.tolerance, NOW, place, next_seq, partners)
 
     def end(self) -> None:
@@ -101,7 +101,7 @@ def test_what_comes_out_of_order_by_no_more_than_the_lateness_is_matched_as_if_a
     assert replay.dropped + replay.matcher.dropped == 0
 
 
-def nearest(own: Sequence[Place], other: Sequence[Place], tolerance: int) -> dict[Place, Place]:
+def nearest(own: Sequence[ItemKey], other: Sequence[ItemKey], tolerance: int) -> dict[ItemKey, ItemKey]:
     """Of each item, whatever others get."""
     near = {one: min(other, key=lambda two: (abs(one[0] - two[0]), two), default=None) for one in own}
     return {one: two for one, two in near.items() if two is not None and abs(one[0] - two[0]) <= tolerance}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, ChannelIndex
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, ChannelIndex
 from stampede_rt_channel_host.core.channel.run import make_run
 from tests.unit.core.channels import seqs_of, times_of
 
@@ -65,7 +65,7 @@ def test_a_late_item_splits_the_run_that_it_falls_into_and_shares_it() -> None:
     index = ChannelIndex()
     index.insert(make_run(1, [10, 20, 30], None, [1, 1, 1], b"early"))
     index.insert(make_run(4, [20], None, [1], b"late"))
-    slices = list(index.slices(FIRST_PLACE, LAST_PLACE))
+    slices = list(index.slices(FIRST_KEY, LAST_KEY))
     assert seqs_of(slices) == [1, 2, 4, 3]
     assert [part.run.body for part in slices] == [b"early", b"early", b"late", b"early"]
     assert [part.is_whole for part in slices] == [False, False, True, False]
@@ -78,7 +78,7 @@ def test_entries_are_taken_out_from_the_front_until_one_reaches_the_floor() -> N
     while index.pop_below(floor) is not None:
         pass
     expected = [entry for entry in entries if entry >= floor]
-    slices = list(index.slices(floor, LAST_PLACE))
+    slices = list(index.slices(floor, LAST_KEY))
     assert list(zip(times_of(slices), seqs_of(slices), strict=True)) == expected
     assert list(index.slices_from(floor)) == slices
     assert seqs_of(list(index.slices_by_seq(0, 10**9, floor))) == sorted(seq for _, seq in expected)

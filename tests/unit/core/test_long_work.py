@@ -47,7 +47,7 @@ def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
         counter.slices += 1
         yield from clipped(*args)
 
-    def counting_from(self: index.ChannelIndex, floor: index.Place) -> Iterator[Slice]:
+    def counting_from(self: index.ChannelIndex, floor: index.ItemKey) -> Iterator[Slice]:
         for part in slices_from(self, floor):
             counter.slices += 1
             yield part

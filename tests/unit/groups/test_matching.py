@@ -115,7 +115,7 @@ def test_what_came_late_between_two_streams_is_counted_as_dropped() -> None:
     left, right = channel(10, 20), channel(10, 20, 90)
     matcher = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=Position(-1, 0))
     assert pairs(matcher, right) == [(10, 10), (20, 20)]
-    after, next_seq = matcher.place, matcher.next_seq
+    after, next_seq = matcher.position, matcher.next_seq
     put(left, 15)
     put(left, 30)
     resumed = Matcher(left, {RIGHT: OwnTrack(right)}, 1, NOW, after=after, next_seq=next_seq)
@@ -211,7 +211,7 @@ def test_a_place_says_which_partners_are_taken_so_that_another_gives_none_of_the
     (first,) = matcher.take(lambda name, instant: True, NOW, 1)
     assert first.matched[RIGHT].time == 12
     resumed = Matcher(
-        left, {RIGHT: OwnTrack(right)}, 3, NOW, matcher.place, matcher.next_seq, partners=matcher.partners
+        left, {RIGHT: OwnTrack(right)}, 3, NOW, matcher.position, matcher.next_seq, partners=matcher.partners
     )
     assert matched(resumed, left, right) == [(14, None), (40, None)]
 

@@ -199,7 +199,7 @@ def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) 
 
 def _cursor(matcher: Matcher, group: HostedGroup) -> pb.MatchCursor:
     cursor = pb.MatchCursor(
-        after=position_to(matcher.place),
+        after=position_to(matcher.position),
         next_seq=matcher.next_seq,
         group_incarnation=group.record.incarnation,
     )

@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
     check_consumption,
 )
 from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
-from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
+from stampede_rt_channel_host.core.channel.index import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
@@ -190,9 +190,9 @@ class ChannelCore:
             self._check_saved(saved)
             self._settle(self._tick(now))
             return resume_all(self._held, saved)
-        after_place = self._resume_place(start, after)
-        low = self._start_place(start, start_exclusive, now)
-        return open_all(self._held, low, None if after_place is None else after_place[1])
+        after_key = self._resume_key(start, after)
+        low = self._start_key(start, start_exclusive, now)
+        return open_all(self._held, low, None if after_key is None else after_key[1])
 
     def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
         """Take the next part, about `limit_bytes` (payload and overhead; at least one slice). Moves the cursor.
@@ -214,8 +214,8 @@ class ChannelCore:
             self._check_saved(saved)
             self._settle(self._tick(now))
             return resume_newest(self._held, saved)
-        after_place = self._resume_place(start, after)
-        return open_newest(self._held, self._start_place(start, start_exclusive, now), after_place)
+        after_key = self._resume_key(start, after)
+        return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
 
     def latest(self, cursor: NewestCursor, now: int) -> DeliveredSlice | None:
         """Take the newest item if it is later than the last one taken. Moves the cursor and counts what it skipped."""
@@ -425,7 +425,7 @@ class ChannelCore:
             raise InvalidArgument("the cursor comes from a subscription through a group; give the group, too")
         self._reading.check_position(Position(0, None, saved.incarnation))
 
-    def _resume_place(self, start: Bound | None, after: Position | None) -> Place | None:
+    def _resume_key(self, start: Bound | None, after: Position | None) -> ItemKey | None:
         if after is None:
             return None
         self._reading.check_position(after)
@@ -437,7 +437,7 @@ class ChannelCore:
             )
         return after.time, after.seq
 
-    def _start_place(self, start: Bound | None, exclusive: bool, now: int) -> Place | None:
+    def _start_key(self, start: Bound | None, exclusive: bool, now: int) -> ItemKey | None:
         """Where a subscription's held items begin; None if it wants none, or an empty channel cannot tell."""
         clock = self._settle(self._tick(now))
         time = None if start is None else self._reading.resolve_bound(start, clock)

@@ -11,7 +11,7 @@ from itertools import islice
 
 from stampede_rt_channel_host.core.channel import tally
 from stampede_rt_channel_host.core.channel.front import Front, Going, before, oldest_bytes, oldest_items
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, ChannelIndex, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END, ChannelIndex, ItemKey
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
 from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
@@ -27,7 +27,7 @@ FREED_ENTRIES_MAX = 2048
 
 
 Cut = Callable[[bytes, int, int], bytes]
-"""Gives the body of the items from one place up to, not including, another."""
+"""Gives the body of the items from one position up to, not including, another."""
 
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
@@ -54,7 +54,7 @@ class Holdings:
     def __init__(self, cut: Cut | None = None) -> None:
         """`cut` copies a part of a run's body; None: runs are kept whole."""
         self.index = ChannelIndex()
-        self.floor: Place = FIRST_PLACE
+        self.floor: ItemKey = FIRST_KEY
         self.items = 0
         self.payload_bytes = 0
         self.newest: int | None = None
@@ -69,7 +69,7 @@ class Holdings:
         self.last_cause = AGE
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None
-        self._told: Place = FIRST_PLACE  # up to where it has heard
+        self._told: ItemKey = FIRST_KEY  # up to where it has heard
         self._came_up_to: int | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
         self._newest_is_open = False  # an item of the newest bucket came without a duration
@@ -108,7 +108,7 @@ class Holdings:
         return untold or self.index.has_below(self._free_floor)
 
     @property
-    def _free_floor(self) -> Place:
+    def _free_floor(self) -> ItemKey:
         """What snapshots still show is not freed, nor what was not told of."""
         floor = self.floor if self._on_gone is None else min(self.floor, self._told)
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
@@ -123,9 +123,9 @@ class Holdings:
         return min(self.collected_end, bound)
 
     @property
-    def end(self) -> Place:
+    def end(self) -> ItemKey:
         """See `Readable`: all is shown."""
-        return LAST_PLACE
+        return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
         """What is held now, to be walked while it changes."""
@@ -166,7 +166,7 @@ class Holdings:
             self._trim()
 
     def store_item(self, run: ColumnRun, at: int, payload_bytes: int) -> None:
-        """Add the item at place `at` of a run of which exactly those before it are in."""
+        """Add the item at position `at` of a run of which exactly those before it are in."""
         time = run.times[at]
         if time < self.floor[0]:
             self._make_way()
@@ -188,9 +188,9 @@ class Holdings:
         trimmed = self.index.trim_below(self.floor)
         if trimmed is not None:
             self._forget(trimmed)
-        self.floor = self._told = FIRST_PLACE
+        self.floor = self._told = FIRST_KEY
 
-    def _split_block(self, crowded: tuple[Place, Place] | None) -> None:
+    def _split_block(self, crowded: tuple[ItemKey, ItemKey] | None) -> None:
         """Late items have crowded a block of the tally: make two of it."""
         if crowded is None:
             return
@@ -238,11 +238,11 @@ class Holdings:
             self._newest_is_open |= duration == ABSENT
             self._newest_longest = max(self._newest_longest, duration)
 
-    def slices(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
+    def slices(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
         """Held items at or above `low` and below `high`, ascending."""
         return self.index.slices(max(low, self.floor), high)
 
-    def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
+    def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
         """The same, the last slice first."""
         return self.index.slices_down(max(low, self.floor), high)
 
@@ -260,10 +260,10 @@ class Holdings:
         end = self.newest + self._newest_longest
         return max(end, now) if self._newest_is_open else end
 
-    def items_below(self, place: Place) -> int:
-        """How many held items are below a place: walks only those that whole blocks do not count."""
-        whole = self._tally.whole_below(place)
-        return whole.items + sum(part.items for part in self.slices(whole.end, place))
+    def items_below(self, key: ItemKey) -> int:
+        """How many held items are below a key: walks only those that whole blocks do not count."""
+        whole = self._tally.whole_below(key)
+        return whole.items + sum(part.items for part in self.slices(whole.end, key))
 
     def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
         """Held items with seqs from `low` up to, not including, `high`, in seq order."""
@@ -325,7 +325,7 @@ class Holdings:
         return Front(items, payload_bytes, last or self._last_of(whole), None)
 
     def _last_of(self, whole: Whole) -> Slice | None:
-        return next(self.slices_down(FIRST_PLACE, whole.end), None) if whole.items else None
+        return next(self.slices_down(FIRST_KEY, whole.end), None) if whole.items else None
 
     def front_before(self, time: int) -> Front:
         """The held items before `time`, however many there are."""

@@ -20,21 +20,21 @@ from sortedcontainers import SortedKeyList
 
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
 
-Place = tuple[int, int]
-"""A place in the order (time, seq)."""
+ItemKey = tuple[int, int]
+"""An item's position in the order (time, seq), as a pair that sorts."""
 
 SEQ_END = 1 << 64
 """Above every seq."""
 
-FIRST_PLACE: Place = (-(1 << 64), 0)
-LAST_PLACE: Place = (1 << 64, 0)
+FIRST_KEY: ItemKey = (-(1 << 64), 0)
+LAST_KEY: ItemKey = (1 << 64, 0)
 
 _BUCKET_ENTRIES_SCANNED = 8
-"""So many entries that begin at the same time are looked at one after the other; a place among more is bisected."""
+"""So many entries that begin at the same time are looked at one after the other; a key among more is bisected."""
 
 
 class IndexPart:
-    """An entry of a run of several items: places `lo` to `hi` of it. `hi` changes when it is split, `lo` when it is
+    """An entry of a run of several items: positions `lo` to `hi` of it. `hi` changes when it is split, `lo` when it is
     trimmed within its first bucket; then `first_seq` stays, as the key that it is found by."""
 
     __slots__ = ("first_seq", "first_time", "hi", "lo", "run")
@@ -59,9 +59,9 @@ class IndexPart:
 Entry = IndexPart | OneRun
 
 
-def index_of(entry: Entry, place: Place) -> int:
-    """Where in the entry's run its first item at or above `place` stands; `entry.hi` if there is none."""
-    time, seq = place
+def index_of(entry: Entry, key: ItemKey) -> int:
+    """Where in the entry's run its first item at or above `key` stands; `entry.hi` if there is none."""
+    time, seq = key
     if entry.first_time > time:
         return entry.lo
     times = entry.run.times
@@ -98,7 +98,7 @@ class ChannelIndex:
             lo = hi
 
     def insert_item(self, run: Run, at: int) -> None:
-        """Add the item at place `at` of a run of which exactly those before it are in; its seq is above all others."""
+        """Add the item at position `at` of a run. Exactly the items before it are in; its seq is above all others."""
         time = run.times[at]
         before = self._floor(time)
         if before is not None and before.run is run and before.hi == at and before.last_time <= time:
@@ -145,7 +145,7 @@ class ChannelIndex:
             return None
         return next(self._by_time.irange_key(time, None, (False, True)), None)
 
-    def slices(self, low: Place, high: Place) -> Iterator[Slice]:
+    def slices(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
         """The items at or above `low` and below `high`, ascending. The index must not change meanwhile."""
         if low >= high:
             return
@@ -157,27 +157,27 @@ class ChannelIndex:
                 return
             yield from _clipped(entry, low, high)
 
-    def _entries_from(self, low: Place, last_time: int) -> Iterator[Entry]:
+    def _entries_from(self, low: ItemKey, last_time: int) -> Iterator[Entry]:
         """Entries that begin from `low`'s time up to `last_time`, without the most of those that end below `low`."""
         time, seq = low
         entries = self._by_time.irange_key(time, last_time)
         first = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq else []
         if len(first) < _BUCKET_ENTRIES_SCANNED or first[-1].first_time > time or first[-1].first_seq >= seq:
             return chain(first, entries)
-        at = self._place_in_bucket(time, seq)
+        at = self._entry_in_bucket(time, seq)
         return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
 
-    def _entries_down(self, high: Place, first_time: int) -> Iterator[Entry]:
+    def _entries_down(self, high: ItemKey, first_time: int) -> Iterator[Entry]:
         """The same from above: without the most of those that begin at or above `high`."""
         time, seq = high
         entries = self._by_time.irange_key(first_time, time, reverse=True)
         last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
         if len(last) < _BUCKET_ENTRIES_SCANNED or last[-1].first_time < time or last[-1].first_seq < seq:
             return chain(last, entries)
-        end = self._place_in_bucket(time, seq) + 1
+        end = self._entry_in_bucket(time, seq) + 1
         return iter(self._by_time.islice(self._by_time.bisect_key_left(first_time), end, reverse=True))
 
-    def _place_in_bucket(self, time: int, seq: int) -> int:
+    def _entry_in_bucket(self, time: int, seq: int) -> int:
         """Which entry, counted from the first of all, is the last that begins at `time` with a seq up to `seq`; the
         first that begins at it if there is none. A bisection: a bucket may hold any number of entries."""
         lo: int = self._by_time.bisect_key_left(time)
@@ -185,17 +185,17 @@ class ChannelIndex:
         above: int = bisect_right(self._by_time, seq, lo, hi, key=attrgetter("first_seq"))
         return above - 1 if above > lo else above
 
-    def slices_from(self, floor: Place) -> Iterator[Slice]:
+    def slices_from(self, floor: ItemKey) -> Iterator[Slice]:
         """The items at or above `floor`, ascending; the quickest way where hardly an entry lies below it."""
         if self._by_time and self._by_time[0].last_time < floor[0]:
-            yield from self.slices(floor, LAST_PLACE)
+            yield from self.slices(floor, LAST_KEY)
             return
         for entry in self._by_time:
             lo = entry.lo if entry.first_time > floor[0] else index_of(entry, floor)
             if lo < entry.hi:
                 yield Slice(entry.run, lo, entry.hi)
 
-    def slices_down(self, low: Place, high: Place) -> Iterator[Slice]:
+    def slices_down(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
         """The same items, the last slice first."""
         if low >= high:
             return
@@ -207,21 +207,21 @@ class ChannelIndex:
         if before is not None and before.last_time >= low[0]:
             yield from _clipped(before, low, high)
 
-    def copy_from(self, low: Place) -> ChannelIndex:
+    def copy_from(self, low: ItemKey) -> ChannelIndex:
         """Another index by time of the items at or above `low`, which changes of this one leave as it is."""
         copy = ChannelIndex()
-        copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, LAST_PLACE))
+        copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, LAST_KEY))
         return copy
 
-    def slices_by_seq(self, low: int, high: int, floor: Place) -> Iterator[Slice]:
-        """The items with seqs from `low` up to, not including, `high` and places at or above `floor`, in seq order."""
+    def slices_by_seq(self, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:
+        """The items with seqs from `low` up to, not including, `high` and keys at or above `floor`, in seq order."""
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         if before is not None:
             yield from _clipped_by_seq(before, low, high, floor)
         for entry in self._by_seq.irange_key(low, high, (True, False)):
             yield from _clipped_by_seq(entry, low, high, floor)
 
-    def seq_from(self, low: int, high: int, floor: Place, entries_max: int) -> int:
+    def seq_from(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
         """The first seq from `low` on of an item at or above `floor`, `high` if there is none below it.
 
         Looks at so many entries at most; then it gives how far it came: all below are gone.
@@ -234,7 +234,7 @@ class ChannelIndex:
         beyond: Entry | None = next(entries, None)
         return high if beyond is None else beyond.first_seq
 
-    def held_up_to(self, low: int, high: int, floor: Place, entries_max: int) -> int:
+    def held_up_to(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
         """How far the seqs of items at or above `floor` follow each other from `low` on, as far as so many entries
         tell; `low` if it is none of them."""
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
@@ -263,14 +263,14 @@ class ChannelIndex:
         times = entry.run.times
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
-    def has_below(self, floor: Place) -> bool:
+    def has_below(self, floor: ItemKey) -> bool:
         """All items of the first entry are below `floor`."""
         if not self._by_time:
             return False
         entry: Entry = self._by_time[0]
         return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
 
-    def pop_below(self, floor: Place) -> Entry | None:
+    def pop_below(self, floor: ItemKey) -> Entry | None:
         """Take out the first entry if all of its items are below `floor`."""
         if not self.has_below(floor):
             return None
@@ -282,7 +282,7 @@ class ChannelIndex:
             self._by_seq.remove(entry)
         return entry
 
-    def share_below(self, floor: Place) -> Slice | None:
+    def share_below(self, floor: ItemKey) -> Slice | None:
         """The items below `floor` of the first entry, if that has others, too; None: it is whole."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         if not isinstance(entry, IndexPart) or entry.first_time > floor[0]:
@@ -294,7 +294,7 @@ class ChannelIndex:
         end_seq = run.first_seq + len(run)
         return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
 
-    def trim_below(self, floor: Place) -> Slice | None:
+    def trim_below(self, floor: ItemKey) -> Slice | None:
         """Take out the items below `floor` of the first entry, if it is the only one that has such; what was taken."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         at = 0 if entry is None else index_of(entry, floor)
@@ -302,7 +302,7 @@ class ChannelIndex:
             return None
         assert isinstance(entry, IndexPart), "an entry of one item has nothing between its ends"
         trimmed = Slice(entry.run, entry.lo, at)
-        if entry.run.times[at] == entry.first_time:  # it keeps its place before the others that begin at this time
+        if entry.run.times[at] == entry.first_time:  # it stays before the others that begin at this time
             entry.lo = at
         else:
             self._by_time.remove(entry)
@@ -311,14 +311,14 @@ class ChannelIndex:
         return trimmed
 
 
-def _clipped(entry: Entry, low: Place, high: Place) -> Iterator[Slice]:
+def _clipped(entry: Entry, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
     lo = entry.lo if entry.first_time > low[0] else index_of(entry, low)
     hi = entry.hi if entry.last_time < high[0] else index_of(entry, high)
     if lo < hi:
         yield Slice(entry.run, lo, hi)
 
 
-def _clipped_by_seq(entry: Entry, low: int, high: int, floor: Place) -> Iterator[Slice]:
+def _clipped_by_seq(entry: Entry, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:
     first = entry.run.first_seq
     lo = max(entry.lo, low - first)
     hi = min(entry.hi, high - first)

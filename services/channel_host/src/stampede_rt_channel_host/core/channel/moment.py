@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
@@ -29,25 +29,25 @@ class HeldThen:
         self._snapshot.hold()
 
     @property
-    def end(self) -> Place:
+    def end(self) -> ItemKey:
         """See `Readable`: all is shown."""
-        return LAST_PLACE
+        return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
         """What was held. It outlives this view if it is held."""
         return self._snapshot.copy()
 
-    def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE) -> Iterator[Slice]:
+    def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
         """As of `Holdings`."""
         return (part for part in self._snapshot.slices_down(low, high) if self._snapshot.shows(part))
 
     def next_time(self, time: int) -> int | None:
         """The time of the next later bucket than `time`."""
-        return self._snapshot.next_time(time, LAST_PLACE)
+        return self._snapshot.next_time(time, LAST_KEY)
 
     def floor_time(self, time: int) -> int | None:
         """The time of the bucket at or before `time`."""
-        last = next(self.slices_down(FIRST_PLACE, (time, SEQ_END)), None)
+        last = next(self.slices_down(FIRST_KEY, (time, SEQ_END)), None)
         return None if last is None else last.last_time
 
     def close(self) -> None:

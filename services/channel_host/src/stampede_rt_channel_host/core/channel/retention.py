@@ -13,7 +13,7 @@ from __future__ import annotations
 from stampede_rt_channel_host.core.channel.consumption import Consumers
 from stampede_rt_channel_host.core.channel.front import Going, before
 from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
@@ -139,7 +139,7 @@ class Retention:
         if not self.consumers.live:
             return None
         first: int | None = None
-        for at, part in enumerate(self._held.slices(FIRST_PLACE if start is None else (start, 0), (end, 0))):
+        for at, part in enumerate(self._held.slices(FIRST_KEY if start is None else (start, 0), (end, 0))):
             first = part.first_time if first is None else first
             if at >= SLICES_AGED_MAX and part.first_time > first:  # a bucket goes as a whole
                 self._has_more_to_age = True

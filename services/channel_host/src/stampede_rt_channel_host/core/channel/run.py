@@ -47,7 +47,7 @@ class Run(ABC):
 
     @abstractmethod
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The payload bytes of the items from place `lo` up to, not including, `hi`."""
+        """The payload bytes of the items from position `lo` up to, not including, `hi`."""
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -57,7 +57,7 @@ class Slicer(Protocol):
     """What the shell knows of a run's body, once a part of it was asked for."""
 
     def cut(self, lo: int, hi: int, *, without_payloads: bool) -> bytes:
-        """The body of the items from place `lo` up to, not including, `hi`."""
+        """The body of the items from position `lo` up to, not including, `hi`."""
 
 
 class ColumnRun(Run):
@@ -78,11 +78,11 @@ class ColumnRun(Run):
         self.slicer: Slicer | None = None
 
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The payload bytes of the items from place `lo` up to, not including, `hi`."""
+        """The payload bytes of the items from position `lo` up to, not including, `hi`."""
         return sum(self.lengths[lo:hi])
 
     def part(self, lo: int, hi: int, body: bytes) -> ColumnRun:
-        """The items from place `lo` up to, not including, `hi` as a run of their own."""
+        """The items from position `lo` up to, not including, `hi` as a run of their own."""
         durations = None if self.durations is None else self.durations[lo:hi]
         run = ColumnRun(self.first_seq + lo, self.times[lo:hi], durations, self.lengths[lo:hi], body)
         run.kept = hi - lo
@@ -130,7 +130,7 @@ class OneRun(Run):
         return (self.length,)
 
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The item's payload length, if it lies between the two places."""
+        """The item's payload length, if it lies between the two positions."""
         return self.length if lo < hi else 0
 
     def __len__(self) -> int:
@@ -152,7 +152,7 @@ def pack(column: Sequence[int]) -> Sequence[int]:
 
 
 class Slice(NamedTuple):
-    """The items of a run from place `lo` up to, not including, `hi`; a value of its own, safe to keep and send later.
+    """The items of a run from position `lo` up to, not including, `hi`. A value that is safe to keep and send later.
 
     In answers and deliveries the items of one slice ascend in (time, seq).
     """

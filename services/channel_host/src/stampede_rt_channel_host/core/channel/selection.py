@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.gathered import Gathered, emptying
-from stampede_rt_channel_host.core.channel.index import SEQ_END, Place
+from stampede_rt_channel_host.core.channel.index import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
@@ -53,7 +53,7 @@ class Readable(Protocol):
         """As in `Holdings`."""
 
     @property
-    def end(self) -> Place:
+    def end(self) -> ItemKey:
         """What is shown lies below it."""
 
     def snapshot(self) -> ChannelSnapshot:
@@ -69,8 +69,8 @@ class Readable(Protocol):
 class _Stretch(NamedTuple):
     """Items at or above `low` and below `high`; with `fits`, those of them that it takes."""
 
-    low: Place
-    high: Place
+    low: ItemKey
+    high: ItemKey
     fits: Fits | None = None
 
 
@@ -223,7 +223,7 @@ def _reaching_over(overlap: int, start: int, bucket: int) -> list[_Stretch]:
     ]
 
 
-def _staying_in(held: Readable, within: ResolvedInterval, low: Place, now: int) -> list[_Stretch]:
+def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int) -> list[_Stretch]:
     """The buckets in the interval; the spans of all but the last end within it, unless items overlap."""
     bucket = held.floor_time(within.end - 1 if within.end_exclusive else within.end)
     if bucket is None or bucket not in within:
@@ -248,7 +248,7 @@ def _staying_in(held: Readable, within: ResolvedInterval, low: Place, now: int) 
     return [_Stretch(low, min(middle, (bucket, 0))), ends, last]
 
 
-def _clip(stretch: _Stretch, query: Query, end: Place) -> _Stretch:
+def _clip(stretch: _Stretch, query: Query, end: ItemKey) -> _Stretch:
     """Without what positions exclude, and what lies at or above `end`."""
     low, high, fits = stretch
     high = min(high, end)
@@ -261,8 +261,8 @@ def _clip(stretch: _Stretch, query: Query, end: Place) -> _Stretch:
     return _Stretch(low, high, fits)
 
 
-def behind(position: Position) -> Place:
-    """The first place later than a position."""
+def behind(position: Position) -> ItemKey:
+    """The first key behind a position."""
     return position.time, SEQ_END if position.seq is None else position.seq + 1
 
 

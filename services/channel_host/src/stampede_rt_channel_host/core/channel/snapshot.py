@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from stampede_rt_channel_host.core.channel.index import SEQ_END, ChannelIndex, Place
+from stampede_rt_channel_host.core.channel.index import SEQ_END, ChannelIndex, ItemKey
 from stampede_rt_channel_host.core.channel.run import Slice
 
 
@@ -12,12 +12,12 @@ class ChannelSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
     Nothing is copied: from `hold` to `close` their entries stay in the index, and what came since is left out by its
-    seq. Places lead from piece to piece, so that entries may be added and split in between.
+    seq. Keys lead from piece to piece, so that entries may be added and split in between.
     """
 
     __slots__ = ("_end_seq", "_holders", "_index", "floor", "is_held")
 
-    def __init__(self, index: ChannelIndex, floor: Place, end_seq: int, holders: dict[ChannelSnapshot, None]) -> None:
+    def __init__(self, index: ChannelIndex, floor: ItemKey, end_seq: int, holders: dict[ChannelSnapshot, None]) -> None:
         """`holders`: the snapshots whose items must not be freed."""
         self.floor = floor
         self.is_held = False
@@ -49,16 +49,16 @@ class ChannelSnapshot:
         """The slice was there when the snapshot was taken."""
         return part.run.first_seq < self._end_seq
 
-    def slices(self, low: Place, high: Place) -> Iterator[Slice]:
+    def slices(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
         """The items at or above `low` and below `high`, ascending, and others that came since, which it does not show.
         The channel must not change while this goes on."""
         return self._index.slices(max(low, self.floor), high)
 
-    def slices_down(self, low: Place, high: Place) -> Iterator[Slice]:
+    def slices_down(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
         """The same, the last slice first."""
         return self._index.slices_down(max(low, self.floor), high)
 
-    def next_time(self, time: int, high: Place) -> int | None:
+    def next_time(self, time: int, high: ItemKey) -> int | None:
         """The time of the next later bucket below `high`."""
         parts = self.slices((time, SEQ_END), high)
         return next((part.first_time for part in parts if self.shows(part)), None)

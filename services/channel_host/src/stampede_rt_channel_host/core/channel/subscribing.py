@@ -10,7 +10,7 @@ from itertools import chain, islice
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
@@ -32,9 +32,9 @@ class AllCursor:
 
     __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped")
 
-    def __init__(self, owed: Iterator[Range], live_seq: int, low: Place | None = None, begun_seq: int = 0) -> None:
+    def __init__(self, owed: Iterator[Range], live_seq: int, low: ItemKey | None = None, begun_seq: int = 0) -> None:
         """`owed`: held when it began, ascending, below `live_seq`; every seq from that on is owed, too. Of the items
-        below `begun_seq` only those at or above the place `low` are meant."""
+        below `begun_seq` only those at or above the key `low` are meant."""
         self._owed_before = owed
         self._live_seq = live_seq
         self._low = low
@@ -70,8 +70,8 @@ class AllCursor:
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
 
-def open_all(held: Holdings, low: Place | None, after_seq: int | None) -> Pieces[AllCursor]:
-    """Held items from the place `low` on; or everything accepted behind `after_seq`; or, with neither, nothing yet."""
+def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Pieces[AllCursor]:
+    """Held items from the key `low` on; or everything accepted behind `after_seq`; or, with neither, nothing yet."""
     next_seq = held.next_seq
     if after_seq is not None:
         owed = [(after_seq + 1, next_seq)] if after_seq + 1 < next_seq else []
@@ -112,13 +112,13 @@ class _Ranges:
         return ((bounds[at], bounds[at + 1]) for at in range(0, len(bounds), 2))
 
 
-def _seq_ranges(held: Holdings, low: Place) -> Pieces[list[_Ranges]]:
+def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[list[_Ranges]]:
     """The seqs of the items from `low` on. Each piece gives a list of ranges, ascending."""
     found: list[_Ranges] = []
     snapshot = held.snapshot()
     try:
         while True:  # ends with what is held
-            parts = [*islice(snapshot.slices(low, LAST_PLACE), pieces.STEPS_PER_PIECE)]
+            parts = [*islice(snapshot.slices(low, LAST_KEY), pieces.STEPS_PER_PIECE)]
             found.append(_Ranges(_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))))
             if len(parts) < pieces.STEPS_PER_PIECE:
                 return found
@@ -198,8 +198,8 @@ class NewestCursor:
 
     __slots__ = ("_base_seq", "_low", "delivered", "next_seq", "skipped")
 
-    def __init__(self, low: Place, base_seq: int) -> None:
-        self._low = low  # only items at or above this place
+    def __init__(self, low: ItemKey, base_seq: int) -> None:
+        self._low = low  # only items at or above this key
         self._base_seq = base_seq  # as many as follow from this seq on are meant for it
         self.delivered = 0
         self.skipped = 0
@@ -224,14 +224,14 @@ class NewestCursor:
 
 def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
     """Go on with what is later than the last item taken."""
-    return NewestCursor(saved.low or FIRST_PLACE, min(saved.next_seq, held.next_seq))
+    return NewestCursor(saved.low or FIRST_KEY, min(saved.next_seq, held.next_seq))
 
 
-def open_newest(held: Holdings, low: Place | None, after: Place | None) -> NewestCursor:
-    """The present newest if it is at or above `low`, then later ones; or those later than the place of item `after`."""
+def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> NewestCursor:
+    """The present newest if it is at or above `low`, then later ones; or those behind the item with the key `after`."""
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:
         return NewestCursor(low, held.next_seq - (held.items - held.items_below(low)))
     last = next(held.slices_down(), None)
-    return NewestCursor(FIRST_PLACE if last is None else (last.last_time, last.end_seq), held.next_seq)
+    return NewestCursor(FIRST_KEY if last is None else (last.last_time, last.end_seq), held.next_seq)

@@ -1,4 +1,4 @@
-"""How many items a channel holds before some place, and their bytes, without a walk over all of them. Pure.
+"""How many items a channel holds before some item key, and their bytes, without a walk over all of them. Pure.
 
 Retention needs both sums at the moment when it outdates items, be they a million. So held items are counted in blocks,
 stretches of the order (time, seq) that adjoin each other. What lies behind the last block is in none: a put in order
@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate, takewhile
 from typing import NamedTuple
 
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 BLOCK_ITEMS = 1024
@@ -25,10 +25,10 @@ class Whole(NamedTuple):
 
     items: int
     payload_bytes: int
-    end: Place
+    end: ItemKey
 
 
-NO_BLOCKS = Whole(0, 0, FIRST_PLACE)
+NO_BLOCKS = Whole(0, 0, FIRST_KEY)
 
 
 class Tally:
@@ -40,14 +40,14 @@ class Tally:
     __slots__ = ("_ends", "_items", "_payload_bytes", "end", "items", "payload_bytes")
 
     def __init__(self) -> None:
-        self._ends: list[Place] = []
+        self._ends: list[ItemKey] = []
         self._items: list[int] = []
         self._payload_bytes: list[int] = []
-        self.end = FIRST_PLACE
+        self.end = FIRST_KEY
         self.items = 0
         self.payload_bytes = 0
 
-    def close(self, end: Place, items: int, payload_bytes: int) -> None:
+    def close(self, end: ItemKey, items: int, payload_bytes: int) -> None:
         """Another block, of what is held from the last one's end on; all of it is below `end`."""
         self._ends.append(end)
         self._items.append(0)
@@ -55,7 +55,7 @@ class Tally:
         self.end = end
         self._count(len(self._ends) - 1, items, payload_bytes)
 
-    def add_late(self, first_seq: int, times: Sequence[int], lengths: Sequence[int]) -> tuple[Place, Place] | None:
+    def add_late(self, first_seq: int, times: Sequence[int], lengths: Sequence[int]) -> tuple[ItemKey, ItemKey] | None:
         """Count in a run of which an item may lie below `end`; the bounds of a block that is to be split, if one is."""
         crowded: int | None = None
         for seq, (time, length) in enumerate(zip(times, lengths, strict=True), first_seq):
@@ -66,9 +66,9 @@ class Tally:
                     crowded = block
         if crowded is None:
             return None
-        return self._ends[crowded - 1] if crowded else FIRST_PLACE, self._ends[crowded]
+        return self._ends[crowded - 1] if crowded else FIRST_KEY, self._ends[crowded]
 
-    def split(self, at: Place, items: int, payload_bytes: int) -> None:
+    def split(self, at: ItemKey, items: int, payload_bytes: int) -> None:
         """The block in which `at` lies becomes two; the lower one has so many of its items, of so many bytes."""
         block = self._block(at)
         self._ends.insert(block, at)
@@ -77,8 +77,8 @@ class Tally:
         self._items[block + 1] -= items
         self._payload_bytes[block + 1] -= payload_bytes
 
-    def _block(self, place: Place) -> int:
-        return bisect_right(self._ends, place)
+    def _block(self, key: ItemKey) -> int:
+        return bisect_right(self._ends, key)
 
     def _count(self, block: int, items: int, payload_bytes: int) -> None:
         self._items[block] += items
@@ -97,13 +97,13 @@ class Tally:
         for column in (self._ends, self._items, self._payload_bytes):
             del column[:gone]
         if not self._ends:
-            self.end = FIRST_PLACE
+            self.end = FIRST_KEY
         elif items:
             self._count(0, -items, -payload_bytes)
 
-    def whole_below(self, place: Place) -> Whole:
-        """The blocks that end at or below `place`; a step for each."""
-        return self._whole(self._block(place))
+    def whole_below(self, key: ItemKey) -> Whole:
+        """The blocks that end at or below `key`; a step for each."""
+        return self._whole(self._block(key))
 
     def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> Whole:
         """The first blocks that count no more than so many items, or that are charged with no more than so many bytes;

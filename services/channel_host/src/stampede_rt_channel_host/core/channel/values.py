@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, Match, ResolvedInterval
-from stampede_rt_channel_host.core.channel.index import Place
+from stampede_rt_channel_host.core.channel.index import ItemKey
 from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.waiting import Needs
 
@@ -39,7 +39,7 @@ class Offer:
                 raise MalformedRun(f"the run has {items} lengths and {len(values)} {column}; give one for each item")
 
     def rest(self, index: int, now: int) -> Offer:
-        """The items from place `index` on, which wait from `now` on, unless they did before: what is offered again."""
+        """The items from position `index` on, to offer again. They wait from `now` on, unless they did before."""
         return Offer(
             times=None if self.times is None else self.times[index:],
             durations=None if self.durations is None else self.durations[index:],
@@ -52,12 +52,12 @@ class Seal(Protocol):
     """Makes the bytes of a run that is about to be stored; called once, at the most, by a put. Must not raise."""
 
     def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-        """`kept`: the places in the offer that were accepted, None for all; `stamped_time`: set if it had no times."""
+        """`kept`: the accepted positions of the offer, None for all; `stamped_time`: set if it had no times."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """An item that was refused: its place in the offer and why (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
+    """An item that was refused: its position in the offer and why (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
 
     index: int
     error: StampedeError
@@ -67,8 +67,8 @@ class PutOutcome(NamedTuple):
     """What became of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
 
     `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
-    place `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of the
-    channel and at `retry_at`, if there is such an instant; to stop waiting, `ChannelCore.give_up_put`.
+    position `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of
+    the channel and at `retry_at`, if there is such an instant; to stop waiting, `ChannelCore.give_up_put`.
     """
 
     run: Run | None = None
@@ -79,7 +79,7 @@ class PutOutcome(NamedTuple):
 
 
 class Position(NamedTuple):
-    """A place in the order (time, seq); `seq` None: behind every item of that time. `incarnation` 0: not compared."""
+    """A position in the order (time, seq). `seq` None: behind all items of that time. `incarnation` 0: not compared."""
 
     time: int
     seq: int | None = None
@@ -90,13 +90,13 @@ class Position(NamedTuple):
 class SavedCursor:
     """Where a subscription stands, to go on from later: everything below `next_seq` was dealt with.
 
-    `low`: only items at or above this place are meant; of those with `live_seq` or a later one, in seq order, all are.
+    `low`: only items at or above this key are meant; of those with `live_seq` or a later one, in seq order, all are.
     `cut`: through a group, what lies below it and below `next_seq` was dealt with. `incarnation` 0: not compared.
     """
 
     incarnation: int
     next_seq: int
-    low: Place | None = None
+    low: ItemKey | None = None
     live_seq: int = 0
     cut: int | None = None
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END
 from stampede_rt_channel_host.core.channel.run import ABSENT
 
 if TYPE_CHECKING:
     from stampede_rt_channel_host.core.channel.channel import ChannelCore
     from stampede_rt_channel_host.core.channel.holdings import Holdings
 
-BEFORE_ALL, AFTER_ALL = FIRST_PLACE[0], LAST_PLACE[0]
+BEFORE_ALL, AFTER_ALL = FIRST_KEY[0], LAST_KEY[0]
 _BUCKET_PARTS_MAX = 16
 
 

@@ -14,7 +14,7 @@ from itertools import islice
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
 
 
@@ -63,18 +63,18 @@ class CutFollower:
         next_seq: int | None = None,
         incarnation: int | None = None,
     ) -> None:
-        """From the cut on; with `next_seq`, which goes with an incarnation, behind a place kept from before.
+        """From the cut on; with `next_seq`, which goes with an incarnation, behind the state that a reader kept.
 
-        A place of another incarnation is reported as lost; then everything that is there counts as late or new.
+        A state of another incarnation is reported as lost; then everything that is there counts as late or new.
         """
         held, _ = channel.look(now)
         self._channel = channel
         self._unreported: Loss | None = None
         self.cut = cut
         self.under_way = False
-        self._target: Place = FIRST_PLACE
+        self._target: ItemKey = FIRST_KEY
         self._seq_end = 0
-        self._range_place: Place = FIRST_PLACE  # of the step under way: up to where what became visible was taken
+        self._range_start: ItemKey = FIRST_KEY  # of the step under way: up to where what became visible was taken
         self._looked_up_to = 0  # and up to which seq it was looked for what had come late
         self._late_parts: list[list[Slice]] = []  # what was found, each list ascending by (time, seq)
         self._late: Iterator[Slice] | None = None  # all of it, ascending; None: there is more to look at
@@ -85,7 +85,7 @@ class CutFollower:
             next_seq = 1
         elif next_seq is not None and _reaches(held, cut):
             self._unreported = _collected(channel, held, 0, 1, is_exact=False)
-        self._ledger = Ledger(held, _place(cut), channel.next_seq if next_seq is None else next_seq)
+        self._ledger = Ledger(held, _key(cut), channel.next_seq if next_seq is None else next_seq)
 
     @property
     def next_seq(self) -> int:
@@ -108,9 +108,9 @@ class CutFollower:
         assert not self.under_way, "take the step under way to its end first"
         assert self.cut is None or cut >= self.cut, "a cut never moves back"
         self.under_way = True
-        self._target = _place(cut)
+        self._target = _key(cut)
         self._seq_end = self._channel.next_seq
-        self._range_place = _place(self.cut)
+        self._range_start = _key(self.cut)
         self._looked_up_to, self._late_parts, self._late = self.next_seq, [], None
         self._came_above = self._given_above = self._given_below = 0
 
@@ -131,10 +131,10 @@ class CutFollower:
         return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
     def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
-        """Items between the two cuts, from the place reached on, that were there when the step began; what is left of
+        """Items between the two cuts, from the key reached on, that were there when the step began; what is left of
         the limit; and whether that is all."""
         taken: list[DeliveredSlice] = []
-        for part in held.slices(self._range_place, self._target):
+        for part in held.slices(self._range_start, self._target):
             if left <= 0 or steps <= 0:
                 return taken, left, False
             given = part
@@ -143,7 +143,7 @@ class CutFollower:
                 taken.append(self._deliver(held, given))
                 self._given_above += given.items
                 left -= given.charge_bytes
-            self._range_place = given.last_time, given.end_seq
+            self._range_start = given.last_time, given.end_seq
             steps -= 1
         return taken, left, True
 
@@ -153,7 +153,7 @@ class CutFollower:
             return True
         found = held.slices_by_seq(self._looked_up_to, self._seq_end)
         came = [*islice(found, pieces.STEPS_PER_PIECE)]
-        parts = [split_at(part, _place(self.cut)) for part in came]
+        parts = [split_at(part, _key(self.cut)) for part in came]
         self._came_above += sum(above.items for _, above in parts)
         self._late_parts.append(sorted((below for below, _ in parts if below.items), key=_order))
         if len(came) == pieces.STEPS_PER_PIECE:
@@ -205,12 +205,12 @@ class CutFollower:
         return loss if unreported is None else _joined(unreported, loss)
 
 
-def _order(part: Slice) -> Place:
+def _order(part: Slice) -> ItemKey:
     return part.first_time, part.first_seq
 
 
-def _place(cut: int | None) -> Place:
-    return FIRST_PLACE if cut is None else (cut, 0)
+def _key(cut: int | None) -> ItemKey:
+    return FIRST_KEY if cut is None else (cut, 0)
 
 
 def _reaches(held: Holdings, cut: int | None) -> bool:

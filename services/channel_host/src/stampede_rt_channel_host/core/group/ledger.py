@@ -1,7 +1,7 @@
 """How many items a reader in time order will never get, though they were meant for it. Pure.
 
-A reader has dealt with all items below some place that were given a seq before some moment. It is owed the others:
-those held at or above the place, and whatever is accepted later. What of these is neither given nor held is lost.
+A reader has dealt with all items below some key that were given a seq before some moment. It is owed the others:
+those held at or above the key, and whatever is accepted later. What of these is neither given nor held is lost.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from itertools import islice
 
 from stampede_rt_channel_host.core.channel import Slice
 from stampede_rt_channel_host.core.channel.holdings import CONSUMPTION, Holdings
-from stampede_rt_channel_host.core.channel.index import Place
+from stampede_rt_channel_host.core.channel.index import ItemKey
 
 LOOKED_AT_MAX = 4096
 """So many items, or slices, are looked at for the lowest seq that is owed."""
@@ -26,7 +26,7 @@ class Ledger:
 
     __slots__ = ("_consumed", "_floor", "_held_from", "_low", "_owed", "lowest_seq", "next_seq")
 
-    def __init__(self, held: Holdings, low: Place, next_seq: int) -> None:
+    def __init__(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
         """Owed: held items at or above `low`, and all with `next_seq` or a later one."""
         self._low = low
         self._owed, self.lowest_seq = _owed(held, low, next_seq)
@@ -34,7 +34,7 @@ class Ledger:
         self._remember(held, low, next_seq)
 
     def mark_read(
-        self, held: Holdings, low: Place, next_seq: int, *, given_above: int, given_below: int,
+        self, held: Holdings, low: ItemKey, next_seq: int, *, given_above: int, given_below: int,
         came_above: int | None = None,
     ) -> int:  # fmt: skip
         """The reader has dealt with everything below `low` that has a seq below `next_seq`: how many items it lost.
@@ -46,7 +46,7 @@ class Ledger:
         intact = held.floor <= max(self._low, self._floor) and held.collected[CONSUMPTION] == self._consumed
         if intact:
             if came_above is None:
-                came_above = _items(above_place(held, self._low, self.next_seq, next_seq))
+                came_above = _items(above_key(held, self._low, self.next_seq, next_seq))
             left = self._owed + came_above - given_above
         elif held.floor >= low:  # all that is held is owed, but for what came since the step began
             left = held.items - _items(held.slices_by_seq(next_seq, held.next_seq))
@@ -65,16 +65,16 @@ class Ledger:
         self._held_from = next((part.first_seq for part in parts if part.items), beyond)
         return self._held_from
 
-    def _remember(self, held: Holdings, low: Place, next_seq: int) -> None:
+    def _remember(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
         self._low, self.next_seq = low, next_seq
-        self._floor: Place = held.floor
+        self._floor: ItemKey = held.floor
         self._consumed: int = held.collected[CONSUMPTION]
 
 
-def _owed(held: Holdings, low: Place, next_seq: int) -> tuple[int, int]:
-    """How many held items at or above the place have a seq below `next_seq`, and a seq below which none is owed: the
+def _owed(held: Holdings, low: ItemKey, next_seq: int) -> tuple[int, int]:
+    """How many held items at or above the key have a seq below `next_seq`, and a seq below which none is owed: the
     lowest that is, unless they are very many."""
-    items = held.items - held.items_below(low) - _items(above_place(held, low, next_seq, held.next_seq))
+    items = held.items - held.items_below(low) - _items(above_key(held, low, next_seq, held.next_seq))
     if items > LOOKED_AT_MAX:
         return items, held.seq_from(1, next_seq, LOOKED_AT_MAX)
     owed = (part.first_seq for part in held.slices(low) if part.first_seq < next_seq)
@@ -90,15 +90,15 @@ def newest_gone(held: Holdings) -> int | None:
     return max((time for time in (held.newest_collected, held.newest_consumed) if time is not None), default=None)
 
 
-def above_place(held: Holdings, low: Place, first_seq: int, end_seq: int) -> Iterator[Slice]:
-    """Held items with seqs from `first_seq` up to, not including, `end_seq`, at or above a place, in seq order."""
+def above_key(held: Holdings, low: ItemKey, first_seq: int, end_seq: int) -> Iterator[Slice]:
+    """Held items with seqs from `first_seq` up to, not including, `end_seq`, at or above a key, in seq order."""
     parts = (split_at(part, low)[1] for part in held.slices_by_seq(first_seq, end_seq))
     return (part for part in parts if part.items)
 
 
-def split_at(part: Slice, place: Place) -> tuple[Slice, Slice]:
-    """A slice, which ascends in (time, seq), below a place and from it on."""
-    time, seq = place
+def split_at(part: Slice, key: ItemKey) -> tuple[Slice, Slice]:
+    """A slice, which ascends in (time, seq), below a key and from it on."""
+    time, seq = key
     run, lo, hi = part
     at = bisect_left(run.times, time, lo, hi)
     while at < hi and run.times[at] == time and run.first_seq + at < seq:

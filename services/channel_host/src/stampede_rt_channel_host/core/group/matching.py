@@ -12,7 +12,7 @@ from itertools import islice
 
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Slice
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
 CREDIT_UNLIMITED = 1 << 62
 OWN = b""
-"""In place of a member's id: the matched channel itself."""
+"""Instead of a member's id: the matched channel itself."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,7 +39,7 @@ class FoundMatch:
 
 
 class Matcher:
-    """Matches one channel's items in time order. It keeps a place and no items: what waits, waits in the channel.
+    """Matches one channel's items in time order. It keeps a position and no items: what waits, waits in the channel.
 
     `unmatched`: items for which some member had nothing. `dropped`: items that went before they could be matched, or
     came after their time had been decided; as of the last `take`.
@@ -47,7 +47,7 @@ class Matcher:
 
     def __init__(
         self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
-        after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, Place] | None = None,
+        after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, ItemKey] | None = None,
     ) -> None:  # fmt: skip
         """From the items accepted from now on, or behind `after`, with what has `next_seq` or a later one in mind.
 
@@ -58,36 +58,36 @@ class Matcher:
         self._channel = channel
         self._tracks = dict(tracks)
         self._tolerance = tolerance_nanos
-        self._place = behind(after) if after is not None else _end(held.newest, channel.next_seq)
+        self._low = behind(after) if after is not None else _end(held.newest, channel.next_seq)
         known = channel.next_seq if next_seq is None else min(next_seq, channel.next_seq)
         if next_seq is not None and after is not None and after.incarnation not in (0, channel.incarnation):
             known = 1
-        self._ledger = Ledger(held, self._place, known)
+        self._ledger = Ledger(held, self._low, known)
         self._own = OwnTrack(channel)
         self._partners = None if partners is None else dict(partners)
         self.unmatched = 0
         self.dropped = 0
 
     @property
-    def place(self) -> Position:
+    def position(self) -> Position:
         """The matcher has decided everything up to here. Another one that begins `after` it goes on."""
-        time, end_seq = self._place
+        time, end_seq = self._low
         return Position(clamp(time), end_seq - 1 if end_seq else None, self._channel.incarnation)
 
     @property
     def next_seq(self) -> int:
-        """The matcher has decided the items with a lower seq that lie below `place`."""
+        """The matcher has decided the items with a lower seq that lie below `position`."""
         return self._ledger.next_seq
 
     @property
-    def partners(self) -> Mapping[bytes, Place]:
-        """The last partner of each member, if none goes into two matches; it goes with `place`."""
+    def partners(self) -> Mapping[bytes, ItemKey]:
+        """The last partner of each member, if none goes into two matches; it goes with `position`."""
         return self._partners or {}
 
     @property
     def earliest(self) -> int:
         """No earlier time of another member is asked for any more."""
-        return clamp(self._place[0] - self._tolerance)
+        return clamp(self._low[0] - self._tolerance)
 
     def set_tracks(self, tracks: Mapping[bytes, Track]) -> None:
         """Members came, went, or moved to another host."""
@@ -103,7 +103,7 @@ class Matcher:
         """
         held, _ = self._channel.look(now)
         taken: list[FoundMatch] = []
-        for one in [*islice(_ones(held.slices(self._place)), items_max)]:  # first, since each look may free entries
+        for one in [*islice(_ones(held.slices(self._low)), items_max)]:  # first, since each look may free entries
             time = one.first_time
             if credit_bytes <= 0 or not self._is_settled(time, has_passed):
                 break
@@ -113,12 +113,12 @@ class Matcher:
                 break
             taken.append(self._match(DeliveredSlice(one, held.next_time(time)), found))
             credit_bytes -= taken[-1].charge_bytes
-            self._place = time, one.end_seq
+            self._low = time, one.end_seq
         self.dropped += self._ledger.mark_read(
-            held, self._place, self._channel.next_seq, given_above=len(taken), given_below=0
+            held, self._low, self._channel.next_seq, given_above=len(taken), given_below=0
         )
         for track in self._tracks.values():
-            track.forget_before(self._place[0] - self._tolerance)
+            track.forget_before(self._low[0] - self._tolerance)
         return taken
 
     def _is_settled(self, time: int, has_passed: Callable[[bytes, int], bool]) -> bool:
@@ -126,17 +126,17 @@ class Matcher:
         return others and has_passed(OWN, time)
 
     def _found(
-        self, place: Place, has_passed: Callable[[bytes, int], bool], now: int
+        self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
     ) -> dict[bytes, Nearest | None]:  # fmt: skip
         """Each member's item. Raises Undecided."""
-        partners, time = self._partners, place[0]
+        partners, time = self._partners, key[0]
         if partners is None:
             return {member: track.nearest(time, self._tolerance, now) for member, track in self._tracks.items()}
         found = {}
         for member, track in self._tracks.items():
             after = _behind(partners.get(member))
             pairing = Pairing(self._own, track, after, partial(has_passed, OWN), partial(has_passed, member), now)
-            found[member] = pairing.partner(place, self._tolerance)
+            found[member] = pairing.partner(key, self._tolerance)
         partners.update({member: (near.time, near.seq) for member, near in found.items() if near is not None})
         return found
 
@@ -147,12 +147,12 @@ class Matcher:
         return FoundMatch(item=item, matched=matched, missing=missing)
 
 
-def _behind(place: Place | None) -> Place:
-    return FIRST_PLACE if place is None else (place[0], place[1] + 1)
+def _behind(key: ItemKey | None) -> ItemKey:
+    return FIRST_KEY if key is None else (key[0], key[1] + 1)
 
 
-def _end(newest: int | None, next_seq: int) -> Place:
-    return FIRST_PLACE if newest is None else (newest, next_seq)
+def _end(newest: int | None, next_seq: int) -> ItemKey:
+    return FIRST_KEY if newest is None else (newest, next_seq)
 
 
 def _ones(parts: Iterable[Slice]) -> Iterable[Slice]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.channel.index import LAST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 
 STEPS_MAX = 16
@@ -31,7 +31,7 @@ class Pairing:
     """
 
     def __init__(
-        self, own: Track, other: Track, after: Place, own_has_passed: HasPassed, other_has_passed: HasPassed, now: int
+        self, own: Track, other: Track, after: ItemKey, own_has_passed: HasPassed, other_has_passed: HasPassed, now: int
     ) -> None:  # fmt: skip
         self._own = own
         self._other = other
@@ -40,17 +40,17 @@ class Pairing:
         self._other_has_passed = other_has_passed
         self._now = now
 
-    def partner(self, place: Place, tolerance: int) -> Nearest | None:
+    def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
         """What the first own item left gets; `other` has passed its time + tolerance. Raises Undecided."""
         end, other_end = (
-            LAST_PLACE,
-            LAST_PLACE,
+            LAST_KEY,
+            LAST_KEY,
         )  # of what is not paired: a pair hides all that is behind one of its items
-        chain = [(place, tolerance)]  # each is nearer than the one before it to what that one would get
+        chain = [(key, tolerance)]  # each is nearer than the one before it to what that one would get
         for _ in range(STEPS_MAX):
             one, reach = chain[-1]
             near = self._other.nearest(one[0], reach, self._now, self._after, other_end) if one < end else None
-            rival = one if near is None else self._rival(place, one, near, end)
+            rival = one if near is None else self._rival(key, one, near, end)
             if near is None or rival == one:
                 chain.pop()
                 if not chain:
@@ -61,9 +61,9 @@ class Pairing:
             if not self._other_has_passed(clamp(rival[0] + distance - 1)):
                 raise Undecided
             chain.append((rival, distance))
-        return self._other.nearest(place[0], tolerance, self._now, self._after, other_end)
+        return self._other.nearest(key[0], tolerance, self._now, self._after, other_end)
 
-    def _rival(self, first: Place, one: Place, near: Nearest, end: Place) -> Place:
+    def _rival(self, first: ItemKey, one: ItemKey, near: Nearest, end: ItemKey) -> ItemKey:
         """The own item that is nearest to `near`; `one` is as near as told."""
         distance = abs(near.time - one[0])
         if not self._own_has_passed(clamp(near.time + distance - 1)):

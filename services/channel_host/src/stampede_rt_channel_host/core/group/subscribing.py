@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     SubscriptionBatch,
 )
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, SEQ_END, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 
@@ -117,21 +117,21 @@ class VisibleNewest:
     ) -> None:
         """Raises like `VisibleAll`."""
         self._channel = channel
-        self._last: Place = FIRST_PLACE
+        self._last: ItemKey = FIRST_KEY
         self.delivered = 0
         self._meant = 0
         self._all = VisibleAll(
             channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after, saved=saved
         )
         if saved is not None:
-            time, end_seq = saved.low or FIRST_PLACE
+            time, end_seq = saved.low or FIRST_KEY
             self._last = time, end_seq - 1
         elif after is not None:
             assert after.seq is not None, "else VisibleAll had refused it"
             self._last = after.time, after.seq
         elif start is None:
             newest = self._newest(horizon, now)
-            self._last = FIRST_PLACE if newest is None else (newest.last_time, newest.end_seq - 1)
+            self._last = FIRST_KEY if newest is None else (newest.last_time, newest.end_seq - 1)
         elif (low := VisibleReading(channel, horizon, now).resolve_bound(start, now)) is not None:
             self._last = (low, SEQ_END) if start_exclusive else (low, -1)
 

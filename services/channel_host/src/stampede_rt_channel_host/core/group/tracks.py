@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, SEQ_END, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 
 TRACK_ITEMS_MAX = 65_536
 
@@ -24,7 +24,7 @@ class Track(Protocol):
     """A member, as a match needs it."""
 
     def nearest(
-        self, time: int, tolerance: int, now: int, low: Place = FIRST_PLACE, high: Place = LAST_PLACE
+        self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
     ) -> Nearest | None:
         """The nearest item at most `tolerance` away; of equally near ones the earlier, in a bucket the lower seq.
 
@@ -42,7 +42,7 @@ class OwnTrack:
         self._channel = channel
 
     def nearest(
-        self, time: int, tolerance: int, now: int, low: Place = FIRST_PLACE, high: Place = LAST_PLACE
+        self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
     ) -> Nearest | None:
         """See `Track`."""
         held, _ = self._channel.look(now)
@@ -61,37 +61,37 @@ class OwnTrack:
 
 
 class FarTrack:
-    """A member at another host, of which only places are told. Holds TRACK_ITEMS_MAX of them at the most: then the
-    earliest go, and what would have matched them counts as unmatched."""
+    """A member at another host, of which only the items' keys are known. It holds at most
+    TRACK_ITEMS_MAX keys. Then it drops the earliest, and items that would have matched those count as unmatched."""
 
     def __init__(self) -> None:
-        self._places: list[Place] = []
+        self._keys: list[ItemKey] = []
 
-    def add(self, places: Iterable[Place]) -> None:
+    def add(self, keys: Iterable[ItemKey]) -> None:
         """Items of the member, by time and seq."""
-        for place in places:
-            if not self._places or place > self._places[-1]:
-                self._places.append(place)
+        for key in keys:
+            if not self._keys or key > self._keys[-1]:
+                self._keys.append(key)
             else:
-                insort(self._places, place)
-        if len(self._places) > TRACK_ITEMS_MAX:
-            del self._places[:-TRACK_ITEMS_MAX]
+                insort(self._keys, key)
+        if len(self._keys) > TRACK_ITEMS_MAX:
+            del self._keys[:-TRACK_ITEMS_MAX]
 
     def nearest(
-        self, time: int, tolerance: int, now: int, low: Place = FIRST_PLACE, high: Place = LAST_PLACE
+        self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
     ) -> Nearest | None:
         """See `Track`."""
-        places = self._places
-        first, end = bisect_left(places, low), bisect_left(places, high)
-        above = min(max(first, bisect_left(places, (time, SEQ_END))), end)
-        earlier = places[above - 1][0] if above > first else None
-        later = places[above][0] if above < end else None
+        keys = self._keys
+        first, end = bisect_left(keys, low), bisect_left(keys, high)
+        above = min(max(first, bisect_left(keys, (time, SEQ_END))), end)
+        earlier = keys[above - 1][0] if above > first else None
+        later = keys[above][0] if above < end else None
         found = _nearer(time, earlier, later, tolerance)
-        return None if found is None else Nearest(*places[bisect_left(places, max(low, (found, 0)))], None)
+        return None if found is None else Nearest(*keys[bisect_left(keys, max(low, (found, 0)))], None)
 
     def forget_before(self, time: int) -> None:
         """See `Track`."""
-        del self._places[: bisect_left(self._places, (time, -1))]
+        del self._keys[: bisect_left(self._keys, (time, -1))]
 
 
 def _nearer(time: int, earlier: int | None, later: int | None, tolerance: int) -> int | None:

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.channel import (
     WakeAt,
 )
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_PLACE, LAST_PLACE, Place
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
@@ -45,7 +45,7 @@ class VisibleHoldings:
 
     def __init__(self, held: Holdings | HeldThen, cut: int | None) -> None:
         self._held = held
-        self._end: Place = FIRST_PLACE if cut is None else (cut, 0)
+        self._end: ItemKey = FIRST_KEY if cut is None else (cut, 0)
         self._last = self._end[0] - 1
         self.frontier = held.frontier
         self.gone_before = held.gone_before
@@ -59,7 +59,7 @@ class VisibleHoldings:
         return self._held.collected_by
 
     @property
-    def end(self) -> Place:
+    def end(self) -> ItemKey:
         """What is visible lies below it."""
         return self._end
 
@@ -67,7 +67,7 @@ class VisibleHoldings:
         """All that is held now."""
         return self._held.snapshot()
 
-    def slices_down(self, low: Place = FIRST_PLACE, high: Place = LAST_PLACE, /) -> Iterator[Slice]:
+    def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY, /) -> Iterator[Slice]:
         """Visible items at or above `low` and below `high`, the last slice first."""
         return self._held.slices_down(low, min(high, self._end))
 
@@ -223,7 +223,7 @@ class VisibleChannel:
     def hidden_items(self, cut: int | None, now: int) -> int:
         """How many held items the cut hides."""
         held, _ = self._channel.look(now)
-        return held.items - held.items_below(FIRST_PLACE if cut is None else (cut, 0))
+        return held.items - held.items_below(FIRST_KEY if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
         """Items went before the group showed them, or go so: the channel keeps less than it is ahead of the cut."""

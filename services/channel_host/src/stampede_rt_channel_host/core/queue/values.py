@@ -21,7 +21,7 @@ class SealRun(Protocol):
 
 
 class LeasedSlice(NamedTuple):
-    """Items of a run from place `lo` up to, not including, `hi`, each with its delivery id and number."""
+    """Items of a run from position `lo` up to, not including, `hi`, each with its delivery id and number."""
 
     run: QueuedRun
     lo: int
