@@ -362,11 +362,11 @@ class OracleMatcher:
         """With `last`, what waits for a nearer item counts as settled, too: `items_max` says how much is."""
         taken: list[tuple[Item, dict[bytes, Item]]] = []
         for item in sorted(self.per.held):
-            if (item.time, item.seq) <= self.place:
+            if (item.time, item.seq) <= self.position:
                 continue
             if len(taken) >= items_max or not self._have_passed(item.time, self.tolerance):
                 break
-            self.place = item.time, item.seq
+            self.position = item.time, item.seq
             found = {one: self._partner(one, channel, item) for one, channel in self.others.items()}
             matched = {one: near for one, near in found.items() if near is not None}
             self.unmatched += len(matched) < len(found)
@@ -376,7 +376,7 @@ class OracleMatcher:
     @property
     def stalls(self) -> bool:
         """The next item could be settled: the whole chain of ever nearer items behind it has been passed."""
-        waiting = [item for item in sorted(self.per.held) if (item.time, item.seq) > self.place]
+        waiting = [item for item in sorted(self.per.held) if (item.time, item.seq) > self.position]
         far = self.tolerance * (2 * len(waiting) + 2)
         if not waiting:
             return False

@@ -80,17 +80,17 @@ class WaitingPut:
         if not self.judging.accepted_any:
             self.call.finish(error)
         else:
-            for place in range(self.judging.judged_items, len(self.run.payloads)):
-                self.judging.refuse(place, error)
+            for position in range(self.judging.judged_items, len(self.run.payloads)):
+                self.judging.refuse(position, error)
             self.call.finish(ack_of(self.judging.outcome(now)))
 
 
 def ack_of(judged: Judged) -> Ack:
     """What the run's producer is told."""
-    refused = {one.place: one.error.reason for one in judged.refusals}
-    bounds = [*(part.place for part in judged.parts[1:]), judged.items]
+    refused = {one.position: one.error.reason for one in judged.refusals}
+    bounds = [*(part.position for part in judged.parts[1:]), judged.items]
     accepted = {}
     for part, bound in zip(judged.parts, bounds, strict=False):
-        places = (place for place in range(part.place, bound) if place not in refused)
-        accepted |= {place: (seq, part.stamped_time) for seq, place in enumerate(places, part.first_seq)}
+        positions = (position for position in range(part.position, bound) if position not in refused)
+        accepted |= {position: (seq, part.stamped_time) for seq, position in enumerate(positions, part.first_seq)}
     return Ack(accepted, refused, judged.time)

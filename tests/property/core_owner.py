@@ -63,10 +63,10 @@ class CoreOwner:
 
     def _offer(self, put: WaitingPut) -> bool:
         def seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-            places = range(len(put.payloads)) if kept is None else kept
-            for seq, place in enumerate(places, first_seq):
-                self._payloads[seq] = put.payloads[place]
-            put.judging.accept(put.judging.judged_items + places[0], first_seq, len(places), stamped_time)
+            positions = range(len(put.payloads)) if kept is None else kept
+            for seq, position in enumerate(positions, first_seq):
+                self._payloads[seq] = put.payloads[position]
+            put.judging.accept(put.judging.judged_items + positions[0], first_seq, len(positions), stamped_time)
             return b""
 
         outcome = self.channel.put(put.offer, self._now(), seal)

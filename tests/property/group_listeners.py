@@ -59,7 +59,7 @@ class Events:
 
 @dataclass
 class Match:
-    """Channel a against b, at the same host as the matcher, and c, of which only places are told."""
+    """Channel a against b, at the same host as the matcher, and c, of which only the keys of items are known."""
 
     core: Matcher
     oracle: OracleMatcher
@@ -173,8 +173,8 @@ class Listeners:
         far = FarTrack()
         far.add((one.time, one.seq) for one in c.oracle.log.values())
         tracks: dict[bytes, Track] = {b"b": OwnTrack(b.core), b"c": far}
-        place = (a.oracle.newest, len(a.oracle.log)) if a.oracle.newest is not None else BEFORE_ALL
-        oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, place, lateness)
+        position = (a.oracle.newest, len(a.oracle.log)) if a.oracle.newest is not None else BEFORE_ALL
+        oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, position, lateness)
         oracle.last = {} if unique else None
         followed = {name: OwnTimes(one.core, clock) for name, one in ((OWN, a), (b"b", b), (b"c", c))}
         core = Matcher(a.core, tracks, tolerance, clock, partners={} if unique else None)
@@ -190,7 +190,10 @@ class Listeners:
                 OracleReader(pair.oracle, clock)
             for own in one.followed.values():
                 own.observe(clock)
-            kept, c.oracle.held = c.oracle.held, list(c.oracle.log.values())  # places stay with those they were told
+            kept, c.oracle.held = (
+                c.oracle.held,
+                list(c.oracle.log.values()),
+            )  # keys stay with the listeners that heard them
             taken = one.core.take(one.has_passed, clock, 1000)
             wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
             assert not one.oracle.stalls
@@ -200,7 +203,7 @@ class Listeners:
                 (each.item.slice.first_seq, {name: near.seq for name, near in each.matched.items()}) for each in taken
             ] == [(item.seq, {name: near.seq for name, near in found.items()}) for item, found in wanted]
             assert one.core.unmatched == one.oracle.unmatched
-            waiting = [item for item in a.oracle.held if (item.time, item.seq) > one.oracle.place]
+            waiting = [item for item in a.oracle.held if (item.time, item.seq) > one.oracle.position]
             assert one.core.dropped == len(a.oracle.log) - one.begun - one.taken - len(waiting)
 
     def member_changed(self, group: int, channel_id: bytes, *, joins: bool) -> None:

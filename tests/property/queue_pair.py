@@ -39,8 +39,8 @@ def limits_of(setup: oracle.Setup) -> QueueLimits:
     )
 
 
-def body_of(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
-    return b"%d %d %d" % (first_seq, len(places), stamped_time or 0)
+def body_of(first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
+    return b"%d %d %d" % (first_seq, len(positions), stamped_time or 0)
 
 
 def core_settlement(verdict: Verdict) -> Settlement:
@@ -98,9 +98,9 @@ class QueuePair:
         except ValueError as error:
             raise InvalidArgument(str(error)) from None
 
-    def withdraw(self, place: int) -> None:
-        if place < len(self.waiting):
-            mine, other = self.waiting.pop(place)
+    def withdraw(self, position: int) -> None:
+        if position < len(self.waiting):
+            mine, other = self.waiting.pop(position)
             self.core.withdraw(mine, self.clock)
             self.oracle.withdraw(other, self.clock)
             self.check()
@@ -108,17 +108,17 @@ class QueuePair:
     def attach(self, taker_id: int, lease: int | None) -> None:
         self.takers.append((TakerState(taker_id, lease, f"taker {taker_id}"), oracle.Taker(taker_id, lease)))
 
-    def grant(self, place: int, credit: int) -> None:
-        if place < len(self.takers):
-            mine, other = self.takers[place]
+    def grant(self, position: int, credit: int) -> None:
+        if position < len(self.takers):
+            mine, other = self.takers[position]
             self.core.grant(mine, credit, self.clock)
             self.oracle.grant(other, credit, self.clock)
             self.check()
 
-    def sent(self, place: int, *, begun: bool) -> None:
+    def sent(self, position: int, *, begun: bool) -> None:
         """`begun`: only begun to send, and not done."""
-        if place < len(self.takers) and self.takers[place][0].is_busy:
-            mine, other = self.takers[place]
+        if position < len(self.takers) and self.takers[position][0].is_busy:
+            mine, other = self.takers[position]
             if begun:
                 self.core.sending(mine)
                 other.unsent = []
@@ -127,9 +127,9 @@ class QueuePair:
                 self.oracle.sent(other, self.clock)
             self.check()
 
-    def leave(self, place: int, *, drain: bool) -> None:
-        if place < len(self.takers):
-            mine, other = self.takers[place] if drain else self.takers.pop(place)
+    def leave(self, position: int, *, drain: bool) -> None:
+        if position < len(self.takers):
+            mine, other = self.takers[position] if drain else self.takers.pop(position)
             if drain:
                 self.core.drain(mine)
                 self.oracle.drain(other)
@@ -144,12 +144,12 @@ class QueuePair:
         assert [one.error.reason if one.error else None for one in results] == expected
         self.check()
 
-    def departed(self, place: int, *, failed: bool) -> None:
-        if place < len(self.oracle.departures):
-            seq = self.oracle.departures[place]
+    def departed(self, position: int, *, failed: bool) -> None:
+        if position < len(self.oracle.departures):
+            seq = self.oracle.departures[position]
             if failed:
                 self.core.postpone_departure(seq)
-                self.oracle.departures.append(self.oracle.departures.pop(place))
+                self.oracle.departures.append(self.oracle.departures.pop(position))
             else:
                 self.core.departed(seq, self.clock)
                 self.oracle.departed(seq, self.clock)
@@ -211,7 +211,7 @@ class QueuePair:
         ]
         self._check_pending()
         assert core.oldest_accepted_at == (items[0].accepted_at if items else None)
-        charged = sum(run.lengths[place] for run in self.oracle.line for place in range(len(run.lengths)))
+        charged = sum(run.lengths[position] for run in self.oracle.line for position in range(len(run.lengths)))
         assert core.footprint_bytes >= charged + 64 * len(items)
 
     def _check_pending(self) -> None:
@@ -229,7 +229,7 @@ class QueuePair:
             assert mine.error is not None
             assert mine.error.reason == other.error
         elif mine.outcome is not None:
-            refused = tuple((one.place, one.error.reason) for one in mine.outcome.refusals)
+            refused = tuple((one.position, one.error.reason) for one in mine.outcome.refusals)
             assert (_seqs(mine.outcome), mine.outcome.stamped_time, refused, mine.is_duplicate) == other.outcome
 
 
@@ -242,13 +242,13 @@ def _raises(step: object) -> bool:
 
 
 def _seqs(judged: Judged) -> tuple[tuple[int, int], ...]:
-    """The accepted places with their seqs."""
-    refused = {one.place for one in judged.refusals}
-    bounds = [*(part.place for part in judged.parts[1:]), judged.items]
+    """The accepted positions with their seqs."""
+    refused = {one.position for one in judged.refusals}
+    bounds = [*(part.position for part in judged.parts[1:]), judged.items]
     found: list[tuple[int, int]] = []
     for part, bound in zip(judged.parts, bounds, strict=False):
-        places = (place for place in range(part.place, bound) if place not in refused)
-        found += [(place, seq) for seq, place in enumerate(places, part.first_seq)]
+        positions = (position for position in range(part.position, bound) if position not in refused)
+        found += [(position, seq) for seq, position in enumerate(positions, part.first_seq)]
     return tuple(found)
 
 
@@ -258,7 +258,7 @@ def _how(last: FailedDelivery | None) -> tuple[int, int, str] | None:
 
 def _flat(batch: Batch) -> list[tuple[int, int, int]]:
     return [
-        (one.run.first_seq + one.lo + place, one.delivery_ids[place], one.deliveries[place])
+        (one.run.first_seq + one.lo + position, one.delivery_ids[position], one.deliveries[position])
         for one in batch.slices
-        for place in range(one.hi - one.lo)
+        for position in range(one.hi - one.lo)
     ]

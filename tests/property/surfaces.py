@@ -220,8 +220,8 @@ def ack_of(ack: pb.PutAck) -> Ack:
         parts.append((one.index, one.first_seq, one.stamped_unix_nano if one.HasField("stamped_unix_nano") else None))
     accepted: dict[int, tuple[int, int | None]] = {}
     for (index, first_seq, stamp), end in zip(parts, [*(one[0] for one in parts[1:]), ack.items], strict=False):
-        places = (place for place in range(index, end) if place not in refused)
-        accepted |= {place: (seq, stamp) for seq, place in enumerate(places, first_seq)}
+        positions = (position for position in range(index, end) if position not in refused)
+        accepted |= {position: (seq, stamp) for seq, position in enumerate(positions, first_seq)}
     return Ack(accepted, refused, ack.host_time_unix_nano)
 
 

@@ -38,21 +38,21 @@ class Replay:
 
     def put(self, name: bytes, time: int) -> None:
         channel = self.own if name == OWN else self.other
-        place = time, channel.next_seq
+        key = time, channel.next_seq
         channel.put(Offer(times=[time], durations=None, lengths=[1]), NOW, lambda first_seq, kept, stamped: b".")
-        self.placed[name].append(place)
+        self.placed[name].append(key)
         if name == OTHER and self.far is not None:
-            self.far.add([place])
+            self.far.add([key])
 
     def take(self) -> None:
         for name, one in self.times.items():
             one.observe(NOW)
             assert name in self.placed
         for one in self.matcher.take(self.has_passed, NOW, 1000):
-            place = one.item.slice.first_time, one.item.slice.first_seq
-            assert place not in self.found
+            key = one.item.slice.first_time, one.item.slice.first_seq
+            assert key not in self.found
             if OTHER in one.matched:
-                self.found[place] = one.matched[OTHER][:2]
+                self.found[key] = one.matched[OTHER][:2]
 
     def has_passed(self, name: bytes, instant: int) -> bool:
         return self.times[name].times(1).has_passed(instant, self.lateness)
@@ -61,8 +61,8 @@ class Replay:
         """By another host, which knows what the cursor says."""
         self.dropped += self.matcher.dropped
         partners = dict(self.matcher.partners) if self.unique else None
-        place, next_seq = self.matcher.position, self.matcher.next_seq
-        self.matcher = Matcher(self.own, self.tracks, self.tolerance, NOW, place, next_seq, partners)
+        position, next_seq = self.matcher.position, self.matcher.next_seq
+        self.matcher = Matcher(self.own, self.tracks, self.tolerance, NOW, position, next_seq, partners)
 
     def end(self) -> None:
         for channel in (self.own, self.other):

@@ -70,7 +70,7 @@ def test_an_item_waits_until_every_other_member_has_passed_its_tolerance() -> No
     assert pairs(matcher, right) == [(10, 9)]
 
 
-def test_an_item_whose_place_is_settled_is_dropped_and_counted() -> None:
+def test_an_item_whose_time_is_decided_is_dropped_and_counted() -> None:
     left, right = channel(10, 20), channel(10, 20, 40)
     matcher = everything(left, right, 1)
     assert len(pairs(matcher, right)) == 2
@@ -89,7 +89,7 @@ def test_items_that_go_before_they_are_settled_are_counted() -> None:
     assert matcher.dropped == 1
 
 
-def test_of_a_member_at_another_host_places_are_enough_and_their_number_is_bounded() -> None:
+def test_of_a_member_at_another_host_keys_are_enough_and_their_number_is_bounded() -> None:
     left = channel(10, 20)
     far = FarTrack()
     far.add([(11, 1), (9, 2), (19, 3), (19, 4), (21, 5)])
@@ -205,7 +205,7 @@ def test_a_chain_of_ever_nearer_items_is_followed_for_a_bounded_number_of_steps(
     assert len(asked) < 3 * STEPS_MAX
 
 
-def test_a_place_says_which_partners_are_taken_so_that_another_gives_none_of_them_again() -> None:
+def test_a_position_says_which_partners_are_taken_so_that_another_gives_none_of_them_again() -> None:
     left, right = channel(10, 14, 40), channel(12, 60)
     matcher = unique(left, right, 3)
     (first,) = matcher.take(lambda name, instant: True, NOW, 1)

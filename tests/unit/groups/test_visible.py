@@ -133,7 +133,7 @@ def test_a_subscription_resumed_amid_a_step_leaves_out_no_late_item() -> None:
 
 
 def test_a_subscription_resumed_amid_a_run_loses_nothing_that_it_was_given() -> None:
-    """What lay behind the place in the same run once counted twice, and was then told as lost."""
+    """What lay behind the key in the same run once counted twice, and was then told as lost."""
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
     reader = VisibleAll(made, horizon(15), CLOCK, after=Position(10, 1, INCARNATION))
@@ -178,7 +178,7 @@ def test_a_get_from_an_instant_to_come_wakes_then_unless_only_the_cut_can_bring_
     assert not isinstance(view.poll(pending, horizon(CLOCK + 6), CLOCK + 5), WakeAt)
 
 
-def test_a_place_that_no_item_has_is_counted_from_as_exactly() -> None:
+def test_a_key_that_no_item_has_is_counted_from_as_exactly() -> None:
     made = channel(policy=Policy(max_items=3))
     made.put(Offer(times=[10, 20, 30], durations=None, lengths=[8] * 3), CLOCK, lambda first_seq, kept, stamped: b"")
     reader = VisibleAll(made, horizon(15), CLOCK, after=Position(5, 2, INCARNATION))

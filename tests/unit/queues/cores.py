@@ -26,8 +26,8 @@ class Core:
         self.now = 1000
 
     def put(self, *lengths: int, **fields: Any) -> Enqueue:
-        def seal(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
-            return bytes(20 + sum(lengths[place] for place in places))
+        def seal(first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
+            return bytes(20 + sum(lengths[position] for position in positions))
 
         run = Enqueue(lengths, seal, **fields)
         self.queue.enqueue(run, self.now)
@@ -45,7 +45,7 @@ class Core:
             for taker, batch in batches:
                 self.queue.sending(taker)
                 found.setdefault(taker.taker_id, []).extend(
-                    one.run.first_seq + place for one in batch.slices for place in range(one.lo, one.hi)
+                    one.run.first_seq + position for one in batch.slices for position in range(one.lo, one.hi)
                 )
                 self.queue.sent(taker, self.now)
         return found

@@ -40,7 +40,7 @@ class QueueRig:
         self.stub = QueueServiceStub(self.connection)
 
     def open(self, name: str = "q", **spec: Any) -> OpenedQueue:
-        """A queue that the directory places at this host."""
+        """A queue that the directory positions at this host."""
         return OpenedQueue(self, self.directory.add_queue(name, self.host.identity.host_id, **spec))
 
 
@@ -170,9 +170,9 @@ class TakeCall:
 
 def delivered_in(response: pb.TakeResponse) -> list[Delivered]:
     return [
-        Delivered(payload, run.run.first_seq + place, delivery_id, run.deliveries[place] if run.deliveries else 1, run)
+        Delivered(payload, run.run.first_seq + at, delivery_id, run.deliveries[position] if run.deliveries else 1, run)
         for run in response.runs
-        for place, (payload, delivery_id) in enumerate(zip(payloads_of(run.run), run.delivery_ids, strict=True))
+        for at, (payload, delivery_id) in enumerate(zip(payloads_of(run.run), run.delivery_ids, strict=True))
     ]
 
 

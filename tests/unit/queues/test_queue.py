@@ -189,7 +189,7 @@ def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:
     core.queue.tick(core.now)
     assert core.queue.take_finished() == [run]
     assert run.outcome is not None
-    assert (run.outcome.first_seq, [one.place for one in run.outcome.refusals]) == (1, [1, 2])
+    assert (run.outcome.first_seq, [one.position for one in run.outcome.refusals]) == (1, [1, 2])
     assert core.counted("accepted", "rejected_full") == (1, 2)
 
 
@@ -248,7 +248,7 @@ def test_of_a_run_that_will_not_come_again_the_rest_is_refused_when_its_queue_go
     run = core.put(1, 1, producer_id=5, first_number=1)
     assert not core.queue.end_line(QueueNotFound("deleted"), core.now)
     assert run.outcome is not None
-    assert [(one.place, one.error.reason) for one in run.outcome.refusals] == [(1, "QUEUE_NOT_FOUND")]
+    assert [(one.position, one.error.reason) for one in run.outcome.refusals] == [(1, "QUEUE_NOT_FOUND")]
 
 
 def test_a_run_that_waits_twice_since_it_was_retried_comes_in_once() -> None:

@@ -20,11 +20,11 @@ def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
     )
     if judged.refusals:
         ack.rejections.extend(
-            pb.PutRejection(index=one.place, error=to_error_message(one.error)) for one in judged.refusals
+            pb.PutRejection(index=one.position, error=to_error_message(one.error)) for one in judged.refusals
         )
     if len(judged.parts) > 1:
         ack.later_parts.extend(
-            pb.PutPart(index=one.place, first_seq=one.first_seq, stamped_unix_nano=one.stamped_time)
+            pb.PutPart(index=one.position, first_seq=one.first_seq, stamped_unix_nano=one.stamped_time)
             for one in judged.parts[1:]
         )
     return ack

@@ -85,8 +85,8 @@ def _split(raw: bytes) -> tuple[int, bytes]:
     if not raw or raw[0] != _CALL_ID_TAG:
         return 0, raw
     call_id = 0
-    for place in range(1, min(len(raw), _VARINT_BYTES_MAX + 1)):
-        call_id |= (raw[place] & 0x7F) << 7 * (place - 1)
-        if raw[place] < 0x80:
-            return call_id & 2**64 - 1, raw[place + 1 :]
+    for offset in range(1, min(len(raw), _VARINT_BYTES_MAX + 1)):
+        call_id |= (raw[offset] & 0x7F) << 7 * (offset - 1)
+        if raw[offset] < 0x80:
+            return call_id & 2**64 - 1, raw[offset + 1 :]
     return 0, raw

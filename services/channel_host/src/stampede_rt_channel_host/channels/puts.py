@@ -51,10 +51,10 @@ class IncomingRun:
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """The bytes to store, of the items that were accepted (see `core.Seal`)."""
         rest = range(self.judging.judged_items, self.items)
-        places = rest if kept is None else [rest[place] for place in kept]
-        self.judging.accept(places[0], first_seq, len(places), stamped_time)
-        encoded = self._encoded if len(places) == self.items else select_items(self._encoded, places)
-        return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(places))
+        positions = rest if kept is None else [rest[position] for position in kept]
+        self.judging.accept(positions[0], first_seq, len(positions), stamped_time)
+        encoded = self._encoded if len(positions) == self.items else select_items(self._encoded, positions)
+        return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(positions))
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
         """Take in what became of the offer; True if none of its items has to wait."""

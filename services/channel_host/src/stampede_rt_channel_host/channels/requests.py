@@ -65,7 +65,7 @@ def wait_nanos_of(request: pb.GetRequest) -> int:
 
 
 def position_of(message: item_pb2.ItemPosition) -> Position:
-    """A place in the order of items."""
+    """A position in the order of items."""
     seq = message.seq if message.HasField("seq") else None
     return Position(message.time_unix_nano, seq, message.incarnation)
 

@@ -46,7 +46,7 @@ _TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come so
 class WaitingGet:
     """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before.
 
-    `arrival` and `needs` are its place among the others; `instant`: when the clock may release it.
+    `arrival` and `needs` are its sort keys. `instant`: when the clock may release it.
     """
 
     __slots__ = ("_deadline", "_on_outcome", "_waiting", "arrival", "instant", "needs", "pending")
@@ -120,12 +120,12 @@ class _Release:
     def take(self, by_need: list[Any], gets_max: int) -> list[WaitingGet]:
         """The next ones, and where the walk goes on, whoever is still there then."""
         found: dict[WaitingGet, None] = {}
-        for place, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
+        for position, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
             if reached is None:
                 continue
-            left = ordered.irange_key(self._last_keys[place], (reached, self.arrivals), (False, True))
+            left = ordered.irange_key(self._last_keys[position], (reached, self.arrivals), (False, True))
             for get in islice(left, gets_max - len(found)):
-                self._last_keys[place] = ordered.key(get)
+                self._last_keys[position] = ordered.key(get)
                 if get.arrival <= self.arrivals:
                     found[get] = None
         return sorted(found, key=attrgetter("arrival"))
@@ -158,7 +158,7 @@ class WaitingGets:
         self._begin = begin
         self._arrivals = 0
         self._waiting: dict[WaitingGet, None] = {}
-        self._by_need = [SortedKeyList(key=_Key(place)) for place in range(len(Needs._fields))]
+        self._by_need = [SortedKeyList(key=_Key(position)) for position in range(len(Needs._fields))]
         self._by_instant: Any = SortedKeyList(key=attrgetter("instant", "arrival"))
         self._timer: asyncio.TimerHandle | None = None
         self._timer_instant = 0
@@ -331,12 +331,12 @@ class WaitingGets:
 class _Key:
     """The order by one of the needs, and by arrival."""
 
-    __slots__ = ("_place",)
+    __slots__ = ("_position",)
 
-    def __init__(self, place: int) -> None:
-        self._place = place
+    def __init__(self, position: int) -> None:
+        self._position = position
 
     def __call__(self, get: WaitingGet) -> tuple[int, int]:
-        need = get.needs[self._place]
-        assert need is not None, "it is in no order that it has no place in"
+        need = get.needs[self._position]
+        assert need is not None, "a get without a need is not in the order of that need"
         return need, get.arrival

@@ -12,21 +12,21 @@ from stampede_rt.errors import StampedeError
 
 
 class RunPart(NamedTuple):
-    """Accepted items of a run, the first of them at `place`, whose seqs follow each other from `first_seq` on.
+    """Accepted items of a run, the first of them at `position`, whose seqs follow each other from `first_seq` on.
 
     `stamped_time`: the time that the host gave them; None: their producer did.
     """
 
-    place: int
+    position: int
     first_seq: int
     items: int
     stamped_time: int | None
 
 
 class ItemRefusal(NamedTuple):
-    """An item that was refused: its place in the run, and why."""
+    """An item that was refused: its position in the run, and why."""
 
-    place: int
+    position: int
     error: StampedeError
 
 
@@ -84,17 +84,17 @@ class Judging:
         """The time that the host gave the first accepted items, if it did."""
         return self._parts[0].stamped_time if self._parts else None
 
-    def accept(self, place: int, first_seq: int, items: int, stamped_time: int | None) -> None:
-        """So many items, the first at `place`, got seqs from `first_seq` on."""
+    def accept(self, position: int, first_seq: int, items: int, stamped_time: int | None) -> None:
+        """So many items, the first at `position`, got seqs from `first_seq` on."""
         last = self._parts[-1] if self._parts else None
         if last is not None and (last.first_seq + last.items, last.stamped_time) == (first_seq, stamped_time):
             self._parts[-1] = last._replace(items=last.items + items)
         else:
-            self._parts.append(RunPart(place, first_seq, items, stamped_time))
+            self._parts.append(RunPart(position, first_seq, items, stamped_time))
 
-    def refuse(self, place: int, error: StampedeError) -> None:
-        """The item at `place` is refused."""
-        self._refusals.append(ItemRefusal(place, error))
+    def refuse(self, position: int, error: StampedeError) -> None:
+        """The item at `position` is refused."""
+        self._refusals.append(ItemRefusal(position, error))
 
     def resume(self, known: Judged) -> bool:
         """Go on where the run was when it came before; False if it is further already."""

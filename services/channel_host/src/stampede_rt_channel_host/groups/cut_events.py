@@ -55,7 +55,7 @@ class CutEvents:
         self._arrangement = 0  # of the group, as of the last look
         self._spec_version = 0  # that the subscription began with
         self._followed: dict[bytes, _Followed] = {}
-        self._kept: dict[bytes, pb.ChannelCursor] = {}  # places of channels from before, of which none is followed yet
+        self._kept: dict[bytes, pb.ChannelCursor] = {}  # cursors from the reader, of channels that are not followed yet
         self._boundaries: deque[Boundary] = deque()  # handed over and not answered yet
         self._credit = Credit(self._waiter.wake)  # of events, where this host decides
         self._room = asyncio.Event()
@@ -86,13 +86,13 @@ class CutEvents:
                 followed.hosted.group_readers.discard(self)
 
     async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
-        """Where the subscription begins: at the cut of the moment, or at the place that it is to go on from."""
+        """Where the subscription begins: at the cut of the moment, or at the cursor of the reader."""
         resumes = begun.HasField("after")
         kept = begun.after.cut_unix_nano if resumes else NOTHING_VISIBLE
         floor = None if kept == NOTHING_VISIBLE else kept
         if resumes and begun.after.incarnation != group.record.incarnation:
             raise IncarnationLost(
-                f"the place comes from another incarnation of group {group.record.name}, whose cut began anew since "
+                f"the position comes from another incarnation of group {group.record.name}, whose cut began anew since "
                 "all hosts of its members were restarted; subscribe from now on"
             )
         if not await group.reach(floor, SETTLE_SECONDS_MAX):
@@ -132,13 +132,13 @@ class CutEvents:
 
     def _take_up(self, hosted: HostedChannel, held: _Followed | None) -> None:
         channel_id = hosted.record.channel_id
-        place = self._kept.pop(channel_id, None) if held is None else held.cursor()
+        cursor = self._kept.pop(channel_id, None) if held is None else held.cursor()
         follower = CutFollower(
             hosted.channel,
             self._cut,
             self._groups.channels.now(),
-            next_seq=None if place is None else place.next_seq,
-            incarnation=None if place is None else place.incarnation,
+            next_seq=None if cursor is None else cursor.next_seq,
+            incarnation=None if cursor is None else cursor.incarnation,
         )
         if held is not None:
             held.hosted.group_readers.discard(self)

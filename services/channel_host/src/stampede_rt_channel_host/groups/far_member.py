@@ -1,4 +1,4 @@
-"""A member at another host, as a subscription to matches follows it: by places, without payloads."""
+"""A member at another host, as a subscription to matches follows it: by keys, without payloads."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ class FarMember:
             self.incarnation, self.is_followed = response.opened.incarnation, True
         for delivered in response.runs:
             run = delivered.run
-            places = [(time, run.first_seq + at) for at, time in enumerate(run.time_unix_nano)]
-            self.track.add(places)
+            keys = [(time, run.first_seq + at) for at, time in enumerate(run.time_unix_nano)]
+            self.track.add(keys)
             self._times = self._times.merged(ChannelTimes(0, 0, max(run.time_unix_nano)))
         if response.HasField("cursor"):
             self._cursor = response.cursor

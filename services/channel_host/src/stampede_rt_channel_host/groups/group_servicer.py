@@ -75,7 +75,7 @@ class GroupServicer:
 
     @errors_as_status
     async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Context) -> pb.GetGroupStatusResponse:
-        """GroupService.GetGroupStatus: the cut, what holds it back, and each member's place."""
+        """GroupService.GetGroupStatus: the cut, what holds it back, and the times of each member."""
         group = await self._groups.find(request.group_id)
         await group.reach(None, SETTLE_SECONDS)
         return pb.GetGroupStatusResponse(status=group_status(group, self._groups))

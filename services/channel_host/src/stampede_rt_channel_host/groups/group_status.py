@@ -10,7 +10,7 @@ from stampede_rt_channel_host.groups.store import GroupStore
 
 
 def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatus:
-    """The cut, what holds it back, and each member's place."""
+    """The cut, what holds it back, and the times of each member."""
     now = groups.channels.now()
     return group_pb2.GroupStatus(
         record=group.record,

@@ -178,8 +178,8 @@ def _check_life(group: HostedGroup, incarnation: int) -> None:
     """Raises IncarnationLost if the group has begun anew since; 0: not known."""
     if incarnation not in (0, group.record.incarnation):
         raise IncarnationLost(
-            f"the place comes from another incarnation of group {group.record.name}, which began anew since all hosts "
-            "of its members were lost with what they held; match from now on"
+            f"the position comes from another incarnation of group {group.record.name}, which began anew after all "
+            "hosts of its members were lost with what they held; match from now on"
         )
 
 

@@ -190,12 +190,12 @@ class GroupStore:
         except StampedeError as error:
             self._refused(group_id, known, error)
             raise
-        places = (known.owners, known.targets) if known is not None else None
+        former_hosts = (known.owners, known.targets) if known is not None else None
         group = self._adopt(group_id, told)
         group.looked_up_s = _now_s()
         self._table.board.confirm(group.ownerless(), self.channels.now())
         await self._bind_own(group)
-        if places != (group.owners, group.targets):
+        if former_hosts != (group.owners, group.targets):
             self.exchange.share()
         self.exchange.look(group)
 

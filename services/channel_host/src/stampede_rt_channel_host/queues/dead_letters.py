@@ -140,7 +140,7 @@ def _requests(
 
 def _run_of(item: Departure, content_type: str) -> bytes:
     """The item as its producer put it. What it took from its queue's set-up goes along: the other's may differ."""
-    alone = select_items(item.run.body, [item.place])
+    alone = select_items(item.run.body, [item.position])
     if content_type and not item_pb2.ItemRun.FromString(alone).content_type:
         return alone + item_pb2.ItemRun(content_type=content_type).SerializeToString()
     return alone

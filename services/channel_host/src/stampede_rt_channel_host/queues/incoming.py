@@ -44,9 +44,9 @@ def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float) -> Enqueue:
     items = len(columns.lengths)
     origin = _origin_of(message, items)
 
-    def seal(first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
-        kept = encoded if len(places) == items else select_items(encoded, places)
-        return seal_run(kept, first_seq, None if stamped_time is None else (stamped_time,) * len(places)) + origin
+    def seal(first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
+        kept = encoded if len(positions) == items else select_items(encoded, positions)
+        return seal_run(kept, first_seq, None if stamped_time is None else (stamped_time,) * len(positions)) + origin
 
     return Enqueue(
         columns.lengths,

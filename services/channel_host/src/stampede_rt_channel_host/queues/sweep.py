@@ -24,10 +24,10 @@ async def sweep_queues_forever(store: QueueStore) -> NoReturn:
 
 def sweep_queues(store: QueueStore) -> int:
     """A bounded part; how many were due."""
-    for place in range(QUEUES_PER_STEP_MAX):
+    for at in range(QUEUES_PER_STEP_MAX):
         hosted = store.deadlines.pop(store.now())
         if hosted is None:
-            return place
+            return at
         hosted.tick()
     return QUEUES_PER_STEP_MAX
 

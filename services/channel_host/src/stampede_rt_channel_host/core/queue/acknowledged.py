@@ -48,27 +48,27 @@ class AcknowledgedDeliveries:
 
     def record(self, delivery_id: int, taker_id: int, now: int) -> None:
         """The taker has acknowledged the delivery."""
-        number, place = divmod(delivery_id, _IDS_PER_CHUNK)
+        number, offset = divmod(delivery_id, _IDS_PER_CHUNK)
         chunk = self._chunks.get(number)
         if chunk is None:
             chunk = self._chunks[number] = _Chunk()
-        chunk.takers[place], chunk.times[place] = taker_id, now
+        chunk.takers[offset], chunk.times[offset] = taker_id, now
         self._chunks.move_to_end(number)
         self._latest[number] = now
         self._forget(now)
 
     def knows(self, delivery_id: int, taker_id: int, now: int) -> bool:
         """This taker acknowledged it within the last 10 minutes."""
-        number, place = divmod(delivery_id, _IDS_PER_CHUNK)
+        number, offset = divmod(delivery_id, _IDS_PER_CHUNK)
         chunk = self._chunks.get(number)
-        return chunk is not None and chunk.takers[place] == taker_id and chunk.times[place] > now - KEPT_NANOS
+        return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
     def all(self, now: int) -> Iterator[Acknowledged]:
         """What is known, oldest chunk first."""
         for number, chunk in self._chunks.items():
-            for place, taker_id in enumerate(chunk.takers):
-                if taker_id and chunk.times[place] > now - KEPT_NANOS:
-                    yield Acknowledged(number * _IDS_PER_CHUNK + place, taker_id, chunk.times[place])
+            for offset, taker_id in enumerate(chunk.takers):
+                if taker_id and chunk.times[offset] > now - KEPT_NANOS:
+                    yield Acknowledged(number * _IDS_PER_CHUNK + offset, taker_id, chunk.times[offset])
 
     def _forget(self, now: int) -> None:
         while self._chunks:

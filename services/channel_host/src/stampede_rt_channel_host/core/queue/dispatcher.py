@@ -70,28 +70,28 @@ class _Draft:
         self.items = 0
         self._bytes = 0
 
-    def has_room(self, run: QueuedRun, place: int) -> bool:
+    def has_room(self, run: QueuedRun, position: int) -> bool:
         """One more item keeps the message's limit; the first one always does."""
-        return not self.items or self._bytes + self._cost(run, place) <= BATCH_BYTES_MAX
+        return not self.items or self._bytes + self._cost(run, position) <= BATCH_BYTES_MAX
 
-    def add(self, run: QueuedRun, place: int, delivery: tuple[int, int]) -> None:
+    def add(self, run: QueuedRun, position: int, delivery: tuple[int, int]) -> None:
         """Append the item with its delivery id and number."""
-        self._bytes += self._cost(run, place)
+        self._bytes += self._cost(run, position)
         self.items += 1
-        if self._continues(run, place):
+        if self._continues(run, position):
             last = self.slices[-1]
             last.delivery_ids.append(delivery[0])  # type: ignore[attr-defined]  # lists, here and when it is new
             last.deliveries.append(delivery[1])  # type: ignore[attr-defined]
-            self.slices[-1] = last._replace(hi=place + 1)
+            self.slices[-1] = last._replace(hi=position + 1)
         else:
-            self.slices.append(LeasedSlice(run, place, place + 1, [delivery[0]], [delivery[1]]))
+            self.slices.append(LeasedSlice(run, position, position + 1, [delivery[0]], [delivery[1]]))
 
-    def _continues(self, run: QueuedRun, place: int) -> bool:
-        return bool(self.slices) and self.slices[-1].run is run and self.slices[-1].hi == place
+    def _continues(self, run: QueuedRun, position: int) -> bool:
+        return bool(self.slices) and self.slices[-1].run is run and self.slices[-1].hi == position
 
-    def _cost(self, run: QueuedRun, place: int) -> int:
-        label = 0 if self._continues(run, place) else run.label_bytes
-        return label + run.lengths[place] + DELIVERY_BYTES
+    def _cost(self, run: QueuedRun, position: int) -> int:
+        label = 0 if self._continues(run, position) else run.label_bytes
+        return label + run.lengths[position] + DELIVERY_BYTES
 
 
 class Dispatcher:
@@ -127,13 +127,13 @@ class Dispatcher:
         """There may be something new for those in line."""
         served, items = [], 0
         self.has_more = False
-        for place, taker in enumerate(self._line):
+        for position, taker in enumerate(self._line):
             if self.is_paused or not self._queue_items.available_items:
                 break
             if items >= ITEMS_DEALT_MAX:
                 self.has_more = True
                 break
-            dealt = self._serve(taker, len(self._line) - place, now)
+            dealt = self._serve(taker, len(self._line) - position, now)
             if dealt:
                 served.append(taker)
                 items += dealt
@@ -162,14 +162,14 @@ class Dispatcher:
         item = view.next_for(taker.taker_id, queue_items) if view else queue_items.first_available()
         if item is None:
             run = queue_items.fresh_run()
-            if run is None or not draft.has_room(run, queue_items.fresh_place):
+            if run is None or not draft.has_room(run, queue_items.fresh_position):
                 return False
             item = queue_items.touch_fresh()
-        elif not draft.has_room(item.run, item.place):
+        elif not draft.has_room(item.run, item.position):
             return False
         if view is not None:
             view.cursor = max(view.cursor, item.seq + 1)
-        draft.add(item.run, item.place, self._leasing.deliver(item, taker, now, expires))
+        draft.add(item.run, item.position, self._leasing.deliver(item, taker, now, expires))
         return True
 
     def _view(self, taker_id: int) -> View:

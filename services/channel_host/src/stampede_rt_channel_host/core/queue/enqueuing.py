@@ -232,7 +232,7 @@ class Enqueuing:
     def _offer(self, run: Enqueue, now: int) -> bool:
         """Take in what there is room for; True if the run is through."""
         queue_items, taken, judging = self._queue_items, QueuedRun(self._queue_items.next_seq, [], now), run.judging
-        places: list[int] = []
+        positions: list[int] = []
         self._drops_left = DROPPED_PER_RUN_MAX + 2 * len(run.lengths)
         while judging.judged_items < len(run.lengths):
             length = run.lengths[judging.judged_items]
@@ -240,14 +240,14 @@ class Enqueuing:
                 self._refuse(run, self._too_large(length))
             elif self._make_room(length):
                 queue_items.add(taken, length)
-                places.append(judging.judged_items)
+                positions.append(judging.judged_items)
             elif queue_items.limits.on_full == BLOCK or self._is_making_room:
                 break
             else:
                 self._refuse(run, self._full())
             judging.judged_items += 1
-        if places:
-            self._seal(run, taken, places, now)
+        if positions:
+            self._seal(run, taken, positions, now)
         if judging.judged_items < len(run.lengths):
             return False
         self._resolve(run, now)
@@ -265,10 +265,10 @@ class Enqueuing:
             self._drops_left -= 1
         return True
 
-    def _seal(self, run: Enqueue, taken: QueuedRun, places: list[int], now: int) -> None:
+    def _seal(self, run: Enqueue, taken: QueuedRun, positions: list[int], now: int) -> None:
         stamped = run.judging.stamped_time if run.judging.accepted_any else now if run.is_stamped else None
-        run.judging.accept(places[0], taken.first_seq, len(places), stamped)
-        self._queue_items.seal(taken, run.seal(taken.first_seq, places, stamped))
+        run.judging.accept(positions[0], taken.first_seq, len(positions), stamped)
+        self._queue_items.seal(taken, run.seal(taken.first_seq, positions, stamped))
 
     def _resolve(self, run: Enqueue, now: int) -> None:
         run.outcome = self._remember(run, now)

@@ -74,7 +74,7 @@ class QueueHandoff:
 def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
     """The queue as it is at `now`; it shares nothing that changes."""
     held = [item.seq for item in queue_items.touched.values()]
-    fresh = [seq for run, place in queue_items.fresh() for seq in range(run.first_seq + place, run.end_seq)]
+    fresh = [seq for run, position in queue_items.fresh() for seq in range(run.first_seq + position, run.end_seq)]
     return QueueHandoff(
         next_seq=queue_items.next_seq,
         next_delivery_id=leasing.next_delivery_id,

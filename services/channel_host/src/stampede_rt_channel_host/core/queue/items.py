@@ -62,13 +62,13 @@ class TouchedItem:
     """
 
     __slots__ = (
-        "acknowledged", "due", "is_available", "is_leaving", "is_unleased", "last", "leases", "place",
+        "acknowledged", "due", "is_available", "is_leaving", "is_unleased", "last", "leases", "position",
         "return_number", "returned", "run",
     )  # fmt: skip
 
-    def __init__(self, run: QueuedRun, place: int) -> None:
+    def __init__(self, run: QueuedRun, position: int) -> None:
         self.run = run
-        self.place = place
+        self.position = position
         self.returned: list[int] = []
         self.leases: dict[int, int] = {}
         self.acknowledged: tuple[int, ...] = ()
@@ -80,7 +80,7 @@ class TouchedItem:
     @property
     def seq(self) -> int:
         """The item's seq."""
-        return self.run.first_seq + self.place
+        return self.run.first_seq + self.position
 
     @property
     def order(self) -> int:
@@ -90,7 +90,7 @@ class TouchedItem:
     @property
     def length(self) -> int:
         """Payload bytes."""
-        return self.run.lengths[self.place]
+        return self.run.lengths[self.position]
 
     def free_copies(self, copies: int) -> int:
         """How many more takers may be given it."""

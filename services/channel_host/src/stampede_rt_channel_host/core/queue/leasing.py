@@ -1,6 +1,6 @@
 """Leases of a queue's items: given, settled, expired (paper, section 3.5). Pure.
 
-An item is used up only by acknowledgements; a give-back or the end of a lease puts it back at its place.
+An item is used up only by acknowledgements; a give-back or the end of a lease puts it back in its former position.
 """
 
 from __future__ import annotations

@@ -170,7 +170,7 @@ class QueueCore:
     def departing(self, items_max: int) -> list[Departure]:
         """Items that wait for being moved to the dead-letter queue, those first that wait longest."""
         leaving = islice(self._queue_items.leaving.values(), items_max)
-        return [Departure(item.seq, item.run, item.place, item.last) for item in leaving]
+        return [Departure(item.seq, item.run, item.position, item.last) for item in leaving]
 
     def departed(self, seq: int, now: int) -> None:
         """The dead-letter queue has the item. Idempotent."""

@@ -56,7 +56,7 @@ class QueueItems:
         self.delays: Deadlines[TouchedItem] = Deadlines()
         self.returns_logged = 0
         self._fresh: deque[QueuedRun] = deque()
-        self._fresh_place = 0  # of the first fresh item in the first fresh run
+        self._fresh_position = 0  # of the first fresh item in the first fresh run
         self._available: Any = SortedList()  # seqs of touched items that some taker may be given
         self._unleased: Any = SortedList()  # seqs of touched items that nobody has
         self._returns: Any = SortedDict()  # number of the latest return -> seq, of available items; with copies only
@@ -74,7 +74,7 @@ class QueueItems:
         run.held += 1
         if not self._fresh or self._fresh[-1] is not run:
             if not self._fresh:
-                self._fresh_place = len(run.lengths) - 1  # older items of it were dropped to make room
+                self._fresh_position = len(run.lengths) - 1  # older items of it were dropped to make room
             self._fresh.append(run)
         self._count_in(length)
 
@@ -86,20 +86,20 @@ class QueueItems:
         self.tally.accepted += 1
         self.tally.accepted_bytes += length
 
-    def put_back(self, run: QueuedRun, place: int, *, is_fresh: bool) -> None:
+    def put_back(self, run: QueuedRun, position: int, *, is_fresh: bool) -> None:
         """An item that another host held goes on here. Items come in the order of seqs, the touched ones first."""
         if not run.held:
             self.stored_bytes += len(run.body)
         run.held += 1
         self.items += 1
-        self.payload_bytes += run.lengths[place]
+        self.payload_bytes += run.lengths[position]
         if not is_fresh:
-            item = TouchedItem(run, place)
+            item = TouchedItem(run, position)
             self.touched[item.seq] = item
             return
         self.fresh_items += 1
         if not self._fresh:
-            self._fresh_place = place
+            self._fresh_position = position
         if not self._fresh or self._fresh[-1] is not run:
             self._fresh.append(run)
 
@@ -115,8 +115,8 @@ class QueueItems:
         if self._unleased:
             self.remove(self.touched[self._unleased[0]])
         elif (run := self.fresh_run()) is not None:
-            length = run.lengths[self._fresh_place]
-            self._fresh_place += 1
+            length = run.lengths[self._fresh_position]
+            self._fresh_position += 1
             self.fresh_items -= 1
             self._release(run, length)
         else:
@@ -126,33 +126,33 @@ class QueueItems:
 
     def fresh_run(self) -> QueuedRun | None:
         """The run of the first item that nobody was given yet; None if all were."""
-        while self._fresh and self._fresh_place >= len(self._fresh[0].lengths):
+        while self._fresh and self._fresh_position >= len(self._fresh[0].lengths):
             self._fresh.popleft()
-            self._fresh_place = 0
+            self._fresh_position = 0
         return self._fresh[0] if self._fresh else None
 
     @property
-    def fresh_place(self) -> int:
+    def fresh_position(self) -> int:
         """Where the first fresh item is in `fresh_run()`."""
-        return self._fresh_place
+        return self._fresh_position
 
     def touch_fresh(self) -> TouchedItem:
         """The first fresh item, which somebody is given now. There must be one."""
         run = self.fresh_run()
         assert run is not None, "the caller has looked"
-        item = TouchedItem(run, self._fresh_place)
-        self._fresh_place += 1
+        item = TouchedItem(run, self._fresh_position)
+        self._fresh_position += 1
         self.fresh_items -= 1
         self.touched[item.seq] = item
         return item
 
     def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
-        """The fresh runs, each with the place of its first fresh item."""
+        """The fresh runs, each with the position of its first fresh item."""
         if self.fresh_run() is not None:
-            place = self._fresh_place
+            position = self._fresh_position
             for run in self._fresh:
-                yield run, place
-                place = 0
+                yield run, position
+                position = 0
 
     @property
     def available_items(self) -> int:

@@ -16,8 +16,8 @@ from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun
 class SealRun(Protocol):
     """Makes the bytes of accepted items, which are about to be stored. Must not raise."""
 
-    def __call__(self, first_seq: int, places: Sequence[int], stamped_time: int | None) -> bytes:
-        """`places`: of the accepted items in their run; `stamped_time`: set if the run came without times."""
+    def __call__(self, first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
+        """`positions`: of the accepted items in their run; `stamped_time`: set if the run came without times."""
 
 
 class LeasedSlice(NamedTuple):
@@ -49,7 +49,7 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True)
 class GiveBack:
-    """The item goes back to its place, and is not delivered again for `delay_nanos`, 0 or more.
+    """The item goes back to its position in the queue, and is not delivered again for `delay_nanos`, 0 or more.
 
     `uncounted`: nobody was handed the item, so that the delivery does not count towards max_deliveries.
     """
@@ -91,11 +91,11 @@ class SettlementResult(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """An item on its way to the dead-letter queue: the one at `place` of `run`. `last`: the last delivery in vain."""
+    """The item at `position` of `run`, on its way to the dead-letter queue. `last`: the last delivery in vain."""
 
     seq: int
     run: QueuedRun
-    place: int
+    position: int
     last: FailedDelivery | None
 
 
