@@ -62,17 +62,17 @@ SCENARIOS = (
 
 def record(conditions: Conditions, seconds: int, seed: int) -> list[Arrival]:
     """What arrives in the order in which it arrives; each stream in the order of its times, unless it `reorders`."""
-    dice = random.Random(f"{seed} {conditions.name}")
+    random_source = random.Random(f"{seed} {conditions.name}")
     arrivals: list[Arrival] = []
     for stream, rate_hz in RATES_HZ.items():
         before = 0
         for number in range(seconds * rate_hz):
             due = FIRST_NANOS + number * NANOS_PER_SECOND // rate_hz
-            time = due + dice.randint(-conditions.jitter_nanos, conditions.jitter_nanos)
-            if dice.random() < conditions.drop_share or _is_silent(conditions, stream, due):
+            time = due + random_source.randint(-conditions.jitter_nanos, conditions.jitter_nanos)
+            if random_source.random() < conditions.drop_share or _is_silent(conditions, stream, due):
                 continue
             lag = (conditions.lag_nanos or {}).get(stream, 0)
-            arrived = time + lag + dice.randint(*conditions.transport_nanos)
+            arrived = time + lag + random_source.randint(*conditions.transport_nanos)
             before = arrived if conditions.reorders else max(before + 1, arrived)
             arrivals.append(Arrival(before, stream, time))
     return sorted(arrivals)
