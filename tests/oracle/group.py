@@ -233,7 +233,7 @@ class OracleView(OracleReader):
         self.clock = clock if cut is None else min(clock, cut)
 
     @property
-    def newest_place(self) -> tuple[int, int] | None:
+    def newest_key(self) -> tuple[int, int] | None:
         """Of the latest visible item."""
         return max(((one.time, one.seq) for one in self.channel.held), default=None)
 
@@ -353,7 +353,7 @@ class OracleMatcher:
     per: OracleChannel
     others: Mapping[bytes, OracleChannel]
     tolerance: int
-    place: tuple[int, int]
+    position: tuple[int, int]
     lateness: int = 0
     last: dict[bytes, tuple[int, int]] | None = None
     unmatched: int = 0
@@ -392,11 +392,11 @@ class OracleMatcher:
         own = [(one.time, one.seq) for one in self.per.held if (one.time, one.seq) >= (item.time, item.seq)]
         last = self.last.get(name, (-(2**64), 0))
         others = {(one.time, one.seq): one for one in channel.held if (one.time, one.seq) > last}
-        place = paired(own, others, self.tolerance).get((item.time, item.seq))
-        if place is None:
+        key = paired(own, others, self.tolerance).get((item.time, item.seq))
+        if key is None:
             return None
-        self.last[name] = place
-        return others[place]
+        self.last[name] = key
+        return others[key]
 
     def _passed(self, channel: OracleChannel, instant: int) -> bool:
         """It had an item at or after the instant, or one that is by more than the lateness after it; or it promised

@@ -193,7 +193,7 @@ class Listeners:
             kept, c.oracle.held = (
                 c.oracle.held,
                 list(c.oracle.log.values()),
-            )  # keys stay with the listeners that heard them
+            )  # a listener keeps the keys that it heard
             taken = one.core.take(one.has_passed, clock, 1000)
             wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
             assert not one.oracle.stalls

@@ -144,7 +144,7 @@ class Readers:
         reader = OracleView(channel, clock, cut)
         low = reader.instant_of(start) if start is not None and after is None else None
         start = None if after is not None else start
-        last = reader.newest_place or BEFORE_ALL
+        last = reader.newest_key or BEFORE_ALL
         begin = cut
         if after is not None:
             assert after.seq is not None
@@ -239,7 +239,7 @@ class Readers:
 
     def _deliver_newest(self, one: Subscriber, pair: LivingPair, horizon: Horizon) -> None:
         reader = OracleView(pair.oracle, self.world.clock, horizon.cut)
-        best = reader.newest_place
+        best = reader.newest_key
         part = one.newest.take(horizon, self.world.clock)
         given = [(each.slice.first_time, each.slice.first_seq, each.slice.items) for each in part.slices]
         assert given == ([] if best is None or best <= one.last else [(*best, 1)])

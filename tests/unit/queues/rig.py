@@ -170,7 +170,7 @@ class TakeCall:
 
 def delivered_in(response: pb.TakeResponse) -> list[Delivered]:
     return [
-        Delivered(payload, run.run.first_seq + at, delivery_id, run.deliveries[position] if run.deliveries else 1, run)
+        Delivered(payload, run.run.first_seq + at, delivery_id, run.deliveries[at] if run.deliveries else 1, run)
         for run in response.runs
         for at, (payload, delivery_id) in enumerate(zip(payloads_of(run.run), run.delivery_ids, strict=True))
     ]

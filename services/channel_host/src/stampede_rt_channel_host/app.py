@@ -141,16 +141,16 @@ def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[st
     `certified`: the names and addresses in its certificate. Raises SettingsError if it can be called from its own
     machine alone, while its front-ends are elsewhere.
     """
-    place = parse_address(address)
-    if place.host in _ANYWHERE:
+    own_address = parse_address(address)
+    if own_address.host in _ANYWHERE:
         own = address_towards(frontends)
         by_name = own == "localhost" or socket.gethostname() in certified
-        return str(Address(socket.gethostname() if by_name else own, place.port))
+        return str(Address(socket.gethostname() if by_name else own, own_address.port))
     if is_loopback(address) and (own := address_towards(frontends)) != "localhost":
         raise SettingsError(
             f"this host would be known as {address}, which only its own machine can call, while the front-end "
-            f"{', '.join(frontends)} is on another one; listen at {own} (--listen {Address(own, place.port)}), or say "
-            "with --advertise where others reach it"
+            f"{', '.join(frontends)} is on another one; listen at {own} (--listen {Address(own, own_address.port)}), "
+            "or say with --advertise where others reach it"
         )
     return address
 

@@ -34,15 +34,15 @@ def load_secret(path: Path | None) -> Secret | None:
 
     Raises PermissionDenied if the file is missing, empty, or may be read by others.
     """
-    place = path or secret_file()
-    text = read_secret(place)
+    secret_path = path or secret_file()
+    text = read_secret(secret_path)
     if text is None:
         if path is None and "STAMPEDE_SECRET_FILE" not in os.environ:
             return None
-        raise PermissionDenied(f"there is no secret file {place}; make one with `stampede dev`, or name another")
+        raise PermissionDenied(f"there is no secret file {secret_path}; make one with `stampede dev`, or name another")
     if not text:
-        raise PermissionDenied(f"the secret file {place} is empty; remove it, and `stampede dev` makes a new one")
-    return Secret(text=text, path=place)
+        raise PermissionDenied(f"the secret file {secret_path} is empty; remove it, and `stampede dev` makes a new one")
+    return Secret(text=text, path=secret_path)
 
 
 def make_secret_file(path: Path | None = None) -> Secret:
@@ -51,22 +51,22 @@ def make_secret_file(path: Path | None = None) -> Secret:
     The file appears whole, with mode 0600, or not at all; of several makers at once one wins and all return its
     secret. Raises PermissionDenied if the file is empty or may be read by others, OSError if it cannot be written.
     """
-    place = path or secret_file()
-    if not place.exists():
-        _create(place)
-    found = load_secret(place)
+    secret_path = path or secret_file()
+    if not secret_path.exists():
+        _create(secret_path)
+    found = load_secret(secret_path)
     assert found is not None, "an explicit path never gives None"
     return found
 
 
-def _create(place: Path) -> None:
-    place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
+def _create(secret_path: Path) -> None:
+    secret_path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    draft = secret_path.with_name(f".{secret_path.name}.{secrets.token_hex(8)}")
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
-        with naming(place), os.fdopen(descriptor, "w") as file:
+        with naming(secret_path), os.fdopen(descriptor, "w") as file:
             file.write(secrets.token_urlsafe(32) + "\n")
-        os.link(draft, place)  # unlike rename, refuses to replace: the first maker wins
+        os.link(draft, secret_path)  # unlike rename, refuses to replace: the first maker wins
     except FileExistsError:
         pass  # another process made it meanwhile; its secret is the one
     finally:
@@ -101,17 +101,17 @@ class SecretInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
 async def _refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -> None:
     """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes."""
     brought = any(key == "authorization" for key, _ in context.invocation_metadata() or ())
-    places = (
+    searched_files = (
         "the file that --secret-file or $STAMPEDE_SECRET_FILE names, else $XDG_CONFIG_HOME/stampede/secret, else "
         "~/.config/stampede/secret"
     )
     if brought:
         what = "the call brought a secret that differs from the service's"
-        remedy = f"the caller read its secret from {places}: replace that file by the service's own"
+        remedy = f"the caller read its secret from {searched_files}: replace that file by the service's own"
     else:
         what = "the call brought no secret"
         remedy = (
-            f"copy the service's secret file to one of the places where callers look: {places}. A client sends it to "
-            "another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it"
+            f"copy the service's secret file to one of the files that callers read: {searched_files}. A client sends "
+            "it to another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it"
         )
     await abort(context, PermissionDenied(f"{what}; {remedy}", reason="UNAUTHENTICATED"))

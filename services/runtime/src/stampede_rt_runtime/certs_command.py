@@ -175,20 +175,20 @@ def _validity(one: Described, now: datetime) -> str:
 
 
 def write_pair(made: Issued, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write `name`.pem and `name`.key (mode 0600), each appearing whole, in the place of former ones. Gives both."""
+    """Write `name`.pem and `name`.key (mode 0600), each appearing whole, and replace former files. Gives both."""
     certificate, key = folder / f"{name}.pem", folder / f"{name}.key"
     _replace(key, made.key, 0o600)
     _replace(certificate, made.certificate, 0o644)
     return certificate, key
 
 
-def _replace(place: Path, content: bytes, mode: int) -> None:
-    draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
+def _replace(path: Path, content: bytes, mode: int) -> None:
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
         with naming(draft), os.fdopen(descriptor, "wb") as file:
             file.write(content)
-        os.replace(draft, place)
+        os.replace(draft, path)
     except BaseException:
         draft.unlink(missing_ok=True)
         raise

@@ -1,4 +1,4 @@
-"""Where a service may listen, and whether the place is free. Checked before gRPC is asked.
+"""Where a service may listen, and whether the port is free. Checked before gRPC is asked.
 
 gRPC binds what it can of the addresses that a name has and says nothing of the others; a port that another process
 holds on 127.0.0.1 would be served on ::1 alone. So all of them are tried first.
@@ -27,15 +27,15 @@ def check_listen(text: str, *, allow_insecure_anywhere: bool) -> Address:
     Raises NotAllowed or CannotListen.
     """
     address = parse_address(text)
-    places = _resolve(address)
-    if not allow_insecure_anywhere and not all(_is_loopback(place) for _, place in places):
+    socket_addresses = _resolve(address)
+    if not allow_insecure_anywhere and not all(_is_loopback(socket_address) for _, socket_address in socket_addresses):
         raise NotAllowed(
             f"{address} can be reached from other machines, and without certificates everything, the secret included, "
             f"would cross the network in clear text; listen at localhost:{address.port}, or, on a network that you "
             "trust, add --allow-insecure-anywhere"
         )
-    for family, place in places:
-        _try_bind(address, family, place)
+    for family, socket_address in socket_addresses:
+        _try_bind(address, family, socket_address)
     return address
 
 
@@ -44,20 +44,20 @@ def _resolve(address: Address) -> list[tuple[socket.AddressFamily, tuple[str, in
         found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (socket.gaierror, UnicodeError) as error:
         raise CannotListen(f"{address.host!r} is no name or address of this machine ({error})") from error
-    return [(family, (str(place[0]), int(place[1]))) for family, _, _, _, place in found]
+    return [(family, (str(socket_address[0]), int(socket_address[1]))) for family, _, _, _, socket_address in found]
 
 
-def _is_loopback(place: tuple[str, int]) -> bool:
-    return ipaddress.ip_address(place[0].partition("%")[0]).is_loopback
+def _is_loopback(socket_address: tuple[str, int]) -> bool:
+    return ipaddress.ip_address(socket_address[0].partition("%")[0]).is_loopback
 
 
-def _try_bind(address: Address, family: socket.AddressFamily, place: tuple[str, int]) -> None:
+def _try_bind(address: Address, family: socket.AddressFamily, socket_address: tuple[str, int]) -> None:
     try:
         with socket.socket(family, socket.SOCK_STREAM) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as gRPC does: old connections do not count
             if family == socket.AF_INET6:
                 probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-            probe.bind(place)
+            probe.bind(socket_address)
     except OSError as error:
         if error.errno in (errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL) and family == socket.AF_INET6:
             return  # a machine without IPv6 whose names still have IPv6 addresses: gRPC passes over these, too

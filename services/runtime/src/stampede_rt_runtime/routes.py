@@ -26,25 +26,25 @@ def address_towards(targets: Iterable[str]) -> str:
 
 
 def _own_address_towards(target: str) -> str:
-    place = parse_address(target)
+    peer_address = parse_address(target)
     try:
-        family, _, _, _, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_DGRAM)[0]
+        family, _, _, _, address = socket.getaddrinfo(peer_address.host, peer_address.port, type=socket.SOCK_DGRAM)[0]
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.connect(address)
             return str(probe.getsockname()[0])
     except (OSError, UnicodeError) as error:
         raise CannotListen(
-            f"no address of this machine is known to lead to {target} ({error}); start {place.host} first, correct its "
-            "name, or say with --listen HOST:PORT which address this service has"
+            f"no address of this machine is known to lead to {target} ({error}); start {peer_address.host} first, "
+            "correct its name, or say with --listen HOST:PORT which address this service has"
         ) from error
 
 
 def is_of_another_machine(peer: str) -> bool:
     """Whether a caller, as gRPC names it ("ipv4:10.0.0.3:5", "ipv6:%5B::1%5D:5"), has no address of this machine's."""
-    kind, _, place = peer.partition(":")
+    kind, _, rest = peer.partition(":")
     if kind not in ("ipv4", "ipv6"):
         return False
-    address = unquote(place).rpartition(":")[0].strip("[]")
+    address = unquote(rest).rpartition(":")[0].strip("[]")
     try:
         with socket.socket(socket.AF_INET6 if kind == "ipv6" else socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind((address, 0))  # which is allowed for one's own addresses alone

@@ -51,14 +51,14 @@ class ServiceServer:
 
         From here on the port is this process's, and its address can be told to others: callers wait until `start`.
         """
-        place = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None)
+        checked = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None)
         try:
-            port = self._add_port(str(place))
+            port = self._add_port(str(checked))
         except RuntimeError as error:  # another process was faster than the check before
-            raise CannotListen(f"{place} cannot be listened at: {error}") from error
+            raise CannotListen(f"{checked} cannot be listened at: {error}") from error
         if port == 0:
-            raise CannotListen(f"{place} cannot be listened at")
-        self.address = str(Address(place.host, port))
+            raise CannotListen(f"{checked} cannot be listened at")
+        self.address = str(Address(checked.host, port))
         return self.address
 
     async def start(self) -> None:
@@ -66,10 +66,10 @@ class ServiceServer:
         await self.set_serving(False)
         await self.grpc.start()
 
-    def _add_port(self, place: str) -> int:
+    def _add_port(self, address: str) -> int:
         if self._tls is None:
-            return self.grpc.add_insecure_port(place)
-        return self.grpc.add_secure_port(place, self._tls.server_credentials())
+            return self.grpc.add_insecure_port(address)
+        return self.grpc.add_secure_port(address, self._tls.server_credentials())
 
     async def set_serving(self, serving: bool) -> None:
         """What the standard health service says from now on."""

@@ -21,7 +21,7 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """A place to listen at or to call: `host` without brackets, `port` 0..65535 (0: any free one, to listen only)."""
+    """An address to listen at or to call. `host` has no brackets. `port` is 0..65535; 0 listens at any free port."""
 
     host: str
     port: int

@@ -34,10 +34,10 @@ def load_host_id(folder: Path | None) -> bytes:
     if folder is None:
         return secrets.token_bytes(ID_BYTES)
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    place = folder / _FILE
-    if not place.exists():
-        _write_once(place, secrets.token_hex(ID_BYTES))
-    return _read(place)
+    path = folder / _FILE
+    if not path.exists():
+        _write_once(path, secrets.token_hex(ID_BYTES))
+    return _read(path)
 
 
 class HomeCluster:
@@ -47,36 +47,36 @@ class HomeCluster:
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._place = None if folder is None else folder / _CLUSTER_FILE
-        kept = self._place is not None and self._place.exists()
-        self.cluster_id = self._place.read_text().strip() if kept and self._place else ""
+        self._path = None if folder is None else folder / _CLUSTER_FILE
+        kept = self._path is not None and self._path.exists()
+        self.cluster_id = self._path.read_text().strip() if kept and self._path else ""
 
     def note(self, cluster_id: str) -> None:
         """The directory has let this host in, as one of that cluster. Raises OSError."""
         if cluster_id in ("", self.cluster_id):
             return
-        if self._place is not None:
-            _write_once(self._place, cluster_id)
+        if self._path is not None:
+            _write_once(self._path, cluster_id)
         self.cluster_id = cluster_id
 
 
-def _write_once(place: Path, text: str) -> None:
+def _write_once(path: Path, text: str) -> None:
     """The file appears whole or not at all, so that a crash leaves no half an id behind."""
-    draft = place.with_name(f".{place.name}.{secrets.token_hex(8)}")
-    with naming(place), draft.open("w") as file:
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    with naming(path), draft.open("w") as file:
         file.write(text + "\n")
         file.flush()
         os.fsync(file.fileno())
-    draft.rename(place)
+    draft.rename(path)
 
 
-def _read(place: Path) -> bytes:
+def _read(path: Path) -> bytes:
     try:
-        host_id = bytes.fromhex(place.read_text().strip())
+        host_id = bytes.fromhex(path.read_text().strip())
     except ValueError:
         host_id = b""
     if len(host_id) != ID_BYTES:
-        raise InvalidArgument(f"{place} holds no host id; remove it, and the host enters as a new one")
+        raise InvalidArgument(f"{path} holds no host id; remove it, and the host enters as a new one")
     return host_id
 
 

@@ -15,14 +15,14 @@ from stampede_rt_supernode.core.records import HostRecord, PeerRecord
 
 
 def check_in_time(
-    operation: RegisterHost | RegisterPeer, places: Iterable[HostRecord | PeerRecord | None], as_of_index: int
+    operation: RegisterHost | RegisterPeer, former: Iterable[HostRecord | PeerRecord | None], as_of_index: int
 ) -> None:
-    """Raises Unavailable with reason AMBIGUOUS if another start of the process has registered since this was asked for.
+    """Raises Unavailable with reason AMBIGUOUS if a later process has registered since the request was made.
 
-    `places`: whose place it would take. `as_of_index`: how far the state reached when the request came, 0 if that is
-    not told.
+    `former`: the records that it would replace. `as_of_index`: how far the state reached when the request came; 0 if
+    the request does not say so.
     """
-    for before in places:
+    for before in former:
         if before is None or before.boot_incarnation == operation.boot_incarnation:
             continue
         if 0 < as_of_index < before.registered_index:

@@ -48,13 +48,13 @@ def read_listing(token: str, listing: str) -> str:
     return name
 
 
-def write_place(listing: str, place: tuple[bool, str] | None) -> str:
-    """As `write_listing`, behind one place of a listing in two parts: whether it is in the second, and its name."""
-    return write_listing(listing, None if place is None else f"{int(place[0])}{place[1]}")
+def write_position(listing: str, position: tuple[bool, str] | None) -> str:
+    """As `write_listing`, behind one position of a listing in two parts: whether it is in the second, and its name."""
+    return write_listing(listing, None if position is None else f"{int(position[0])}{position[1]}")
 
 
-def read_place(token: str, listing: str) -> tuple[bool, str]:
-    """The place, that of the beginning for an empty token. Raises as `read_listing`."""
+def read_position(token: str, listing: str) -> tuple[bool, str]:
+    """The position, that of the beginning for an empty token. Raises as `read_listing`."""
     text = read_listing(token, listing)
     return text[:1] == "1", text[1:]
 

@@ -63,17 +63,17 @@ class Founding:
 
 def read_founding(data_dir: Path) -> Founding | None:
     """What the folder is for, None if neither `init` nor `join` has prepared it. Raises StampedeError."""
-    place = data_dir / FILE_NAME
+    path = data_dir / FILE_NAME
     try:
-        facts: dict[str, Any] = json.loads(place.read_text())
+        facts: dict[str, Any] = json.loads(path.read_text())
         if facts.pop("format_version", None) != FORMAT_VERSION:
-            raise StampedeError(f"{place} is of another version; run the version that wrote it")
+            raise StampedeError(f"{path} is of another version; run the version that wrote it")
         return Founding(**facts)
     except FileNotFoundError:
         return None
     except (AttributeError, TypeError, ValueError) as error:
         raise StampedeError(
-            f"{place} cannot be read ({error}): empty the folder, and let this member join again under a new id"
+            f"{path} cannot be read ({error}): empty the folder, and let this member join again under a new id"
         ) from error
 
 

@@ -82,7 +82,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     @errors_as_status
     async def ListQueues(self, request: pb.ListQueuesRequest, context: Context) -> pb.ListQueuesResponse:
         listing = f"queues\0{request.name_glob}\0{request.include_mailboxes}"
-        after = page_tokens.read_place(request.page_token, listing)
+        after = page_tokens.read_position(request.page_token, listing)
 
         def find(directory: Directory) -> tuple[QueuePage, int]:
             page = queue_page(
@@ -94,7 +94,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         return pb.ListQueuesResponse(
             queues=[queue_record(queue) for queue in page.queues],
             hosts=[host_record(host) for host in page.hosts],
-            next_page_token=page_tokens.write_place(listing, page.last),
+            next_page_token=page_tokens.write_position(listing, page.last),
             applied_index=index,
         )
 

@@ -12,9 +12,9 @@ from stampede_rt_supernode.core.records import HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 
 HOST_QUEUES_MAX = 1000
-# A place in a listing: whether it is among the mailboxes, which come last, and the name of the queue or of the peer.
-Place = tuple[bool, str]
-BEGINNING: Place = (False, "")
+# A position in a listing: whether it is among the mailboxes, which come last, and the name of the queue or of the peer.
+Position = tuple[bool, str]
+BEGINNING: Position = (False, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,29 +24,29 @@ class QueuePage:
 
     queues: tuple[QueueRecord, ...]
     hosts: tuple[HostRecord, ...]
-    last: Place | None
+    last: Position | None
 
 
-def queue_page(tables: Tables, glob: str, after: Place, queues_max: int, *, mailboxes: bool) -> QueuePage:
+def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, mailboxes: bool) -> QueuePage:
     """Up to `queues_max` (0: the most) queues behind `after` whose names match, and their owners, each once.
 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
     """
     matches, limit = matcher(glob), min(queues_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     found: list[QueueRecord] = []
-    last: Place | None = None
-    for examined, (place, queue) in enumerate(_behind(tables, glob, after, mailboxes), start=1):
+    last: Position | None = None
+    for examined, (position, queue) in enumerate(_behind(tables, glob, after, mailboxes), start=1):
         if len(found) == limit or examined > queries.NAMES_EXAMINED_MAX:
             return QueuePage(tuple(found), _owners(tables, found), last)
-        last = place
-        if matches(place[1]):
+        last = position
+        if matches(position[1]):
             found.append(queue)
     return QueuePage(tuple(found), _owners(tables, found), None)
 
 
-def _behind(tables: Tables, glob: str, after: Place, mailboxes: bool) -> Iterator[tuple[Place, QueueRecord]]:
+def _behind(tables: Tables, glob: str, after: Position, mailboxes: bool) -> Iterator[tuple[Position, QueueRecord]]:
     prefix, (among_mailboxes, name) = fixed_prefix(glob), after
-    named: Iterator[tuple[Place, QueueRecord]] = iter(())
+    named: Iterator[tuple[Position, QueueRecord]] = iter(())
     if not among_mailboxes:
         names = queries.names_from(tables.queues.ids, prefix, name)
         named = (((False, one), tables.queues.by_id[tables.queues.ids[one]]) for one in names)

@@ -33,13 +33,13 @@ class KnownStores:
     """
 
     def __init__(
-        self, own: str = "", known: Mapping[str, str] | None = None, place: Path | None = None, refused: str = ""
+        self, own: str = "", known: Mapping[str, str] | None = None, path: Path | None = None, refused: str = ""
     ) -> None:
         self.own = own
         # Why others do not take this store any more; empty as long as they do.
         self.refused = refused
         self._known = dict(known or {})
-        self._place = place
+        self._path = path
         self._mutex = threading.Lock()  # two members may come at once, and the file must hold both
 
     @classmethod
@@ -47,11 +47,11 @@ class KnownStores:
         """Read what was noted, or begin, as with a store that is new; blocks. Raises StoreDamaged or OSError."""
         if data_dir is None:
             return cls()
-        place = data_dir / FILE_NAME
-        if had_store and place.exists():
-            facts = _read(place.read_bytes(), place)
-            return cls(facts["own"], facts["known"], place, facts.get("refused", ""))
-        begun = cls(secrets.token_hex(ID_BYTES), {}, place)
+        path = data_dir / FILE_NAME
+        if had_store and path.exists():
+            facts = _read(path.read_bytes(), path)
+            return cls(facts["own"], facts["known"], path, facts.get("refused", ""))
+        begun = cls(secrets.token_hex(ID_BYTES), {}, path)
         begun._write()
         return begun
 
@@ -66,16 +66,16 @@ class KnownStores:
         """Note that others do not take this store any more; blocks. Raises OSError."""
         with self._mutex:
             self.refused = why
-            if self._place is not None:
+            if self._path is not None:
                 self._write()
 
     def note(self, member_id: str, store_id: str, members: Collection[str]) -> None:
         """Remember an admitted member's store for good; blocks at the first time. Raises OSError.
 
-        `members`: whom the log names. Of the others only the last few are kept, and none takes a member's place.
+        `members`: whom the log names. Of the others only the last few are kept, and none takes the entry of a member.
         """
         with self._mutex:
-            if self._place is None or not store_id or member_id in self._known:
+            if self._path is None or not store_id or member_id in self._known:
                 return
             self._known[member_id] = store_id
             others = [known for known in self._known if known not in members]
@@ -85,22 +85,22 @@ class KnownStores:
 
     def _write(self) -> None:
         """Write the file, whole or not at all."""
-        assert self._place is not None
+        assert self._path is not None
         body = json.dumps({"own": self.own, "known": self._known, "refused": self.refused})
-        draft = self._place.with_name(f".{FILE_NAME}.{secrets.token_hex(4)}")
+        draft = self._path.with_name(f".{FILE_NAME}.{secrets.token_hex(4)}")
         descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with os.fdopen(descriptor, "w") as file:
             file.write(f"{zlib.crc32(body.encode()):08x} {body}\n")
             file.flush()
             os.fsync(file.fileno())
-        draft.replace(self._place)
-        force_folder(self._place.parent)
+        draft.replace(self._path)
+        force_folder(self._path.parent)
 
 
-def _read(told: bytes, place: Path) -> dict[str, Any]:
+def _read(told: bytes, path: Path) -> dict[str, Any]:
     checksum, _, body = told.rstrip(b"\n").partition(b" ")
     if checksum != b"%08x" % zlib.crc32(body):
-        raise StoreDamaged(f"{place} fails its checksum: {REJOIN}")
+        raise StoreDamaged(f"{path} fails its checksum: {REJOIN}")
     facts: dict[str, Any] = json.loads(body)
     return facts
 
