@@ -30,4 +30,4 @@ def test_it_goes_on_with_everything_that_the_new_incarnation_gets(
         assert (handle.losses, handle.active, handle.error) == (1, True, None)
         handle.cancel()
         assert handle.join(10)
-    assert any("goes on with a new incarnation" in record.getMessage() for record in caplog.records)
+    assert any("continues with a new incarnation" in record.getMessage() for record in caplog.records)

@@ -160,7 +160,7 @@ def test_a_message_is_sent_to_a_participant_who_takes_it(stampede: Run, cluster:
         assert (row["peer"], row["alive"], row["mailbox"], row["zone"]) == ("cli/robot", True, True, "lab")
         assert abs(row["clock"]["offset_nanos"]) <= row["clock"]["uncertainty_nanos"]
         _, said = stampede("mailbox", "get", "cli/robot", status=1)
-        assert "is taken by another live peer" in said
+        assert "another live peer has the name" in said
 
 
 def test_nobody_is_sent_to_who_is_not_there(stampede: Run) -> None:

@@ -44,7 +44,7 @@ class Defective:
 def check(listener: Any, caplog: pytest.LogCaptureFixture) -> None:
     assert not listener.active
     assert isinstance(listener.error, st.StampedeError)
-    assert str(listener.error) == "on_item of cam/left met a defect: RuntimeError: nobody thought of it"
+    assert str(listener.error) == "on_item of cam/left failed with a defect: RuntimeError: nobody thought of it"
     assert isinstance(listener.error.__cause__, RuntimeError)
     assert "Traceback" in caplog.text
 

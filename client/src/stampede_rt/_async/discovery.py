@@ -1,4 +1,4 @@
-"""What is there: channels, groups, queues, participants, hosts and supernodes (paper, section 3.5)."""
+"""Lists and watches of channels, groups, queues, peers, hosts and supernodes (paper, section 3.5)."""
 
 from __future__ import annotations
 
@@ -25,17 +25,20 @@ from stampede_rt.wire.queues import queue_info
 from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
 
 PAGES_MAX = 10_000
-LEADER_TIMEOUT_S = 2.5  # then what the leader alone knows is left out
+LEADER_TIMEOUT_S = 2.5  # then the answer has no clocks
 
 
 class Discovery:
-    """Asks the directory. In a glob "*" stands for any run of characters, "?" for one."""
+    """Reads the directory. In a glob "*" stands for any number of characters, "?" for one.
+
+    Calls block for at most 10 s, and raise Unavailable and InvalidArgument.
+    """
 
     def __init__(self, session: Session) -> None:
         self._session = session
 
     async def channels(self, name_glob: str = "*") -> list[ChannelInfo]:
-        """The channels whose names match; "*" stands for any run of characters, "?" for one. In the order of names."""
+        """List the channels whose names match, sorted by name. In a glob "*" stands for any characters, "?" for one."""
         found: list[ChannelInfo] = []
         async for page in self._pages("ListChannels", directory_pb.ListChannelsRequest(name_glob=name_glob)):
             hosts = {host.host_id: host for host in page.hosts}
@@ -43,14 +46,14 @@ class Discovery:
         return found
 
     async def groups(self, name_glob: str = "*") -> list[GroupInfo]:
-        """The groups whose names match, see `channels`; in the order of names."""
+        """List the groups whose names match, sorted by name."""
         found: list[GroupInfo] = []
         async for page in self._pages("ListGroups", group_directory_pb.ListGroupsRequest(name_glob=name_glob)):
             found += [group_info(record) for record in page.groups]
         return found
 
     async def queues(self, name_glob: str = "*") -> list[QueueInfo]:
-        """The queues whose names match, see `channels`; in the order of names. Mailboxes are found by `peers`."""
+        """List the queues whose names match, sorted by name. It leaves out mailboxes; `peers` lists their peers."""
         found: list[QueueInfo] = []
         async for page in self._pages("ListQueues", queue_directory_pb.ListQueuesRequest(name_glob=name_glob)):
             hosts = {host.host_id: host for host in page.hosts}
@@ -58,7 +61,10 @@ class Discovery:
         return found
 
     async def peers(self, name_glob: str = "*", *, include_dead: bool = False) -> list[PeerInfo]:
-        """The participants whose names match, see `channels`; in the order of names. Live ones with their clocks."""
+        """List the live peers whose names match, sorted by name, with their clocks.
+
+        With `include_dead` list dead ones, too.
+        """
         found: list[PeerInfo] = []
         request = peer_pb.ListPeersRequest(name_glob=name_glob, include_dead=include_dead, with_clocks=True)
         async for page in self._pages("ListPeers", request):
@@ -66,7 +72,7 @@ class Discovery:
         return found
 
     async def peer(self, name: str) -> PeerInfo:
-        """The live participant with that name, and its clock. Raises PeerNotFound."""
+        """Return the live peer of that name, with its clock. Raises PeerNotFound, Unavailable."""
         request = peer_pb.ResolvePeerRequest(name=parse_name(name, "peer"), with_clocks=True)
         try:
             response = await self._ask("ResolvePeer", request)
@@ -75,21 +81,21 @@ class Discovery:
         return peer_info(response.peer)
 
     async def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
-        """The channel hosts, in the order of names."""
+        """List the channel hosts, sorted by name. With `include_dead` list those whose lease has ended, too."""
         found: list[HostInfo] = []
         async for page in self._pages("ListHosts", directory_pb.ListHostsRequest(include_dead=include_dead)):
             found += [host_info(record) for record in page.hosts]
         return found
 
     async def hosted_channels(self, host: str, name_glob: str = "*") -> dict[str, ChannelStats]:
-        """The channels at one host by name, with their counters: one request for each 1000, and no payload.
+        """Map the name of each channel at a host to its counters. One request fetches 1000 channels, without payloads.
 
         Raises HostNotFound; Unavailable if the host cannot be reached.
         """
         request = directory_pb.ResolveHostRequest(name=host)
         found = host_info((await self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)
         if not found.alive or not found.endpoints:
-            raise HostNotFound(f"the host {host!r} is lost: its lease has ended; start it again, or name another")
+            raise HostNotFound(f"the host {host!r} is lost: its lease has ended; start it again, or name another host")
         endpoint = self._session.endpoints.to(found.endpoints[0])
         stats: dict[str, ChannelStats] = {}
         page_request = gatekeeper_pb.ListHostedChannelsRequest(name_glob=name_glob)
@@ -110,7 +116,10 @@ class Discovery:
             request.page_token = page.next_page_token
 
     async def _ask(self, method: str, request: Any) -> Any:
-        """Ask whoever answers; for clocks the leader, who alone knows them. If it does not answer, there are none."""
+        """Ask any supernode, or for clocks the leader, which alone knows them.
+
+        Without a leader the answer has no clocks.
+        """
         supernodes = self._session.supernodes
         if getattr(request, "with_clocks", False):
             try:
@@ -120,19 +129,19 @@ class Discovery:
         return await supernodes.call(method, request, CALL_TIMEOUT_S)
 
     async def supernodes(self) -> list[SupernodeInfo]:
-        """The supernodes, as the nearest one sees them."""
+        """List the supernodes, as the nearest one sees them."""
         response = await self._session.supernodes.call(
             "ListSupernodes", directory_pb.ListSupernodesRequest(), CALL_TIMEOUT_S
         )
         return [supernode_info(record) for record in response.supernodes]
 
     def watch(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> Watch:
-        """Changes of channels whose names match, and of hosts, from now on: an iterator and context manager.
+        """Watch changes from now on: of channels whose names match, and of all hosts. An iterator and context manager.
 
-        `reconnect`: for how long it tries to come back after its connection broke, None: for ever.
+        After a broken connection the watch tries to come back for the duration `reconnect` (None: without a limit).
         """
         return Watch(self._session, name_glob, reconnect)
 
     def watch_peers(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> PeerWatch:
-        """Changes of participants whose names match, from now on; else as `watch`."""
+        """Watch changes of peers whose names match, from now on. For the rest it is as `watch`."""
         return PeerWatch(self._session, name_glob, reconnect)

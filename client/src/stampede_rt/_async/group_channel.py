@@ -13,9 +13,9 @@ from stampede_rt.values.reading import ReadQuery
 
 
 class GroupChannel(Reader):
-    """A channel as a group shows it: only items before the group's cut, and a clock that stands at the cut.
+    """A descriptor: a channel as a group shows it. It shows only items before the cut, and its NOW is the cut.
 
-    Read like the channel itself, which is not touched and still sees everything. Nothing can be put through it.
+    It reads like the channel. The channel itself stays as it is, and still shows all items. A descriptor cannot put.
     """
 
     def __init__(self, group: GroupMembers, state: ChannelState) -> None:
@@ -27,11 +27,11 @@ class GroupChannel(Reader):
         try:
             items = await super()._read(query)
         except GroupNotFound:
-            await self._group.refresh()  # by its name; raises if there is none
+            await self._group.refresh()  # looks the group up by its name; raises if there is none
             return await super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
-        await self._group.refresh()  # the host is behind what was seen, or the group has begun anew
+        await self._group.refresh()  # the host is behind this process, or the group has begun anew
         return await super()._read(query) if self._group.view.cut_floor is None else items
 
     def __repr__(self) -> str:

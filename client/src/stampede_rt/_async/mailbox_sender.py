@@ -1,4 +1,4 @@
-"""Messages to other participants' mailboxes."""
+"""Sends messages to the mailboxes of other peers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PEERS_MAX = 256
 
 
 class MailboxSender:
-    """Keeps the ways to the mailboxes that were sent to, the last 256 of them."""
+    """Keeps the put streams to the 256 mailboxes used last."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -47,7 +47,7 @@ class MailboxSender:
             way = self._ways.pop(peer, None)
             if way is None:
                 way = Puts(self._session, PeerLocator(self._session, peer), ServerEndpoint.enqueues)
-            self._ways[peer] = way  # the last one used is the last to go
+            self._ways[peer] = way  # the mailbox used last is the last to go
             if len(self._ways) > PEERS_MAX:
-                self._ways.pop(next(iter(self._ways)))  # its stream goes with its last user
+                self._ways.pop(next(iter(self._ways)))  # the last put under way closes its stream
         return way

@@ -1,4 +1,4 @@
-"""A named participant's registration: its lease, kept in the background, and its mailbox (paper, section 4.2)."""
+"""A peer's registration: its lease, renewed in the background, and its mailbox (paper, section 4.2)."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _log = logging.getLogger("stampede_rt")
 
 
 class Presence:
-    """Keeps one named participant registered: renews its lease, and registers again if it ended or its mailbox is lost.
+    """Keeps one peer registered: renews its lease, and registers again if the lease ended or the mailbox is lost.
 
-    `error` is set when that failed for good: somebody else has the name.
+    `error` is set once another process has the name. The peer does not register again then.
     """
 
     def __init__(self, session: Session, name: str, proof: str | None) -> None:
@@ -58,11 +58,11 @@ class Presence:
 
     @property
     def peer_id(self) -> bytes:
-        """What tells this participant from every other."""
+        """The id of this peer."""
         return self._identity.peer_id
 
     async def begin(self, timeout_s: float) -> QueueState:
-        """Register, and keep the lease from now on; the mailbox. Raises PeerExists, Unavailable."""
+        """Register, begin to renew the lease, and return the mailbox. Raises PeerExists, Unavailable."""
         mailbox = await self._register(timeout_s)
         self._session.attach(self)
         self._background = BackgroundTask(self._keep, f"lease of peer {self._name}")
@@ -83,9 +83,9 @@ class Presence:
             response = await self._session.supernodes.call("RegisterPeer", request, timeout_s)
         except PeerExists as error:
             raise PeerExists(
-                f"the name {self._name!r} is taken by another live peer; take another name, or wait until that one has "
-                "left or its lease has ended. The same participant restarted is let in at once if it gives the same "
-                "proof to connect() both times",
+                f"another live peer has the name {self._name!r}; take another name, or wait until that peer leaves or "
+                "its lease ends. A restarted program gets its name back at once if it gives the same proof to "
+                "connect() both times",
                 metadata=error.metadata,
             ) from error
         return self._learn(response)
@@ -101,14 +101,17 @@ class Presence:
         return self._mailbox
 
     def check(self) -> None:
-        """Raises what keeps this participant from being one; retryable while it registers again."""
+        """Raise the error that ended the registration, or Unavailable (retryable) while the peer registers again."""
         if self.error is not None:
             raise self.error
         if not self._registered:
-            raise Unavailable(f"the peer {self._name!r} is registering again, since its mailbox was lost")
+            raise Unavailable(
+                f"the mailbox of peer {self._name!r} was lost with its host, and the peer is registering again; "
+                "try again soon"
+            )
 
     def register_again(self) -> None:
-        """The mailbox is lost: the directory gives another one to whoever registers."""
+        """Register again, because the mailbox is lost. The directory then gives the peer another one."""
         self._registered = False
         self._wake.set()
 
@@ -139,30 +142,33 @@ class Presence:
             await self._register(timeout_s)
             self._failures = 0
         except (Unavailable, DeadlineExceeded) as error:
-            self._failed("could not be taken again", error)
+            self._failed("could not be registered again", error)
         except StampedeError as error:
             self._lose(error)
 
     def _lose(self, error: StampedeError) -> None:
         self.error = error
-        _log.error("the peer %r is registered no more: %s", self._name, error)
+        _log.error("the peer %r is no longer registered: %s", self._name, error)
         if self.on_lost is not None:
             self.on_lost(error)
 
     def _taken_over(self) -> PeerExists:
         return PeerExists(
-            f"the name {self._name!r} was taken over by another process with the same proof, which counts as this one "
-            "restarted; give each process a proof of its own if both are to live",
+            f"another process took over the name {self._name!r} with the same proof, as a restart of this one; "
+            "give each process a proof of its own if both are to live",
             metadata={"peer": self._name},
         )
 
     def _failed(self, how: str, error: StampedeError) -> None:
         self._failures += 1
         if should_log(self._failures):
-            _log.warning("the lease of peer %r %s, which is tried again: %s", self._name, how, error)
+            _log.warning("the lease of peer %r %s; the client tries again: %s", self._name, how, error)
 
     async def _renew(self, timeout_s: float) -> None:
-        """Ask the leader, who alone renews; it hears how far this machine's clock is off, and tells its own time."""
+        """Renew the lease at the leader: it alone renews leases.
+
+        The call also measures this machine's clock against the leader's.
+        """
         supernodes = self._session.supernodes
         request = peer_pb.RenewPeerLeaseRequest(
             peer_id=self.peer_id,
@@ -172,7 +178,7 @@ class Presence:
         began, sent = time.monotonic_ns(), time.time_ns()  # in this order, see DirectoryClient._ping
         response = await supernodes.call_leader("RenewPeerLease", request, timeout_s)
         took = time.monotonic_ns() - began
-        if response.supernode_id:  # an older one tells no time
+        if response.supernode_id:  # an older supernode tells no time
             supernodes.clock = ClockOffset.measured(
                 sent_unix_nano=sent,
                 took_nanos=took,
@@ -182,7 +188,7 @@ class Presence:
             )
 
     async def end(self) -> None:
-        """Leave: the name is free and the mailbox gone at once; if nobody hears it, once the lease has ended."""
+        """Leave: the directory frees the name and deletes the mailbox, at the latest when the lease ends."""
         self._left = True
         self._wake.set()
         if self._background is not None:
@@ -197,36 +203,36 @@ class Presence:
             await self._session.supernodes.call("DeregisterPeer", request, LEAVE_TIMEOUT_S)
         except StampedeError as error:
             if _taken_over(error):
-                return  # the name is another process's by now
-            _log.warning("the peer %r could not say that it leaves; its lease ends by itself: %s", self._name, error)
+                return  # another process has the name
+            _log.warning("the peer %r could not deregister; its lease ends by itself: %s", self._name, error)
 
 
 def _taken_over(error: StampedeError) -> bool:
-    """Another process with the same proof is alive under the name."""
+    """Whether another process with the same proof holds the name."""
     return isinstance(error, LeaseExpired) and "held_by" in error.metadata
 
 
 class MailboxLocator(QueueLocator):
-    """Where one's own mailbox is: the presence finds it again when it is lost."""
+    """Finds the connection's own mailbox. A lost mailbox comes back when the peer registers again."""
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
         super().__init__(session, state)
         self._presence = presence
 
     async def find(self, deadline_s: float) -> Binding:
-        """The cached place, or one found anew."""
+        """Return the cached binding, or look for it."""
         self._presence.check()
         return await super().find(deadline_s)
 
     async def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
-        raise error  # it has no name: `explain` sees to another one
+        raise error  # a mailbox has no name; `explain` makes the peer register again
 
     async def _replace_owner(self, lost_host: str, deadline_s: float) -> None:
         self._presence.register_again()
         self._presence.check()
 
     def explain(self, error: StampedeError) -> None:
-        """Name the mailbox. One that is gone is replaced by registering again."""
+        """Name the mailbox in the error. A mailbox that is gone makes the peer register again."""
         super().explain(error)
         if isinstance(error, QueueNotFound):
             self._presence.register_again()
@@ -234,7 +240,10 @@ class MailboxLocator(QueueLocator):
 
 
 class Mailbox(MessageTaking, BoundToProcess):
-    """What other participants send to this one (see `Connection.send`): a queue that comes and goes with it."""
+    """The queue of the messages that other peers send to this one (see `Connection.send`).
+
+    It exists as long as the peer is registered. `get`, loops, `stats`, `pending` and `aclose` are those of a `Queue`.
+    """
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
         super().__init__(session, state, MailboxLocator(session, presence, state), 1)

@@ -1,4 +1,4 @@
-"""A queue's handle: first in, first out, each item to one taker, or to several (paper, section 3.5)."""
+"""A queue's handle: first in, first out. Each message goes to one taker, or to several (paper, section 3.5)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ PENDING_PAGE_MAX = 1000
 
 
 class MessageTaking:
-    """A handle that takes messages, of a queue or of one's own mailbox. Its iterator waits without a limit."""
+    """A handle that takes messages from a queue, or from the connection's own mailbox.
+
+    A loop over it waits for each message without a limit. Any number of threads or tasks may wait.
+    """
 
     def __init__(
         self,
@@ -63,12 +66,12 @@ class MessageTaking:
 
     @property
     def host(self) -> str:
-        """The name of the host that holds it, as last known."""
+        """The name of the host that owns the queue, as last known."""
         return self._state.info.host
 
     @property
     def incarnation(self) -> int:
-        """The queue's incarnation, as last known. If it changes, items may have been lost."""
+        """The queue's incarnation, as last known. If it changes, messages may have been lost."""
         return self._state.info.incarnation
 
     def __repr__(self) -> str:
@@ -85,7 +88,8 @@ class MessageTaking:
         """Return the next message, or None after `timeout`. It is leased until it is settled or its lease ends.
 
         `timeout` in seconds: 0 takes only a message that is there, None waits without a limit. The host serves the
-        taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s.
+        taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s;
+        InvalidArgument if this handle is closed.
         """
         return await self._taker.get(Wait.parse(timeout))
 
@@ -103,22 +107,22 @@ class MessageTaking:
             found.append(await self.get())
 
         await self._reconnecting.open(take)
-        if not found or found[0] is None:  # closed meanwhile
+        if not found or found[0] is None:  # `aclose` came meanwhile
             raise StopAsyncIteration
         return found[0]
 
     @property
     def reconnects(self) -> int:
-        """How often the iteration went on after its connection was broken for 10 s or more."""
+        """How many times the loop over this handle continued after a break of 10 s or more."""
         return self._reconnecting.reconnects
 
     @property
     def connected(self) -> bool:
-        """Whether the iteration meets no failure, as last known."""
+        """Whether the loop over this handle reaches the host, as last known. False once the handle is closed."""
         return self._reconnecting.connected and not self._taker.closed
 
     async def stats(self) -> QueueStats:
-        """Return the counters, and the number of waiting takers, of one moment."""
+        """Return the queue's counters at one moment. Blocks for at most 10 s. Raises QueueNotFound, Unavailable."""
         return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
@@ -203,7 +207,10 @@ class Queue(MessageTaking, Reference):
         max_deliveries: int | None = None,
         dead_letter: Queue | str | None = None,
     ) -> QueuePolicy:
-        """Change the set-up while the queue runs, and return the new one. An argument that you leave out stays."""
+        """Change the queue's policy while it runs, and return the new one. An argument that you leave out stays.
+
+        Blocks for at most 10 s. Raises InvalidArgument, QueueNotFound, Unavailable.
+        """
         policy = parse_queue_policy(
             max_items=max_items,
             max_bytes=max_bytes,
@@ -231,7 +238,10 @@ class Queue(MessageTaking, Reference):
         return await attempt(self._locator, update_at, CALL_TIMEOUT_S)
 
     async def delete(self) -> None:
-        """Delete the queue with all that it holds, for everyone. Not while it is the dead-letter queue of another."""
+        """Delete the queue with all its messages, for everyone. Blocks for at most 10 s.
+
+        Raises InvalidArgument for the dead-letter queue of another queue; QueueNotFound, Unavailable.
+        """
         request = queue_directory_pb.DeleteQueueRequest(request_id=request_id(), queue_id=self.info.queue_id)
         await self._session.supernodes.call("DeleteQueue", request, CALL_TIMEOUT_S)
         await self.aclose()
@@ -240,7 +250,7 @@ class Queue(MessageTaking, Reference):
 
 
 async def stats_at(session: Session, locator: Locator) -> QueueStats:
-    """Counters and waiters of the queue at a place."""
+    """Return the counters of the queue that `locator` finds."""
 
     async def status_at(binding: Binding) -> QueueStats:
         endpoint = session.endpoints.to(binding.target)
@@ -252,14 +262,17 @@ async def stats_at(session: Session, locator: Locator) -> QueueStats:
 
 
 async def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMessage]:
-    """The oldest deliveries that are leased, of the queue at a place. One that moves begins anew."""
+    """Return the oldest leased deliveries of the queue that `locator` finds.
+
+    Starts again if the queue moves meanwhile.
+    """
     most = count_of("limit", limit) or 1
 
     async def pages_at(binding: Binding) -> list[PendingMessage]:
         endpoint = session.endpoints.to(binding.target)
         found: list[PendingMessage] = []
         after, more = 0, True
-        while more and len(found) < most:  # each page lies behind the one before
+        while more and len(found) < most:  # a page begins after the last delivery of the page before
             request = queue_pb.ListPendingRequest(
                 queue_id=binding.subject_id,
                 epoch=binding.epoch,
@@ -275,12 +288,15 @@ async def pending_at(session: Session, locator: Locator, limit: int) -> list[Pen
 
 
 async def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> bytes | None:
-    """The id of the dead-letter queue of queue `of`, given by handle or name. Raises QueueNotFound, InvalidArgument."""
+    """Return the id of the dead-letter queue for queue `of`, named by handle or name.
+
+    Raises QueueNotFound, InvalidArgument.
+    """
     if queue is None:
         return None
     if of and of == (queue.info.name if isinstance(queue, Queue) else queue):
         raise InvalidArgument(
-            f"dead_letter is queue {of!r} itself, so that a dead letter would never leave it; name another queue"
+            f"dead_letter is queue {of!r} itself, which a dead letter would then never leave; name another queue"
         )
     if isinstance(queue, Queue):
         return queue.info.queue_id

@@ -1,4 +1,4 @@
-"""Takes messages from a queue over one open stream, for all who wait at one handle."""
+"""Takes messages from a queue over one open stream, for all callers that wait at one handle."""
 
 from __future__ import annotations
 
@@ -24,28 +24,29 @@ from stampede_rt.values.queueing import PREFETCH_MAX
 from stampede_rt.values.reading import Wait
 from stampede_rt.wire.queues import deliveries_of
 
-DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0  # whoever waits hears before why no stream can be opened
+DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0  # the worker tells waiting callers first why it cannot open a stream
 END_TIMEOUT_S = 1.0
 _log = logging.getLogger("stampede_rt")
 
 
 class WaitingTake:
-    """One `get` that waits: for a message, or for the error that it raises."""
+    """One `get` that waits for a message. It ends with a message, with an error, or with neither after its timeout."""
 
     def __init__(self) -> None:
         self.come = Signal()
-        self.asked = Signal()  # the host may send one for it
-        self.leaving = False  # its time is over: it takes what is on the way, but wants nothing more
+        self.asked = Signal()  # the host may send a message for this caller
+        self.leaving = False  # its time is over: it takes only a message on its way
         self.message: Message | None = None
         self.error: StampedeError | None = None
 
 
 class Taker:
-    """The open Take stream of a handle, and those who wait for what comes on it, served in their order.
+    """The open Take stream of a handle, and the callers that wait at it, served in their order.
 
-    The host may send as many messages as somebody waits for, or `prefetch` if that is more than one. When a wait is
-    over and more is asked for than is wanted, the stream is drained, so that nothing is leased to nobody. The stream is
-    opened by the first `get` and again whenever it breaks; whoever dies gives nothing back but loses nothing, either.
+    The host may send one message for each waiting caller, or `prefetch` messages if that is more. When a caller leaves
+    and the host may now send too many, the taker drains the stream, so that no message is leased without a caller. The
+    first `get` opens the stream, and the taker opens it again after a break. If this process dies, the host leases its
+    messages to others when their leases end.
     """
 
     def __init__(self, session: Session, locator: Locator, state: QueueState, prefetch: int, name: str = "") -> None:
@@ -62,16 +63,19 @@ class Taker:
             self._settler, self._give_back, f"{state.kind} {state.name!r}"
         )  # at most `prefetch`
         self._stream: BidiStream[queue_pb.TakeResponse] | None = None
-        self._credit = 0  # how many the open stream may still deliver
+        self._credit = 0  # how many messages the host may still send
         self._draining = False
-        self._opened = Signal()  # the stream is, or nobody wants one
+        self._opened = Signal()  # the stream is open, or no stream is wanted
         self._drained = Signal()
         self._incarnation = 0
         self._worker: BackgroundTask | None = None
         self.closed = False
 
     async def get(self, wait: Wait) -> Message | None:
-        """The next message, or None when the wait is over or the handle is closed. Raises what keeps it from coming."""
+        """Return the next message, or None after the wait or once the handle is closed.
+
+        Raises the error of the stream.
+        """
         self._session.check_process()
         waiter = WaitingTake()
         with self._mutex:
@@ -88,12 +92,12 @@ class Taker:
         return waiter.message
 
     async def _wait(self, waiter: WaitingTake, wait: Wait) -> None:
-        """Until the waiter has a message, or its time is over. Interrupted anywhere in it, the waiter leaves."""
+        """Wait until the caller has a message or its time is over. An interrupted caller leaves."""
         over = False
         try:
             await self._ask()
             if waiter.message is None and not await waiter.come.wait(wait.seconds):
-                await waiter.asked.wait(DRAIN_TIMEOUT_S)  # what is there is taken by those who cannot wait, too
+                await waiter.asked.wait(DRAIN_TIMEOUT_S)  # a caller with timeout 0 gets a message that is there
                 waiter.leaving = True
                 await self._drain(DRAIN_TIMEOUT_S)
             over = True
@@ -108,7 +112,7 @@ class Taker:
                 self._waiting.remove(waiter)
 
     async def _after_interruption(self, waiter: WaitingTake) -> None:
-        """What came at that very moment is the next getter's, and what was asked for goes back."""
+        """Hand the interrupted caller's message to the next one or give it back, and drain the stream."""
         message = waiter.message
         if message is not None and message.lease_left and not self._pass_on(message, first=True):
             await self._give_back([message])
@@ -120,7 +124,7 @@ class Taker:
         return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
 
     async def _ask(self) -> None:
-        """Let the host send what is wanted beyond what it may send already."""
+        """Let the host send the messages that are wanted and that it may not send yet."""
         with self._mutex:
             if self._worker is None and self._wanted():
                 self._session.attach(self)
@@ -128,19 +132,22 @@ class Taker:
                 self._worker = BackgroundTask(self._work, f"taking from {self._state.name}")
             more = self._wanted() - self._credit
             stream, asking = self._stream, tuple(self._waiting)
-            if stream is None or self._draining:  # the next one is opened with what is wanted then
+            if stream is None or self._draining:  # the next stream asks for the messages wanted then
                 return
-            if not asking and more * 2 < self.prefetch:  # prefetched ones are asked for in batches
+            if not asking and more * 2 < self.prefetch:  # ask for prefetched messages in batches
                 return
             self._credit += max(more, 0)
         if more > 0:
-            with suppress(Unavailable):  # a stream that breaks is the worker's to replace
+            with suppress(Unavailable):  # the worker replaces a broken stream
                 await stream.send(queue_pb.TakeRequest(credit=more))
         for waiter in asking:
             waiter.asked.set()
 
     async def _drain(self, timeout_s: float) -> None:
-        """Take back what the host may send without anybody wanting it; who is leaving is given what comes meanwhile."""
+        """Take back the host's right to send unwanted messages.
+
+        Leaving callers get the messages that come meanwhile.
+        """
         if self._worker is None:
             return
         await self._opened.wait(timeout_s)
@@ -153,10 +160,10 @@ class Taker:
             with suppress(Unavailable):
                 await stream.send(queue_pb.TakeRequest(drain=True))
         if not await drained.wait(timeout_s):
-            stream.cancel()  # it hangs
+            stream.cancel()  # the host hangs
 
     async def _work(self) -> None:
-        """Keep a stream open as long as somebody wants something."""
+        """Keep a stream open as long as messages are wanted."""
         try:
             while self._goes_on():
                 await attempt(self._locator, self._take_at, CALL_TIMEOUT_S)
@@ -190,7 +197,7 @@ class Taker:
             waiter.come.set()
 
     def interrupt(self, error: StampedeError) -> None:
-        """Nothing can be taken any more: whoever waits hears `error`, and who comes later why from the place."""
+        """End taking for good: waiting callers raise `error`, and later ones the error of the locator."""
         with self._mutex:
             stream, self._stream = self._stream, None
         self._fail(error)
@@ -198,10 +205,13 @@ class Taker:
             stream.cancel()
 
     async def _take_at(self, binding: Binding) -> None:
-        """Take over one stream, if it is still wanted, until it ends. What ends it before it was heard is raised."""
+        """Take over one stream, if messages are still wanted, until it ends.
+
+        Raises an error that comes before the first answer.
+        """
         with self._mutex:
             self._credit = self._wanted()
-            if not self._credit:  # whoever waited left while it could not be opened
+            if not self._credit:  # all callers left before the stream could open
                 return
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[queue_pb.TakeResponse] = endpoint.open_bidi(endpoint.queues.Take)
@@ -214,7 +224,7 @@ class Taker:
         )
         try:
             await stream.send(queue_pb.TakeRequest(open=opening, credit=self._credit))
-            async for response in stream:  # the first one says that the stream is open
+            async for response in stream:  # the first response says that the stream is open
                 if not heard:
                     heard = True
                     await self._begin(stream)
@@ -236,7 +246,7 @@ class Taker:
         if not unwanted:
             await self._ask()
             return
-        with suppress(Unavailable):  # whoever would drain it may have stopped waiting until it is open
+        with suppress(Unavailable):  # `_drain` may have stopped waiting for the stream
             await stream.send(queue_pb.TakeRequest(drain=True))
 
     def _ended(self) -> None:
@@ -257,15 +267,15 @@ class Taker:
                 message = Message(self._settler, delivery, self._incarnation, self._state.coding)
                 if not self._hand_over(message):
                     unwanted.append(message)
-        if not response.ByteSize():  # a sign of life, which asks for one
+        if not response.ByteSize():  # the host's sign of life, which the client answers
             with suppress(Unavailable):
                 await stream.send(queue_pb.TakeRequest())
         if response.drained:
-            stream.cancel()  # its credit is void; whoever still waits is served by the next one
+            stream.cancel()  # its credit is void; the next stream serves the waiting callers
         if unwanted:
             await self._give_back(unwanted)
         if not response.drained and len(self._waiting) > self._credit:
-            await self._ask()  # more wait than may be asked for at once
+            await self._ask()  # more callers wait than one request may ask for
 
     def _hand_over(self, message: Message) -> bool:
         with self._mutex:
@@ -273,7 +283,10 @@ class Taker:
         return self._pass_on(message)
 
     def _pass_on(self, message: Message, *, first: bool = False) -> bool:
-        """Give it to who waits longest, or keep it for the next getter; False: nobody here is to have it."""
+        """Give the message to the caller that waits longest, or keep it for the next one.
+
+        False: the handle wants no message.
+        """
         with self._mutex:
             waiter = self._waiting.popleft() if self._waiting else None
             if waiter is None and self.prefetch > 1 and not self.closed:
@@ -291,12 +304,12 @@ class Taker:
             await self._settler.give_back(messages, END_TIMEOUT_S)
         except StampedeError as error:
             _log.warning(
-                "%d messages of %s %r were not given back, and come again when their leases end: %s",
+                "%d messages of %s %r could not be given back; they come again when their leases end: %s",
                 len(messages), self._state.kind, self._state.name, error,
             )  # fmt: skip
 
     async def let_go(self) -> None:
-        """Nobody has the handle any more: end without making anybody wait."""
+        """End without blocking. The runtime calls this once the program has dropped the handle."""
         self.closed = True
         if self._session.inherited:
             return
@@ -304,7 +317,7 @@ class Taker:
             BackgroundTask(self.end, f"closing {self._state.name}")
 
     async def end(self) -> None:
-        """Wake those who wait, take back what was asked for, and give back what nobody was given."""
+        """Wake the waiting callers, drain the stream, and give back the messages that no caller received."""
         if self._session.inherited:
             return
         with self._mutex:
@@ -328,5 +341,5 @@ class Taker:
 
 
 def _this_process() -> str:
-    """What people know a taker without a name by: its machine and process."""
+    """Name a taker without a peer name for people: by its machine and process."""
     return f"{socket.gethostname()[:100]}:{os.getpid()}"

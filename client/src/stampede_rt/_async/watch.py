@@ -26,7 +26,7 @@ Told = TypeVar("Told")
 
 
 class DirectoryWatch(BoundToProcess, Generic[Told]):
-    """Changes told by a supernode, one after the other; another one goes on from where the last one was."""
+    """A stream of changes from a supernode. After a break another supernode continues it at the same place."""
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
         self._session = session
@@ -41,12 +41,12 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
 
     @property
     def reconnects(self) -> int:
-        """How often it came back after its connection broke."""
+        """How many times the client has opened the watch again after a break."""
         return self._reconnecting.reconnects
 
     @property
     def connected(self) -> bool:
-        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        """Whether the watch is open, as last known. False while the client opens it again, and after its end."""
         return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
@@ -76,7 +76,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
         return self._ready.popleft()
 
     def close(self) -> None:
-        """End the watch."""
+        """End the watch. Any thread may call it."""
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream
@@ -106,16 +106,16 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
                 await sleep(delay_s)
 
     async def _look_around(self, deadline_s: float) -> None:
-        """Find the supernodes that are there now. Raises WatchRestart if their directory has another history."""
+        """Ask for the present cluster. Raises WatchRestart if the directory has begun anew."""
         if await self._session.supernodes.present_cluster(deadline_s) != self._cluster_id:
-            raise WatchRestart("the directory has begun anew, in another cluster: list again, then watch anew")
+            raise WatchRestart("the directory has begun anew, in another cluster; list again, then begin a new watch")
 
     async def _open_once(self) -> None:
         stream = await self._begin()
         responses = stream.__aiter__()
-        self._take(await responses.__anext__())  # says that the watch holds
+        self._take(await responses.__anext__())  # the supernode's word that the watch is open
         self._stream, self._responses = stream, responses
-        if self._closed:  # while it was being opened
+        if self._closed:  # `close` came during the opening
             stream.cancel()
 
     async def _begin(self) -> ServerStream[Any]:
@@ -142,10 +142,11 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
 
 
 class Watch(DirectoryWatch[Change]):
-    """An iterator over changes (see `Connection.watch`), and a context manager. `close` may be called from anywhere.
+    """An iterator over `Change` (see `Connection.watch`), and a context manager. Any thread may call `close`.
 
-    Goes to another supernode by itself, from where it was: `reconnects` counts how often, `connected` says whether it
-    is open. Raises WatchRestart if the changes since then are not kept any more: list again, then watch anew.
+    Each step blocks until the next change. After a break the watch continues at another supernode where it was. A step
+    raises Unavailable if the client could not come back for the duration `reconnect`, and WatchRestart if the
+    supernodes no longer keep the changes since the break. After WatchRestart list again, and begin a new watch.
     """
 
     def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:
@@ -168,7 +169,10 @@ class Watch(DirectoryWatch[Change]):
 
 
 class PeerWatch(DirectoryWatch[PeerChange]):
-    """An iterator over changes of participants (see `Connection.watch_peers`); else as Watch."""
+    """An iterator over `PeerChange` (see `Connection.watch_peers`), and a context manager.
+
+    For the rest it is as `Watch`.
+    """
 
     def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:
         super().__init__(session, peer_service_pb2.WatchPeersRequest(name_glob=name_glob), reconnect)

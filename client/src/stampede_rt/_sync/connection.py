@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""A participant's connection to the cluster: channels, groups and queues by name, its mailbox, and discovery."""
+"""A connection to the cluster: channels, groups and queues by name, the peer's mailbox, and discovery."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ class Connection(Discovery, Reference):
     def __reduce__(self) -> tuple[Any, ...]:
         if self.name:
             raise TypeError(
-                f"the connection of peer {self.name!r} cannot be pickled, since a name belongs to one process: pass a "
-                "channel, or connect there under another name"
+                f"the connection of peer {self.name!r} cannot be pickled, because a name belongs to one process; pass "
+                "a channel, or connect there under another name"
             )
         return self._session.reopened("connection")
 
@@ -159,13 +159,15 @@ class Connection(Discovery, Reference):
         idle_after: DurationLike | None = None,
         max_lead: DurationLike = MAX_LEAD_DEFAULT,
     ) -> Group:
-        """Get or create a group of channels that are read in step (paper, section 3.3). With the name alone: get it.
+        """Get or create a group: channels that readers see up to one common cut (paper, section 3.3).
 
-        The group shows only items before its cut. `reference` "oldest": the group's cut is the smallest cut of all
-        members. A channel as `reference`: the group has the cut of that channel. `bound` "start": a channel's cut is
-        the time of its newest item. "end": it is the end of that item's duration, at most `max_lead` later.
-        `idle_after`: "oldest" leaves out a member that has been silent for so long; None: never. Raises GroupExists if
-        a group of the name has another set-up, GroupNotFound.
+        With the name alone: get it.
+
+        `reference` "oldest": the group's cut is the smallest cut of all members. A channel as `reference`: the group
+        has the cut of that channel. `bound` "start": a channel's cut is the time of its newest item. "end": it is the
+        end of that item's duration, at most `max_lead` later. `idle_after`: "oldest" leaves out a member that has been
+        silent for so long; None: never. Blocks for at most 10 s. Raises GroupExists if the group exists with other
+        members or settings, GroupNotFound, InvalidArgument, Unavailable.
         """
         if channels is None:
             request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=parse_name(name, "group"))
@@ -225,15 +227,17 @@ class Connection(Discovery, Reference):
     ) -> Queue:
         """Get or create a queue (paper, section 3.5).
 
-        Arguments left out are never compared; a contradicting one raises QueueExists. Unstated: max_bytes 256 MiB,
-        copies 1 (distinct takers of each item), on_full "block" (or "reject", "drop_oldest"), lease "30s". An item
-        delivered `max_deliveries` times without an acknowledgement leaves, to the queue `dead_letter` (a handle or
-        name) if one is stated. `create=False` raises QueueNotFound if it is absent.
-        `prefetch` belongs to the handle: by default nothing is taken before somebody waits for it, so that no taker
-        sits on what another could do; more than 1 takes so many ahead. Their leases are extended while you keep taking;
-        what nobody took for most of a lease goes back to the queue.
-        `reconnect` belongs to the handle, too: for how long iterating over it tries to go on when its host cannot be
-        reached, None: for ever.
+        The call compares only the arguments that you state with an existing queue. A contradiction raises QueueExists.
+        Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: so
+        many distinct takers get each message. `max_deliveries`: a message leaves the queue after so many deliveries
+        without an acknowledgement; it goes to the queue `dead_letter`, a handle or name, if you state one. `host` names
+        the host of a new queue. With `create=False` an absent queue raises QueueNotFound.
+
+        `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With more
+        it takes so many ahead, and extends their leases while callers take messages. If no caller takes any for most of
+        a lease, the messages go back to the queue. `reconnect` belongs to the handle, too: after a break a loop over
+        the handle tries to continue for so long (None: without a limit). `codec` is as in `channel`. Blocks for at most
+        10 s.
         """
         stated = parse_queue_policy(
             max_items=max_items,
@@ -252,7 +256,10 @@ class Connection(Discovery, Reference):
 
     @property
     def mailbox(self) -> Mailbox:
-        """What other participants send to this one. Raises InvalidArgument without a name, see `connect`."""
+        """The mailbox of this connection's peer.
+
+        Raises InvalidArgument if the connection has no name, see `connect`.
+        """
         if self._mailbox is None:
             raise InvalidArgument('a mailbox belongs to a name; connect with one, as in connect(name="planner")')
         return self._mailbox
@@ -268,12 +275,13 @@ class Connection(Discovery, Reference):
         codec: CodecLike | None = None,
         message_id: str | None = None,
     ) -> Enqueued:
-        """Put a message into the mailbox of a participant, named or as `peers` gave it; its seq there is returned.
+        """Put a message into a peer's mailbox, and return its seq there. `peer` is a name, or a PeerInfo of `peers`.
 
-        `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`.
-        A mailbox holds 1024 messages; `timeout` in seconds is how long to wait for room in a full one, None: without
-        limit. A send that was tried again is never doubled; `message_id` is as in `Queue.put`. Raises PeerNotFound,
-        QueueFull, ItemTooLarge, CodecError; Unavailable if the mailbox's host cannot be reached.
+        `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`. A
+        mailbox holds 1024 messages. `timeout` in seconds is the longest wait for room in a full mailbox; None waits
+        without a limit. The client tries again after a broken connection, and the host never stores a message twice.
+        `message_id` is as in `Queue.put`. Raises PeerNotFound, QueueFull, ItemTooLarge, CodecError, InvalidArgument;
+        Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer
         return self._mailbox_sender.send(
@@ -281,9 +289,12 @@ class Connection(Discovery, Reference):
         )
 
     def mailbox_stats(self, peer: str) -> QueueStats:
-        """The counters of a participant's mailbox, taken at one moment. Raises PeerNotFound, Unavailable."""
+        """Return the counters of a peer's mailbox at one moment. Raises PeerNotFound, Unavailable."""
         return stats_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")))
 
     def mailbox_pending(self, peer: str, limit: int = 1000) -> list[PendingMessage]:
-        """What a participant has taken from its mailbox and not settled, see `Queue.pending`. Raises PeerNotFound."""
+        """List the messages that a peer has taken from its mailbox and not settled, see `Queue.pending`.
+
+        Raises PeerNotFound, Unavailable, InvalidArgument.
+        """
         return pending_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")), limit)

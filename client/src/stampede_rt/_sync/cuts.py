@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Cut events: what a group makes visible, in step over all hosts of its members (paper, section 3.3)."""
+"""Cut events: the items that a group makes visible together, over all hosts of its members (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from stampede_rt.wire.groups import cut_items
 
 
 class _HostStream:
-    """The stream to one host, and what it brought to the event under way."""
+    """The stream to one host."""
 
     def __init__(self, conversation: BidiStream[group_pb.SubscribeCutsResponse]) -> None:
         self.conversation = conversation
         self._responses: Any = conversation.__iter__()
 
     def open(self, request: group_pb.SubscribeCutsOpen) -> group_pb.CutCursor:
-        """Begin; where the subscription begins, as the host says."""
+        """Open the subscription at this host. Returns the cursor at which the host begins."""
         self.conversation.send(group_pb.SubscribeCutsRequest(open=request))
         response = self._responses.__next__()
         cursor: group_pb.CutCursor = response.opened
         return cursor
 
     def event(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
-        """Gather this host's parts of the next event; its boundary. Blocks until it comes."""
+        """Append this host's parts of the next event to `parts`, and return its boundary. Blocks until it comes."""
         while True:
             response = self._responses.__next__()
             parts.extend(response.parts)
@@ -45,11 +45,12 @@ class _HostStream:
 
 
 class CutSubscription(BoundToProcess):
-    """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. `close` works from anywhere.
+    """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. Any thread may call `close`.
 
-    One host decides when an event is due, and the others bring theirs up to the same cut. When a host is lost, or the
-    members change, it goes on behind the last event by itself: `reconnects` counts how often, `connected` says whether
-    it is open. Raises GroupNotFound once the group is deleted, IncarnationLost if all its hosts were lost.
+    One host decides when an event is due. The other hosts then send their items up to the same cut. After the loss of a
+    host, and after a change of the members, the subscription continues behind the last event. Each step blocks until
+    the next event. It raises GroupNotFound once the group is deleted, IncarnationLost if all its hosts were lost, and
+    Unavailable if the client could not reach the hosts for the duration `reconnect`.
     """
 
     def __init__(
@@ -67,20 +68,20 @@ class CutSubscription(BoundToProcess):
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos
         self._payloads = payloads
-        self._streams: list[_HostStream] = []  # the first decides
-        self._opening_streams: list[_HostStream] = []  # the same while they are being opened
+        self._streams: list[_HostStream] = []  # the first is the deciding host
+        self._opening_streams: list[_HostStream] = []  # streams that the client is opening
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
         begin_if_blocking(self._open)
 
     @property
     def reconnects(self) -> int:
-        """How often it came back after a connection of it broke."""
+        """How many times the client has opened the subscription again after a break."""
         return self._reconnecting.reconnects
 
     @property
     def connected(self) -> bool:
-        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        """Whether the subscription is open, as last known. False while the client opens it again, and after its end."""
         return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
@@ -108,14 +109,14 @@ class CutSubscription(BoundToProcess):
             except StampedeError:
                 self._group.session.check()
                 raise
-            if not self._streams:  # closed while it was being opened
+            if not self._streams:  # `close` came during the opening
                 self._group.session.check()
                 break
             try:
                 parts: list[group_pb.CutPart] = []
                 boundary = self._next_boundary(parts)
                 return self._cut(boundary, parts)
-            except StopIteration:  # closed meanwhile
+            except StopIteration:  # `close` came meanwhile
                 self._hang_up()
             except StampedeError as error:
                 self._hang_up()
@@ -127,13 +128,13 @@ class CutSubscription(BoundToProcess):
                     raise self._group.explained(error) from None
                 self._reconnecting.broke()
                 self._group.forget_bindings()
-            except BaseException:  # an interrupt: the event that was under way comes again from its beginning
+            except BaseException:  # an interrupt: the next step gets the interrupted event from its beginning
                 self._hang_up()
                 raise
         raise StopIteration
 
     def close(self) -> None:
-        """End the subscription; callable from any thread."""
+        """End the subscription. Any thread may call it."""
         self._closed = True
         self._reconnecting.stop()
         self._hang_up()
@@ -144,7 +145,7 @@ class CutSubscription(BoundToProcess):
             stream.conversation.cancel()
 
     def _open(self) -> None:
-        """Begin, or go on behind the last event, with one stream to each host that owns members."""
+        """Open one stream to each host that owns members: at first, and again behind the last event after a break."""
         if self._streams or self._closed:
             return
         try:
@@ -171,7 +172,7 @@ class CutSubscription(BoundToProcess):
                 sleep(delay_s)
 
     def _open_each(self) -> None:
-        self._group.refresh()  # others may have let members in or out
+        self._group.refresh()  # other processes may have changed the members
         self._keep_members_only()
         try:
             for target in self._group.targets():
@@ -187,7 +188,7 @@ class CutSubscription(BoundToProcess):
             self._hang_up()
             raise
         self._streams, self._opening_streams = self._opening_streams, []
-        if self._closed:  # while it was being opened
+        if self._closed:  # `close` came during the opening
             self._hang_up()
 
     def _opening(self, *, decides: bool) -> group_pb.SubscribeCutsOpen:
@@ -202,7 +203,7 @@ class CutSubscription(BoundToProcess):
         )
 
     def _keep_members_only(self) -> None:
-        """Who comes back after a while begins at the cut then: what it got meanwhile is not late."""
+        """Forget the cursors of former members. A channel that joins again begins at the cut of that moment."""
         if self._cursor is not None:
             members = {channel.info.channel_id for channel in self._group.channels}
             kept = [one for one in self._cursor.channels if one.channel_id in members]
@@ -210,17 +211,20 @@ class CutSubscription(BoundToProcess):
             self._cursor.channels.extend(kept)
 
     def _learn(self, opened: group_pb.CutCursor) -> None:
-        """Where a host begins with its channels; the decider's cut is where all begin."""
+        """Keep the cursors at which a host begins with its channels.
+
+        All hosts begin at the cut of the deciding host.
+        """
         assert self._cursor is not None
         known = {channel.channel_id for channel in self._cursor.channels}
         self._cursor.channels.extend(one for one in opened.channels if one.channel_id not in known)
 
     def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
         streams = self._streams
-        if not streams:  # closed while it was being opened
+        if not streams:  # `close` came during the opening
             raise StopIteration
         decider, *others = streams
-        decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # what gathered meanwhile is one event
+        decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # one event
         boundary = decider.event(parts)
         for stream in others:
             stream.conversation.send(group_pb.SubscribeCutsRequest(boundary=boundary))

@@ -58,12 +58,16 @@ from stampede_rt.wire.groups import member_status
 
 Result = TypeVar("Result")
 
-HOST_TIMEOUT_S = 2.0  # where any of several hosts may answer
-CUT_WAIT_NANOS = 1_000_000_000  # how long a host that is behind the cut already seen may wait to catch up
+HOST_TIMEOUT_S = 2.0  # for one host, while others may answer instead
+CUT_WAIT_NANOS = 1_000_000_000  # the longest wait of a host for the cut that this process has already seen
 
 
 class Group(Reference):
-    """A set of channels that are read in step. Handles of one group are equal; any process may hold some."""
+    """A set of channels that readers see up to one common cut (paper, section 3.3).
+
+    Handles of one group are equal. Any process may have any number of them. A group is a sequence of descriptors:
+    `group[channel]` shows that channel as the group shows it, and a loop over the group visits every member.
+    """
 
     def __init__(self, members: GroupMembers) -> None:
         self._session = members.session
@@ -76,7 +80,7 @@ class Group(Reference):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The members, in the order in which they were named."""
+        """Handles of the members, in the order in which they joined."""
         return self._members.channels
 
     @property
@@ -86,7 +90,7 @@ class Group(Reference):
 
     @property
     def incarnation(self) -> int:
-        """Which life of the group this is, as last known; in another one the cut may have begun anew."""
+        """The group's incarnation, as last known. In another incarnation the cut may have begun again."""
         return self.info.incarnation
 
     def __eq__(self, other: object) -> bool:
@@ -104,7 +108,7 @@ class Group(Reference):
         return self._session.reopened("group", self._members)
 
     def __getitem__(self, channel: NamedChannel | str) -> GroupChannel:
-        """The descriptor of a member, by its handle, whose codec it has, or by its name.
+        """Return the descriptor of a member. A handle gives the descriptor its codec; a name does for any member.
 
         Raises InvalidArgument for a channel that is no member.
         """
@@ -128,9 +132,10 @@ class Group(Reference):
         newest_first: bool = False,
         payloads: bool = True,
     ) -> ByChannel[Channel, Items]:
-        """What each channel shows in an interval, all at one cut, on all hosts; see `Channel.get`.
+        """Return for each member the items in an interval, all at one cut, whichever hosts hold them.
 
-        A meta-time is each channel's own. Raises GroupNotFound, InvalidInterval, Unavailable.
+        The arguments are those of `Channel.get`. Each channel resolves a meta-time for itself. The answer maps each
+        member to its Items. Blocks for at most 10 s. Raises GroupNotFound, InvalidInterval, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         return self._read(
@@ -144,10 +149,11 @@ class Group(Reference):
         )
 
     def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
-        """The newest visible item of each channel, all at one cut; None where nothing is visible.
+        """Return the newest visible item of each member, or None for a member without one, all at one cut.
 
-        `.reasons[channel]` of the answer says why: the cut lies at the earliest of the members' newest items, and shows
-        what is before it, so right after the first ones nothing is visible.
+        `.reasons[channel]` of the answer says why a member has none. By default the cut is the time of the newest item
+        of the member that is furthest behind, and the group shows only items before it. A group whose members have one
+        item each therefore shows nothing yet. Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
         """
         interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
         answers = self._read(ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
@@ -157,7 +163,10 @@ class Group(Reference):
         return self._with_members_of_now(functools.partial(self._read_all, query))
 
     def _with_members_of_now(self, operation: Callable[[], Result]) -> Result:
-        """The result of `operation`; once more, if it fails because others have let members in or out."""
+        """Return the result of `operation`.
+
+        If it fails because the members have changed, learn them and try once more.
+        """
         known = self.info.group_id, self.info.spec_version
         try:
             return operation()
@@ -176,7 +185,7 @@ class Group(Reference):
         return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
 
     def _cut(self) -> int:
-        """One cut for one read of all channels; the least instant: nothing is visible yet."""
+        """Return one cut for a read of all members. The least instant says that nothing is visible yet."""
 
         def cut_at(binding: Binding) -> group_pb.GetCutResponse:
             endpoint = self._session.endpoints.to(binding.target)
@@ -202,11 +211,13 @@ class Group(Reference):
         payloads: bool = True,
         reconnect: DurationLike | None = None,
     ) -> CutSubscription:
-        """Events that say what became visible, in step over all channels: an iterator and context manager.
+        """Subscribe to cut events. Returns an iterator over `Cut` that is also a context manager.
 
-        An event comes when the cut has advanced and every member has caught up with it, or `max_wait` later. A slow
-        reader gets merged events. Items that come out of order by up to `lateness` are waited for, so that they come
-        with the others and not as late ones; it delays every event by as much.
+        A host sends an event when the cut has advanced and every member has caught up with it, at the latest `max_wait`
+        after the advance. A slow reader gets several events as one. The hosts hold each event back for `lateness`, so
+        that items that come out of order by at most that much are part of the event, and not late. After a broken
+        connection the subscription tries to come back for the duration `reconnect` (None: without a limit). Raises
+        InvalidArgument; the iterator raises GroupNotFound, IncarnationLost, Unavailable.
         """
         return CutSubscription(
             self._members, parse_max_wait(max_wait), parse_lateness(lateness), reconnect, payloads=payloads
@@ -223,13 +234,15 @@ class Group(Reference):
         payloads: bool = True,
         reconnect: DurationLike | None = None,
     ) -> MatchSubscription:
-        """For each new item of `per`, the nearest item of every other member within `tolerance`: an iterator.
+        """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
-        A match comes as soon as every other member has passed its time + tolerance. Items without a partner are
-        counted (`unmatched`); with `partial` they come, too, and `missing` names who has none for them.
+        The nearest item lies at most `tolerance` before or after. The host sends a match as soon as every other member
+        has passed its time + tolerance. It counts items for which a member has none (`unmatched`). With `partial` it
+        sends them, too, and `missing` names those members.
 
-        With `unique` each item of another member comes in one match at the most: the nearest pair is made first. Items
-        that come out of order by up to `lateness` are waited for, which delays every match by as much.
+        With `unique` an item of another member is part of at most one match; the nearest pair gets it. The host waits
+        for items that come out of order by at most `lateness`, which delays every match by as much. `reconnect` is as
+        in `subscribe`. Raises InvalidArgument; the iterator raises GroupNotFound, IncarnationLost, Unavailable.
         """
         return MatchSubscription(
             self._members,
@@ -243,8 +256,11 @@ class Group(Reference):
         )
 
     def status(self) -> GroupStatus[Channel]:
-        """The cut, who holds it back, and how far each member is, as the first of the members' hosts that answers
-        sees it."""
+        """Return the cut, the members that hold it back, and how far each member is, as one host sees it.
+
+        Asks the members' hosts one after the other, each for at most 2 s, until one answers. Raises GroupNotFound,
+        Unavailable.
+        """
         return self._with_members_of_now(self._status)
 
     def _status(self) -> GroupStatus[Channel]:
@@ -268,7 +284,7 @@ class Group(Reference):
         )
 
     def _at_any_host(self, operation: Callable[[Binding], Result]) -> Result:
-        """The result of `operation` at the first of the members' hosts that can be reached."""
+        """Return the result of `operation` at the first of the members' hosts that answers."""
         failure: StampedeError = Unavailable(f"the group {self.name!r} has no members")
         first_at: dict[str, Channel] = {}
         for channel in self.channels:
@@ -281,12 +297,19 @@ class Group(Reference):
         raise failure
 
     def add(self, channel: Channel) -> None:
-        """Make a channel a member. The cut stays; what the channel holds below it is readable at once."""
+        """Make a channel a member. The cut stays, and the channel's items before the cut are visible at once.
+
+        Blocks for at most 10 s. Raises InvalidArgument, GroupNotFound, Unavailable.
+        """
         (member,) = parse_members([channel])
         self._update(group_directory_pb.UpdateGroupRequest(add_channel_ids=[member.info.channel_id]), [member])
 
     def remove(self, channel: Channel) -> None:
-        """Make a channel leave the group. Raises InvalidArgument for the reference and the last member."""
+        """Take a channel out of the group.
+
+        Blocks for at most 10 s. Raises InvalidArgument for the reference and for the last member; GroupNotFound,
+        Unavailable.
+        """
         (member,) = parse_members([channel])
         self._update(group_directory_pb.UpdateGroupRequest(remove_channel_ids=[member.info.channel_id]), [])
 
@@ -296,13 +319,17 @@ class Group(Reference):
         self._members.refresh(known)
 
     def refresh(self) -> None:
-        """Learn the members anew, which other processes may have changed. Raises GroupNotFound."""
+        """Ask the directory for the members, which other processes may have changed.
+
+        Raises GroupNotFound, Unavailable.
+        """
         self._members.refresh()
 
     def delete(self) -> None:
-        """Forget the group, for everyone; its channels stay.
+        """Delete the group for everyone. Its channels stay.
 
-        The directory forgets it at once. Its hosts hear of that a moment later, and may still answer reads until then.
+        The directory forgets the group at once. The hosts learn of it a moment later, and may answer reads until then.
+        Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
         """
         request = group_directory_pb.DeleteGroupRequest(request_id=request_id(), group_id=self.info.group_id)
         self._session.supernodes.call("DeleteGroup", request, CALL_TIMEOUT_S)

@@ -21,7 +21,7 @@ from stampede_rt.wire.groups import group_info, group_spec
 class GroupMembers(Reference):
     """The members of a group, as the directory last described them, and the latest cut that this process has seen.
 
-    `create`: the group was opened with its members, so `refresh` may make it again in a cluster that began anew.
+    `create`: the caller opened the group with its members. `refresh` may then create it again in a new directory.
     """
 
     def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel], create: bool) -> None:
@@ -50,12 +50,15 @@ class GroupMembers(Reference):
         return self.info.incarnation
 
     def explained(self, error: StampedeError) -> StampedeError:
-        """The error, which names the group: hosts know groups by their ids."""
+        """Add the group's name to an error. Hosts know only its id."""
         error.concerning("group", self.name)
         return error
 
     def refresh(self, known: Sequence[Channel] = ()) -> None:
-        """Learn the members anew, which other processes may have changed. Raises GroupNotFound."""
+        """Ask the directory for the members, which other processes may have changed.
+
+        Raises GroupNotFound, Unavailable.
+        """
         request = group_directory_pb.ResolveGroupRequest(group_id=self.info.group_id)
         response: group_directory_pb.ResolveGroupResponse | group_directory_pb.OpenGroupResponse
         try:
@@ -70,9 +73,9 @@ class GroupMembers(Reference):
         self.info = info
 
     def _open_again(self) -> group_directory_pb.OpenGroupResponse:
-        """The group's id is not known any more: the one that has its name now, made anew if the directory began anew.
+        """Open the group by its name, because the directory does not know its id any more.
 
-        Raises GroupNotFound.
+        Creates the group if the directory itself began anew. Raises GroupNotFound.
         """
         supernodes = self.session.supernodes
         request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=self.name)
@@ -103,12 +106,15 @@ class GroupMembers(Reference):
         return list(dict.fromkeys(binding.target for binding in bindings))
 
     def forget_bindings(self) -> None:
-        """Look for the members' hosts anew."""
+        """Make the next request look for the members' hosts again."""
         for channel in self.channels:
             self.session.cache.forget(channel.info.channel_id)
 
     def member(self, channel: NamedChannel | str) -> Channel:
-        """The handle of a member, by any handle of it or by its name. Raises InvalidArgument for another channel."""
+        """Return the handle of a member, named by a handle or by its name.
+
+        Raises InvalidArgument for another channel.
+        """
         for member in self.channels:
             if is_named_by(channel, member):
                 return member
@@ -123,7 +129,7 @@ def member_handles(
     response: group_directory_pb.OpenGroupResponse | group_directory_pb.ResolveGroupResponse,
     known: Sequence[Reader],
 ) -> tuple[Channel, ...]:
-    """Handles of a group's members: new ones and, with their codecs, those `known`, which may be descriptors."""
+    """Return handles of a group's members. Handles in `known` keep their codecs; they may be descriptors."""
     hosts = {host.host_id: host for host in response.hosts}
     kept = (one if isinstance(one, Channel) else Channel(session, one._state) for one in known)
     handles = {channel.info.channel_id: channel for channel in kept}

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Push: a function that is called for each item (paper, section 4.1)."""
+"""Consumer push: the client calls a function for each item (paper, section 4.1)."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ _log = logging.getLogger("stampede_rt")
 
 
 def should_log(count: int) -> bool:
-    """Whether the `count`-th failure is logged: the 1st, 2nd, 4th, 8th and so on, so that a log stays readable."""
+    """Whether to log the `count`-th failure: the 1st, 2nd, 4th, 8th and so on, so that a log stays readable."""
     return count & (count - 1) == 0
 
 
 class Listener(BackgroundStart, BoundToProcess):
-    """What calls a function for each item (see `Channel.on_item`), one after the other, until `cancel`.
+    """Calls a function for each item, one call after the other, until `cancel` (see `Channel.on_item`).
 
-    `delivered` counts finished calls, `failures` those that raised, `last_failure` is what the last of them raised;
-    it goes on after them. `skipped` and `dropped` are those of the subscription. `losses` counts how often the
-    channel's host was lost with what it held: then it goes on with everything that the new incarnation gets.
-    `reconnects` counts how often it came back after its connection broke, `connected` says whether it is open. `error`
-    is what ended it, None while it runs and after `cancel`. On asyncio, awaiting it waits until it has begun.
+    `delivered` counts finished calls. `failures` counts calls that raised; `last_failure` is the last exception. The
+    listener continues after each. `losses` counts how many times the channel's host was lost with its items; the
+    listener continues with the new incarnation. `error` is the error that ended it, or None while it runs and after
+    `cancel`. With asyncio, `listener` waits until the subscription is open, and raises `error`.
     """
 
     def __init__(
@@ -38,10 +37,10 @@ class Listener(BackgroundStart, BoundToProcess):
         check_callback(function)
         self._session = session
         self._name = name
-        self._subscribe = subscribe  # True: everything that the channel's new incarnation holds
+        self._subscribe = subscribe  # called with True for a new incarnation: from its oldest item on
         self._function = function
         self._subscription = subscribe(False)
-        self._dropped_before = self._skipped_before = self._reconnects_before = 0  # of subscriptions that ended
+        self._dropped_before = self._skipped_before = self._reconnects_before = 0  # sums of earlier subscriptions
         self._holds = Signal()
         self._cancelled = False
         self.active = True
@@ -53,22 +52,22 @@ class Listener(BackgroundStart, BoundToProcess):
 
     @property
     def dropped(self) -> int:
-        """Items that retention collected before the function had time for them."""
+        """The number of items that retention collected before the function had time for them."""
         return self._dropped_before + self._subscription.dropped
 
     @property
     def skipped(self) -> int:
-        """Items that mode "newest" passed over."""
+        """The number of items that mode "newest" passed over."""
         return self._skipped_before + self._subscription.skipped
 
     @property
     def reconnects(self) -> int:
-        """How often it came back after its connection broke."""
+        """How many times the client has opened the subscription again after a break."""
         return self._reconnects_before + self._subscription.reconnects
 
     @property
     def connected(self) -> bool:
-        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        """Whether the subscription is open, as last known. False while the client opens it again, and after the end."""
         return self.active and self._subscription.connected
 
     def __repr__(self) -> str:
@@ -76,17 +75,17 @@ class Listener(BackgroundStart, BoundToProcess):
         return f"<Listener of {self._name}{f', {state}' if state else ''}>"
 
     def cancel(self) -> None:
-        """Begin no further call. One that is under way goes on; `join` waits for it. Callable from anywhere."""
+        """Begin no further call. A call under way continues; `join` waits for it. Any thread may call this."""
         self._cancelled = True
         self._subscription.close()
 
     def join(self, timeout: float) -> bool:
-        """Block until it has ended, `timeout` seconds at most; whether it has."""
+        """Wait until the listener has ended, for at most `timeout` seconds. Returns whether it has."""
         self._session.check_process()
         return self._background.join(timeout)
 
     def end(self) -> None:
-        """What closing the connection does."""
+        """Cancel, and wait a moment for a call under way. The connection calls this when it closes."""
         self.cancel()
         self.join(END_TIMEOUT_S)
 
@@ -101,8 +100,8 @@ class Listener(BackgroundStart, BoundToProcess):
                 self._listen()
         except StampedeError as error:
             self._fail(error)
-        except Exception as defect:  # noqa: BLE001  # a thread's end is heard by nobody else
-            failure = StampedeError(f"on_item of {self._name} met a defect: {type(defect).__name__}: {defect}")
+        except Exception as defect:  # noqa: BLE001  # nobody else would learn of it
+            failure = StampedeError(f"on_item of {self._name} failed with a defect: {type(defect).__name__}: {defect}")
             failure.__cause__ = defect
             self._fail(failure)
         finally:
@@ -123,19 +122,19 @@ class Listener(BackgroundStart, BoundToProcess):
                     self._call(item)
         except IncarnationLost as error:
             self.losses += 1
-            _log.warning("on_item of %s goes on with a new incarnation: %s", self._name, error)
+            _log.warning("on_item of %s continues with a new incarnation: %s", self._name, error)
             self._dropped_before, self._skipped_before = self.dropped, self.skipped
             self._reconnects_before = self.reconnects
             self._subscription = self._subscribe(True)
-            if self._cancelled:  # while it was being made
+            if self._cancelled:  # `cancel` came in between
                 self._subscription.close()
 
     def _call(self, item: Any) -> None:
         try:
             call_back(self._function, item)
             self.delivered += 1
-        except Exception as error:  # noqa: BLE001  # whatever it is, it is told, and the next one comes
+        except Exception as error:  # noqa: BLE001  # counted and logged; the next item follows
             self.failures += 1
             self.last_failure = error
             if should_log(self.failures):
-                _log.exception("on_item of %s: failure %d; it goes on", self._name, self.failures)
+                _log.exception("on_item of %s: failure %d; it continues", self._name, self.failures)

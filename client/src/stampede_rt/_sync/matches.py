@@ -27,14 +27,17 @@ from stampede_rt.values.timeline import DurationLike, Match, parse_interval
 
 
 class MatchSubscription(BoundToProcess):
-    """An iterator over `Matched` items (see `Group.match`), and a context manager. `close` may be called from anywhere.
+    """An iterator over `Matched` items (see `Group.match`), and a context manager. Any thread may call `close`.
 
-    The host sends as much ahead as the reader takes in a tenth of a second, 1 MiB at most. `unmatched` counts items
-    that some member had nothing for, `dropped` those that retention took before they could be matched or before a slow
-    reader asked for them, or that came after their time had been decided. Goes on by itself when a host is lost:
-    `losses` counts how often the host of the matched channel was lost with what it held, `reconnects` how often it came
-    back after its connection broke; `connected` says whether it is open. Raises GroupNotFound once the group is
-    deleted, IncarnationLost if all its hosts were lost.
+    The host sends at most as far ahead as the reader takes in a tenth of a second, and at most 1 MiB. After the loss of
+    a host the subscription continues by itself. Each step blocks until the next match. It raises GroupNotFound once the
+    group is deleted, IncarnationLost if all its hosts were lost, and Unavailable if the client could not reach the host
+    for the duration `reconnect`.
+
+    - `unmatched` counts items of `per` for which a member had no item within the tolerance.
+    - `dropped` counts items that retention collected before the host could match them or before a slow reader took
+      them, and items that came after the host had decided about their time.
+    - `losses` counts how many times the host of `per` was lost with its items.
     """
 
     def __init__(
@@ -59,10 +62,10 @@ class MatchSubscription(BoundToProcess):
         self._payloads = payloads
         self._stream: BidiStream[group_pb.SubscribeMatchesResponse] | None = None
         self._responses: Any = None
-        self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with what it takes of the window
+        self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with its bytes of the window
         self._window = CreditWindow()
         self._after: group_pb.MatchCursor | None = None
-        self._unmatched_before = self._dropped_before = 0  # of streams that ended; the host counts anew on each
+        self._unmatched_before = self._dropped_before = 0  # sums of earlier streams: the host counts from 0 on each
         self._closed = False
         self.unmatched = 0
         self.dropped = 0
@@ -71,12 +74,12 @@ class MatchSubscription(BoundToProcess):
 
     @property
     def reconnects(self) -> int:
-        """How often it came back after its connection broke."""
+        """How many times the client has opened the subscription again after a break."""
         return self._reconnecting.reconnects
 
     @property
     def connected(self) -> bool:
-        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        """Whether the subscription is open, as last known. False while the client opens it again, and after its end."""
         return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
@@ -110,7 +113,7 @@ class MatchSubscription(BoundToProcess):
         raise StopIteration
 
     def close(self) -> None:
-        """End the subscription; callable from any thread."""
+        """End the subscription. Any thread may call it."""
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream
@@ -118,7 +121,7 @@ class MatchSubscription(BoundToProcess):
             stream.cancel()
 
     def _open(self) -> None:
-        """Begin, or go on behind the last item, at the owner of the channel whose items each get a match."""
+        """Open the stream to the host of `per`: at first, and again behind the last match after a break."""
         if self._stream is not None or self._closed:
             return
         try:
@@ -137,8 +140,8 @@ class MatchSubscription(BoundToProcess):
                     raise StopIteration
                 stream.send(group_pb.SubscribeMatchesRequest(open=self._opening(binding.epoch)))
                 self._responses = stream.__iter__()
-                self._take(self._responses.__next__())  # says that the subscription holds
-            except StopIteration:  # closed meanwhile
+                self._take(self._responses.__next__())  # the host's word that the subscription is open
+            except StopIteration:  # `close` came meanwhile
                 self._resume()
             except BaseException:
                 self._resume()
@@ -147,7 +150,7 @@ class MatchSubscription(BoundToProcess):
         try:
             self._group.session.perform(self._per._state, open_at, timeout_s)
         except GroupNotFound:
-            self._group.refresh()  # by its name; raises if there is none
+            self._group.refresh()  # looks the group up by its name; raises if there is none
             self._group.session.perform(self._per._state, open_at, timeout_s)
 
     def _opening(self, epoch: int) -> group_pb.SubscribeMatchesOpen:
@@ -163,14 +166,14 @@ class MatchSubscription(BoundToProcess):
         )
 
     def _grant(self) -> None:
-        """Let the host send what the reader has room for."""
+        """Let the host send as many bytes as the reader has room for."""
         stream = self._stream
         if stream is None or not (credit := self._window.ask(monotonic_s())):
             return
         try:
-            with suppress(Unavailable):  # of a stream that broke the iteration hears, with the reason
+            with suppress(Unavailable):  # the iteration raises the reason of a broken stream
                 stream.send(group_pb.SubscribeMatchesRequest(credit_bytes=credit))
-        except BaseException:  # an interrupt: what the host may send is not known any more
+        except BaseException:  # an interrupt: the credit at the host is unknown
             self._resume()
             raise
 
@@ -187,7 +190,7 @@ class MatchSubscription(BoundToProcess):
                 raise self._group.explained(error) from None
             self._reconnecting.broke()
             self._group.forget_bindings()
-        except BaseException:  # an interrupt: what was being fetched comes again
+        except BaseException:  # an interrupt: the next stream sends these matches again
             self._resume()
             raise
 
@@ -198,7 +201,7 @@ class MatchSubscription(BoundToProcess):
         self._unmatched_before, self._dropped_before = self.unmatched, self.dropped
 
     def _take(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        """Take in a response as a whole or, if a fetch fails, nothing of it."""
+        """Take in a whole response, or nothing of it if a fetch fails."""
         self._know_members(response)
         found = run_all([functools.partial(self._matched, message) for message in response.matches])
         for message, (matched, gone) in zip(response.matches, found, strict=True):
@@ -215,7 +218,7 @@ class MatchSubscription(BoundToProcess):
         self.dropped = self._dropped_before + response.dropped
 
     def _know_members(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        """Others may have let members in or out: every match names all that the host knows."""
+        """Learn the members again if a match names others: other processes may have changed them."""
         known = {channel.info.channel_id for channel in self._group.channels}
         for message in response.matches[-1:]:
             partners = {one.channel_id for one in message.matched} | {*message.unmatched_channel_ids}
@@ -223,7 +226,7 @@ class MatchSubscription(BoundToProcess):
                 self._group.refresh()
 
     def _matched(self, message: group_pb.ItemMatch) -> tuple[Matched[Channel], int]:
-        """All items of a match, and how many could not be had. Those of other hosts are fetched from there, at once."""
+        """Return a match, and the number of its items that are gone. Fetches items of other hosts in parallel."""
         by_id = {channel.info.channel_id: channel for channel in self._group.channels}
         mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
         others = [one for one in message.matched if one.channel_id in by_id]
@@ -234,7 +237,7 @@ class MatchSubscription(BoundToProcess):
         return Matched(self._group.channels, found, missing=missing, time=mine.time), fetched.count(None)
 
     def _item(self, channel: Channel, matched: group_pb.MatchedItem) -> Item | None:
-        """The item itself; None if retention at its host was faster."""
+        """Return an item of a match; None if its host has collected it in the meantime."""
         position = matched.position
         if matched.HasField("item"):
             decoder = channel._state.decoder(position.incarnation, payloads=self._payloads)
@@ -247,6 +250,6 @@ class MatchSubscription(BoundToProcess):
 
 
 def _charge(message: group_pb.ItemMatch) -> int:
-    """What a match takes of the credit: each item that came with it."""
+    """Return the bytes of credit that a match costs: those of each item that came with it."""
     runs = [message.item.run, *(one.item.run for one in message.matched if one.HasField("item"))]
     return sum(sum(run.payload_length_bytes) + ITEM_OVERHEAD_BYTES * len(run.payload_length_bytes) for run in runs)

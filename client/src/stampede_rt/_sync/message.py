@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""One item of a queue in the hands of its taker, who says what becomes of it (paper, section 3.5)."""
+"""A message in the hands of its taker, who settles it (paper, section 3.5)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _DONE_ONCE = ("give_back", "terminate")
 
 
 class Settler:
-    """Tells a queue's host what became of deliveries to one taker."""
+    """Settles the deliveries of one taker at the queue's host."""
 
     def __init__(self, session: Session, locator: Locator, taker_id: int) -> None:
         self._session = session
@@ -36,9 +36,11 @@ class Settler:
         self._taker_id = taker_id
 
     def settle(self, settlement: queue_pb2.Settlement, incarnation: int) -> queue_pb2.SettlementResult:
-        """Settle one delivery; tried again until the host has heard. Raises LeaseExpired.
+        """Settle one delivery. Tries again until the host has answered, for at most 10 s.
 
-        In another incarnation of the queue than that of the delivery its id may be another delivery's.
+        Raises LeaseExpired, Unavailable.
+
+        Delivery ids hold within one incarnation of the queue. A delivery of another incarnation counts as expired.
         """
         tries = 0
 
@@ -46,21 +48,21 @@ class Settler:
             nonlocal tries
             tries += 1
             if binding.incarnation != incarnation:
-                raise LeaseExpired("the host of the queue was lost with all that it held, and this message with it")
+                raise LeaseExpired("the queue's host was lost with its messages and this one; take the next message")
             result = (self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
                 once = settlement.WhichOneof("verdict") in _DONE_ONCE
                 if not (tries > 1 and once and isinstance(error, LeaseExpired)):
-                    raise error  # else an earlier try has done it already
+                    raise error  # otherwise an earlier try has settled it
             return result
 
         return attempt(self._locator, settle_at, CALL_TIMEOUT_S)
 
     def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
-        """Give back what was never handed to anybody, which counts as no delivery.
+        """Give back messages that no caller received. `max_deliveries` does not count these deliveries.
 
-        What is not given back comes back when its lease ends.
+        If the call fails, the messages come again when their leases end.
         """
         for at in range(0, len(messages), SETTLEMENTS_MAX):
 
@@ -73,7 +75,10 @@ class Settler:
             attempt(self._locator, settle_at, timeout_s)
 
     def extend(self, messages: Sequence[Message], timeout_s: float) -> list[Message]:
-        """Have them for as long as at first, from now on. Those that are still this taker's."""
+        """Extend the leases of messages by their first length, from now on.
+
+        Returns the messages that are still leased.
+        """
         extended: list[Message] = []
         for at in range(0, len(messages), SETTLEMENTS_MAX):
             some = messages[at : at + SETTLEMENTS_MAX]
@@ -100,12 +105,18 @@ class Settler:
 
 
 class Message(BoundToProcess):
-    """An item that a queue or mailbox has leased to this taker. It comes again unless `ack` is called in time.
+    """A message that a queue or mailbox has leased to this taker. It comes again unless the taker settles it in time.
 
-    `deliveries` says which delivery of the item this is, from 1; `time` is when the queue accepted it, in nanoseconds
-    since the epoch, unless its producer said otherwise; `seq` its place in the queue. As a context manager it is
-    acknowledged when the block ends well, and given back if the block raises; settled inside, it is left alone.
-    `origin` tells of a dead letter where it comes from; it is None for others.
+    As a context manager it acknowledges the message when the block ends well, and gives it back if the block raises. It
+    does neither if the block has settled the message.
+
+    - `payload` is bytes, `value` the decoded payload, `attributes` a mapping of text to text, `content_type` a MIME
+      type.
+    - `seq` is the message's number in the queue, within one `incarnation` of the queue.
+    - `time` is the message's time, in nanoseconds since the epoch: by default the time at which the queue accepted it.
+    - `deliveries` counts the deliveries of this message, from 1.
+    - `lease_s` is the length of its lease in seconds.
+    - `origin` says from where a dead letter comes; it is None for other messages.
     """
 
     def __init__(self, settler: Settler, delivery: DeliveredMessage, incarnation: int, coding: Coding | None) -> None:
@@ -129,13 +140,13 @@ class Message(BoundToProcess):
 
     @cached_property
     def value(self) -> Any:
-        """The payload as the handle's codec decodes it; without a codec the payload itself. Raises CodecError."""
+        """The payload as the handle's codec decodes it, or the payload itself without a codec. Raises CodecError."""
         if self._coding is None:
             return self.payload
         return self._coding.decode(self.payload, self.content_type, f"item #{self.seq}")
 
     def decode(self, codec: CodecLike) -> Any:
-        """The payload as `codec` decodes it: for a mailbox, to whose senders each its own codec may be right.
+        """Decode the payload with `codec`. For mailboxes, whose senders may use different codecs.
 
         Raises CodecError, also if the message's content type is not the codec's.
         """
@@ -144,33 +155,40 @@ class Message(BoundToProcess):
 
     @property
     def lease_left(self) -> float:
-        """For how many seconds the message is still this taker's alone; 0 once its lease has ended."""
+        """The seconds for which the message is leased to this taker; 0 once the lease has ended."""
         return max(0.0, self._lease_ends_s - monotonic_s())
 
     def ack(self) -> None:
-        """It is done with: the queue forgets it (for this taker, if the queue has copies). Safe to repeat.
+        """Acknowledge the message: the queue forgets it. With `copies` the queue forgets this taker's copy.
 
-        Raises LeaseExpired if the lease ended before: then somebody else may have it.
+        You may repeat the call. Blocks for at most 10 s. Raises LeaseExpired if the lease has ended: another taker may
+        have the message. Raises Unavailable if the host cannot be reached.
         """
         self._settle(queue_pb2.Settlement(acknowledge=queue_pb2.Acknowledge()))
 
     def nack(self, delay: DurationLike | None = None) -> None:
-        """It goes back to its place, for any taker, but not before `delay` is over; it holds up no other.
+        """Give the message back to its place in the queue. Any taker may get it once `delay` has passed.
 
-        Raises LeaseExpired if the lease ended before.
+        Later messages do not wait for it. Blocks for at most 10 s. Raises LeaseExpired, Unavailable.
         """
         delay_nanos = duration_of("delay", delay, least=0) or 0
         self._settle(queue_pb2.Settlement(give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos)))
 
     def term(self, reason: str | None = None) -> None:
-        """Give it up for good, for all takers: it leaves the queue, for the dead-letter queue if there is one.
+        """Give the message up for all takers.
 
-        `reason` (1024 bytes at most) goes with the dead letter. Raises LeaseExpired if the lease ended before.
+        The queue moves it to its dead-letter queue, or deletes it if it has none.
+
+        The dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 10 s. Raises LeaseExpired,
+        Unavailable.
         """
         self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     def extend(self, lease: DurationLike = "30s") -> None:
-        """Have it for so long, from now on, at most an hour. Raises LeaseExpired if the lease ended before."""
+        """Let the lease end `lease` from now, at most one hour. Blocks for at most 10 s.
+
+        Raises LeaseExpired, Unavailable.
+        """
         extension = queue_pb2.ExtendLease(lease_nanos=parse_lease(lease) or 0)
         began_s = monotonic_s()
         result = self._send(queue_pb2.Settlement(extend_lease=extension))
@@ -185,17 +203,17 @@ class Message(BoundToProcess):
         return self._settler.settle(settlement, self.incarnation)
 
     def given_back(self) -> queue_pb2.Settlement:
-        """What gives it back, at once, as if it had not been delivered."""
+        """The settlement that gives the message back at once, without counting the delivery."""
         give_back = queue_pb2.GiveBack(uncounted=True)
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, give_back=give_back)
 
     def extended(self) -> queue_pb2.Settlement:
-        """What makes its lease last as long as at first, from now on."""
+        """The settlement that extends the lease by its first length, from now on."""
         extension = queue_pb2.ExtendLease(lease_nanos=self._delivery.lease_nanos)
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, extend_lease=extension)
 
     def has_extended(self, result: queue_pb2.SettlementResult, began_s: float) -> bool:
-        """Whether the lease lasts longer by what the host answered to a request of that moment."""
+        """Take in the host's answer to a request sent at `began_s`. Returns whether the lease lasts longer."""
         if result.HasField("error"):
             return False
         self._lease_ends_s = began_s + (result.lease_nanos or self._delivery.lease_nanos) / 1e9
@@ -214,5 +232,5 @@ class Message(BoundToProcess):
             return
         try:
             self.nack()
-        except StampedeError as failure:  # what the block raised matters more
-            error.add_note(f"the message was not given back, and comes again when its lease ends: {failure}")
+        except StampedeError as failure:  # the block's own error matters more
+            error.add_note(f"the message could not be given back; it comes again when its lease ends: {failure}")

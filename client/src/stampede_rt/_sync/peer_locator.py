@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Where the mailbox of a peer is, for those who send to it."""
+"""Finds the mailbox of a peer for its senders."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ UNKNOWN = QueueInfo(
 
 
 class PeerLocator(QueueLocator):
-    """Found by the peer's name; a peer that comes back may have another mailbox."""
+    """Finds a mailbox by the peer's name. A peer that comes back may have another mailbox."""
 
     def __init__(self, session: Session, name: str) -> None:
         state = QueueState("peer", name, UNKNOWN, QueuePolicy(), create=False)
         super().__init__(session, state)
 
     def find(self, deadline_s: float) -> Binding:
-        """The cached place, or one found anew. Raises PeerNotFound."""
+        """Return the cached binding, or look for it. Raises PeerNotFound."""
         if self._session.cache.owner(self._state.info.queue_id) is None:
             self._resolve(deadline_s)
         return super().find(deadline_s)
@@ -37,16 +37,18 @@ class PeerLocator(QueueLocator):
         except QueueNotFound as error:
             raise peer_not_found(name) from error
         if not response.host.alive:
-            raise Unavailable(f"the host of the mailbox of peer {name!r} is lost; the peer gets another soon")
+            raise Unavailable(
+                f"the mailbox of peer {name!r} was lost with its host; a live peer soon gets another one: try again"
+            )
         self._state.info = learn_queue(self._session, response.queue, response.host)
 
     def explain(self, error: StampedeError) -> None:
-        """Name the peer. A mailbox that is gone may have been replaced: that is found out by looking for the peer."""
+        """Name the peer in the error. A missing mailbox is retryable: the peer may have a new one."""
         super().explain(error)
         if isinstance(error, QueueNotFound):
             error.retryable = True
 
 
 def peer_not_found(name: str) -> PeerNotFound:
-    """No live participant has that name, and so there is no mailbox."""
-    return PeerNotFound(f"no live peer is named {name!r}; peers() lists those there are", metadata={"peer": name})
+    """The error that no live peer has the name."""
+    return PeerNotFound(f"no live peer is named {name!r}; peers() lists the live ones", metadata={"peer": name})

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Messages that came ahead of the gets that they are for, and the leases on them."""
+"""Messages that the host sent before a caller asked for them, and their leases."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from stampede_rt._sync.message import Message, Settler
 from stampede_rt.errors import StampedeError
 from stampede_rt.transports.concurrency_sync import BackgroundTask, Mutex, Signal
 
-LEASE_PARTS = 3  # a lease is looked after when one of so many parts is left of it
+LEASE_PARTS = 3  # a lease is due when this part of it is left: 1/3
 _log = logging.getLogger("stampede_rt")
 
 
 class PrefetchBuffer:
-    """Waiting messages of one taker, in their order. Their leases do not run out while they wait.
+    """Prefetched messages of one taker, in their order. The buffer extends their leases.
 
-    As long as messages are taken, the leases of the others are extended. What nobody took for most of a lease goes
-    back to the queue, where other takers get it.
+    It extends them as long as callers take messages. A message that waits while no caller takes any goes back to the
+    queue after two thirds of its lease, and other takers get it.
     """
 
     def __init__(self, settler: Settler, give_back: Callable[[list[Message]], None], name: str) -> None:
@@ -28,16 +28,16 @@ class PrefetchBuffer:
         self._name = name
         self._mutex = Mutex()  # guards the messages
         self._waiting: deque[Message] = deque()
-        self._untouched: set[Message] = set()  # nothing was taken since their leases began
+        self._untouched: set[Message] = set()  # no caller took any message since their leases began
         self._changed = Signal()
         self._keeper: BackgroundTask | None = None
 
     def __len__(self) -> int:
-        """How many wait."""
+        """The number of messages."""
         return len(self._waiting)
 
     def add(self, message: Message, *, first: bool = False) -> None:
-        """The message waits; `first`: before all others."""
+        """Add a message at the end, or with `first` at the beginning."""
         with self._mutex:
             (self._waiting.appendleft if first else self._waiting.append)(message)
             self._untouched.add(message)
@@ -46,17 +46,17 @@ class PrefetchBuffer:
         self._changed.set()
 
     def take(self) -> Message | None:
-        """The next one that is still this taker's."""
+        """Remove and return the first message that is still leased to this taker, or None."""
         with self._mutex:
             self._untouched.clear()
             while self._waiting:
                 message = self._waiting.popleft()
-                if message.lease_left:  # else it is somebody else's by now
+                if message.lease_left:  # otherwise another taker may have it
                     return message
         return None
 
     def take_all(self) -> list[Message]:
-        """All that are still this taker's; the leases are not looked after any more."""
+        """Remove and return all messages that are still leased to this taker."""
         with self._mutex:
             messages = [message for message in self._waiting if message.lease_left]
             self._waiting.clear()
@@ -65,7 +65,7 @@ class PrefetchBuffer:
         return messages
 
     def _keep(self) -> None:
-        """Look after the leases until no message waits."""
+        """Extend or give back leases until the buffer is empty."""
         while (wait_s := self._wait_s()) is not None:
             if wait_s > 0:
                 self._changed.wait(wait_s)
@@ -77,7 +77,7 @@ class PrefetchBuffer:
                 self._extend(kept)
 
     def _wait_s(self) -> float | None:
-        """When the next lease is to be looked after; None: the keeper is to end."""
+        """Return the seconds until the next lease is due; None once the buffer is empty, which ends the keeper."""
         with self._mutex:
             self._changed.clear()
             if not self._waiting:
@@ -86,7 +86,7 @@ class PrefetchBuffer:
             return min(message.lease_left - message.lease_s / LEASE_PARTS for message in self._waiting)
 
     def _due(self) -> tuple[list[Message], list[Message]]:
-        """Whose leases are to be looked after now: those that nobody took for so long, and the others."""
+        """Return the messages with a lease that is due: those to give back, and those to extend."""
         with self._mutex:
             due = [one for one in self._waiting if one.lease_left <= one.lease_s / LEASE_PARTS]
             idle = [one for one in due if one in self._untouched]
@@ -96,7 +96,7 @@ class PrefetchBuffer:
         return idle, kept
 
     def _extend(self, messages: list[Message]) -> None:
-        """For as long as they were leased at first. Those that cannot be extended are somebody else's soon."""
+        """Extend leases by their first length. Other takers soon get the messages with which that fails."""
         extended: list[Message] = []
         try:
             extended = self._settler.extend(messages, min(message.lease_left for message in messages))

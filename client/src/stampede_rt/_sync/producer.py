@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Many puts in flight: items fill runs while the last write is under way, and acks come as they come."""
+"""Many puts in flight: items fill a run while the client writes the one before, and acks arrive later."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from stampede_rt.wire.put_frames import put_head, put_request
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
 IN_FLIGHT_RUNS_MAX = 64
 REJECTIONS_KEPT_MAX = 1024
-_in_flight: set[Producer] = set()  # held until their items are acked, even if nobody else holds them any more
+_in_flight: set[Producer] = set()  # keeps producers alive until their items are acked
 
 
 class Producer(BoundToProcess):
-    """Puts that do not wait for their acks, with bounded bytes in flight (see `Channel.producer`).
+    """Puts that do not wait for their acks, with a bound on the unacknowledged bytes (see `Channel.producer`).
 
-    Use it as a context manager, from one thread or task; leaving it flushes. One that is dropped without being closed
-    lets go of its stream once its items are acked. `accepted` counts acked items,
-    `rejections` refused ones; `rejected` holds the errors since the last flush, the first 1024 of them.
+    Use it as a context manager, from one thread or task. Leaving the context flushes. `accepted` counts the items that
+    the host has accepted. `rejections` counts the items that it has refused; `rejected` lists their errors since the
+    last flush, at most 1024. A program may drop a producer without closing it: its stream then ends after the last ack.
     """
 
     def __init__(self, session: Session, state: ChannelState) -> None:
@@ -53,10 +53,10 @@ class Producer(BoundToProcess):
         self._mutex = Mutex()  # guards the builder and the order of writes
         self._moved = Signal()
         self._stream: PutDuplex | None = None
-        self._opened: list[PutDuplex] = []  # the one last opened, for whoever closes it when this is dropped
-        self._generation = 0  # tells the acks of a stream that was given up from those of its successor
+        self._opened: list[PutDuplex] = []  # the stream opened last; `_give_up` closes it
+        self._generation = 0  # of the stream; acks of an older one do not count
         self._failure: StampedeError | None = None
-        self._backoff: Backoff | None = None  # set while nothing has been acked since a failure
+        self._backoff: Backoff | None = None  # set from a failure until the next ack
         self._finished = False
         self.accepted = 0
         self.rejections = 0
@@ -91,11 +91,12 @@ class Producer(BoundToProcess):
         content_type: str | None = None,
         timeout: float | None = CALL_TIMEOUT_S,
     ) -> None:
-        """Hand one item over. Blocks while 8 MiB or 64 runs are unacknowledged, and while a lost stream is replaced.
+        """Hand over one item. Blocks while 8 MiB or 64 runs are unacknowledged, and while a lost stream is replaced.
 
-        `timeout` in seconds is how long it may block, 10 by default, None: without limit, as for a channel that waits
-        for room (`on_full="block"`). Raises DeadlineExceeded then. A put that raises, or is cancelled, has handed
-        nothing over. See `Channel.put` for the other arguments.
+        `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
+        on_full="block" may need. The other arguments are those of `Channel.put`. A put that raises, or that is
+        cancelled, has handed over nothing. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
+        CodecError; Unavailable if the host cannot be reached for 10 s.
         """
         self._session.check_process()
         if self._finished:
@@ -112,14 +113,14 @@ class Producer(BoundToProcess):
         with self._mutex:
             self._builder.add(payload, instant, nanos, attributes, kind)
             _in_flight.add(self)
-            if not self._unacked:  # nothing is under way: no reason to wait for company
+            if not self._unacked:  # no run is under way: send this item at once
                 self._send_filled()
 
     def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
-        """Block until everything put is acked; then raise the first refusal, if any.
+        """Block until the host has answered for every item put. Then raise the first refusal, if there is one.
 
-        `timeout` in seconds is how long it may block, 10 by default, None: without limit. Raises DeadlineExceeded then,
-        or Unavailable if the host is lost for good.
+        `timeout` in seconds is the longest wait, by default 10; None waits without a limit. Raises DeadlineExceeded
+        after the timeout, and Unavailable if the host cannot be reached for 10 s.
         """
         self._session.check_process()
         deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
@@ -130,7 +131,7 @@ class Producer(BoundToProcess):
             raise refused[0]
 
     def close(self) -> None:
-        """Let go of the stream. What is not acked may be lost: flush before."""
+        """Close the stream. Items without an ack may be lost; call `flush` first."""
         if self._session.inherited:
             return
         with self._mutex:
@@ -144,7 +145,7 @@ class Producer(BoundToProcess):
         return self._unacked_bytes < IN_FLIGHT_BYTES_MAX and len(self._unacked) < IN_FLIGHT_RUNS_MAX
 
     def _send(self, deadline_s: float = float("inf")) -> None:
-        """Send the run that is being filled, as soon as there is room."""
+        """Send the run under construction as soon as there is room."""
         self._until(self._has_room, deadline_s)
         if self._stream is None:
             self._open(max(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S), 0.0))
@@ -155,7 +156,10 @@ class Producer(BoundToProcess):
         return self._stream is None or self._failure is not None
 
     def _send_filled(self) -> None:
-        """To be called with the mutex. What goes to a stream that is down is sent again by `_open`."""
+        """Send the run under construction. The caller holds the mutex.
+
+        `_open` sends it again if the stream is broken.
+        """
         if not len(self._builder):
             return
         run = self._builder.take()
@@ -165,7 +169,7 @@ class Producer(BoundToProcess):
             self._stream.send(put_request(b"", run.first_number, (run.encoded,)))
 
     def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
-        """Block until `condition`, replacing a failed stream meanwhile."""
+        """Block until `condition` holds, and replace a failed stream meanwhile."""
         while True:
             self._moved.clear()
             left_s = deadline_s - clock.monotonic()
@@ -176,15 +180,15 @@ class Producer(BoundToProcess):
             else:
                 if left_s <= 0:
                     raise DeadlineExceeded(
-                        f"{len(self._unacked)} runs for channel {self._state.info.name!r} were not acknowledged in "
-                        "time; its host may be overloaded, or the channel full"
+                        f"the host of channel {self._state.info.name!r} did not acknowledge {len(self._unacked)} runs "
+                        "in time: it is overloaded, or the channel is full; give a longer timeout, or put less"
                     )
                 self._moved.wait(None if left_s == float("inf") else left_s)
 
     def _recover(self, failure: StampedeError, left_s: float) -> None:
-        """Replace a failed stream, or raise its failure if that is final or nothing was acked for too long.
+        """Replace a failed stream. Raise its failure if that is final, or if no ack came for 10 s.
 
-        What was not acked is kept in any case: whoever puts or flushes after that begins anew with it.
+        Unacknowledged items stay: the next put or flush tries again with them.
         """
         self._backoff = self._backoff or Backoff(clock.monotonic() + CALL_TIMEOUT_S)
         delay_s = self._backoff.next_delay_s(clock.monotonic(), random.random())
@@ -197,10 +201,10 @@ class Producer(BoundToProcess):
         self._open(min(left_s, CALL_TIMEOUT_S))
 
     def _open(self, timeout_s: float = CALL_TIMEOUT_S) -> None:
-        """Open a stream at the channel's present place and send what was not acked, under the same numbers."""
+        """Open a stream to the channel's present host, and send all unacknowledged runs under their old numbers."""
         self.close()
 
-        def open_at(binding: Binding) -> None:  # as a whole or not at all: nothing in it waits
+        def open_at(binding: Binding) -> None:  # nothing in it waits, so no one can interrupt it
             endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
@@ -215,7 +219,7 @@ class Producer(BoundToProcess):
                 if self._unacked:
                     _in_flight.add(self)
                 else:
-                    self._backoff = None  # no ack is to come that would tell that it goes well
+                    self._backoff = None  # no ack will come to end the backoff
 
         self._session.perform(self._state, open_at, timeout_s)
 
@@ -234,7 +238,7 @@ class Producer(BoundToProcess):
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None
-        if refusal is not None and refusal.retryable:  # the channel has moved: the run stays and is sent again
+        if refusal is not None and refusal.retryable:  # the channel has moved: send the run again
             self._failure = refusal
             return
         run = self._unacked.popleft()
@@ -254,7 +258,7 @@ class Producer(BoundToProcess):
 
 
 def _weakly(method: Callable[..., None]) -> Callable[..., None]:
-    """`method`, without holding what it belongs to: nothing is to be done for what is gone."""
+    """Wrap `method` so that it does not keep its object alive. The wrapper does nothing once the object is gone."""
     reference = WeakMethod(method)
 
     def call(*arguments: Any) -> None:

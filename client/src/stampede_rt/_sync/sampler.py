@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Producer pull: a function that is asked for an item periodically (paper, section 4.1)."""
+"""Producer pull: the client asks a function for an item in each period (paper, section 4.1)."""
 
 from __future__ import annotations
 
@@ -25,35 +25,36 @@ _log = logging.getLogger("stampede_rt")
 
 
 class Clock(Protocol):
-    """The time that periods are counted in."""
+    """The clock that counts the periods."""
 
     def nanos(self) -> int:
-        """A reading that only grows."""
+        """Nanoseconds since a fixed moment. They never decrease."""
         ...
 
     def wait(self, stop: Signal, timeout_nanos: int) -> bool:
-        """Block until `stop`, `timeout_nanos` at most; whether it was set."""
+        """Wait until `stop` is set, for at most `timeout_nanos`. Returns whether it is set."""
         ...
 
 
 class MonotonicClock:
-    """The machine's."""
+    """The machine's monotonic clock."""
 
     def nanos(self) -> int:
-        """A reading that only grows."""
+        """Nanoseconds since a fixed moment. They never decrease."""
         return monotonic_nanos()
 
     def wait(self, stop: Signal, timeout_nanos: int) -> bool:
-        """Block until `stop`, `timeout_nanos` at most; whether it was set."""
+        """Wait until `stop` is set, for at most `timeout_nanos`. Returns whether it is set."""
         return stop.wait(timeout_nanos / 1e9)
 
 
 class Sampler(BackgroundStart, BoundToProcess):
-    """What asks a function for an item every so often (see `Channel.sample`), until `cancel`.
+    """Calls a function once in each period and puts its result, until `cancel` (see `Channel.sample`).
 
-    `samples` counts items put, `missed` periods that passed while the function or a put took too long. `failures`
-    counts calls and puts that raised, `last_failure` is what the last of them raised; it goes on after them. `error`
-    is what ended it: ChannelNotFound once the channel is deleted; None while it runs and after `cancel`.
+    `samples` counts the items put. `missed` counts periods that passed while the function or a put took too long.
+    `failures` counts calls and puts that raised; `last_failure` is the last exception. The sampler continues after
+    each. `error` is the error that ended it, ChannelNotFound once the channel is deleted, or None while it runs and
+    after `cancel`.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class Sampler(BackgroundStart, BoundToProcess):
         check_callback(function)
         self._session = session
         self._name = name
-        self._put = put  # takes the value and how many seconds it may wait on a full channel
+        self._put = put  # takes the value, and the seconds that it may wait for room
         self._function = function
         self._clock = clock
         self._periods = Periods(clock.nanos(), every_nanos)
@@ -82,7 +83,7 @@ class Sampler(BackgroundStart, BoundToProcess):
 
     @property
     def missed(self) -> int:
-        """Periods that passed without a sample."""
+        """The number of periods without an item."""
         return self._periods.missed
 
     def __repr__(self) -> str:
@@ -90,16 +91,16 @@ class Sampler(BackgroundStart, BoundToProcess):
         return f"<Sampler of {self._name}{f', {state}' if state else ''}>"
 
     def cancel(self) -> None:
-        """Begin no further call. One that is under way goes on; `join` waits for it. Callable from any thread."""
+        """Begin no further call. A call under way continues; `join` waits for it. Any thread may call this."""
         self._stop.set()
 
     def join(self, timeout: float) -> bool:
-        """Block until it has ended, `timeout` seconds at most; whether it has."""
+        """Wait until the sampler has ended, for at most `timeout` seconds. Returns whether it has."""
         self._session.check_process()
         return self._background.join(timeout)
 
     def end(self) -> None:
-        """What closing the connection does."""
+        """Cancel, and wait a moment for a call under way. The connection calls this when it closes."""
         self.cancel()
         self.join(END_TIMEOUT_S)
 
@@ -126,8 +127,8 @@ class Sampler(BackgroundStart, BoundToProcess):
                 self.samples += 1
         except ChannelNotFound:
             raise
-        except Exception as error:  # noqa: BLE001  # whatever it is, it is told, and the next one comes
+        except Exception as error:  # noqa: BLE001  # counted and logged; the next period follows
             self.failures += 1
             self.last_failure = error
             if should_log(self.failures):
-                _log.exception("sampling for %s: failure %d; it goes on", self._name, self.failures)
+                _log.exception("sampling for %s: failure %d; it continues", self._name, self.failures)

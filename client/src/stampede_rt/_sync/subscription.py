@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Subscriptions: items as the host sends them, resumed by themselves when the connection or the place is lost."""
+"""Subscriptions: items as the host accepts them. After a break they resume by themselves (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_M
 class Subscription(BoundToProcess):
     """An iterator over items (see `Channel.subscribe`), and a context manager.
 
-    The host sends what the reader asks for: with "newest" one item for each step, the newest at that moment; else as
-    much ahead as the reader takes in a tenth of a second, 1 MiB at most.
+    Each step blocks until the next item. In mode "newest" the host sends one item for each step, the newest at that
+    moment. In mode "all" it sends at most as far ahead as the reader takes in a tenth of a second, and at most 1 MiB.
 
-    `skipped` counts what "newest" passed over, `dropped` what retention collected before a slow reader took it.
-    `close` may be called from any thread; then the iteration ends. Raises IncarnationLost when the channel's host was
-    lost and items with it, and ends: subscribe again to go on with the new incarnation. `reconnects` counts how often
-    it came back after its connection broke, `connected` says whether it is open.
+    `skipped` counts items that mode "newest" passed over. `dropped` counts items that retention collected before a slow
+    reader took them. Any thread may call `close`, which ends the iteration. A step raises ChannelNotFound once the
+    channel is deleted, Unavailable if the client could not come back for the duration `reconnect`, and IncarnationLost
+    if the channel's host was lost with its items. After IncarnationLost subscribe again to read the new incarnation.
     """
 
     def __init__(
@@ -52,9 +52,9 @@ class Subscription(BoundToProcess):
         self._ready: deque[Item] = deque()
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
-        self._cursor: channel_pb.SubscriptionCursor | None = None  # where to go on when the stream breaks
-        self._since_cursor: set[int] = set()  # seqs that came since, which come again: a part of one step at the host
-        self._skipped_before = 0  # of streams that ended; the host counts anew on each
+        self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
+        self._since_cursor: set[int] = set()  # seqs after the cursor, which the next stream repeats
+        self._skipped_before = 0  # sum of earlier streams: the host counts from 0 on each
         self._closed = False
         self.skipped = 0
         self.dropped = 0
@@ -72,7 +72,7 @@ class Subscription(BoundToProcess):
         reconnecting: Reconnecting,
         group_id: bytes | None = None,
     ) -> Subscription:
-        """Check the arguments and make the subscription."""
+        """Check the arguments and make the subscription. Raises InvalidArgument."""
         if mode not in _MODES:
             raise InvalidArgument(f'mode is {mode!r}; write "all" or "newest"')
         if start is not None and after is not None:
@@ -90,12 +90,12 @@ class Subscription(BoundToProcess):
 
     @property
     def reconnects(self) -> int:
-        """How often it came back after its connection broke."""
+        """How many times the client has opened the subscription again after a break."""
         return self._reconnecting.reconnects
 
     @property
     def connected(self) -> bool:
-        """It is open, as far as is known; if not, it is being opened again, or has ended."""
+        """Whether the subscription is open, as last known. False while the client opens it again, and after its end."""
         return self._reconnecting.connected and not self._closed
 
     def __repr__(self) -> str:
@@ -129,7 +129,7 @@ class Subscription(BoundToProcess):
         raise StopIteration
 
     def close(self) -> None:
-        """End the subscription; callable from any thread."""
+        """End the subscription. Any thread may call it."""
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream
@@ -137,7 +137,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
 
     def _open(self) -> None:
-        """Begin, or go on at the channel's present place, and wait until the host holds the subscription."""
+        """Open the stream at the channel's present host, at first or after a break, and wait for the host's answer."""
         if self._stream is not None or self._closed:
             return
         try:
@@ -164,21 +164,21 @@ class Subscription(BoundToProcess):
             stream.cancel()
             raise
         self._stream, self._responses = stream, responses
-        if self._closed:  # while it was being opened
+        if self._closed:  # `close` came during the opening
             stream.cancel()
         self._window.begin()
         self._decoder = self._state.decoder(first.opened.incarnation, payloads=not self._begun.without_payloads)
         self._take(first)
 
     def _grant(self) -> None:
-        """Let the host send what the reader has room for."""
+        """Let the host send as many bytes as the reader has room for."""
         stream = self._stream
         if stream is None or not (credit := self._window.ask(monotonic_s())):
             return
         try:
-            with suppress(Unavailable):  # of a stream that broke the iteration hears, with the reason
+            with suppress(Unavailable):  # the iteration raises the reason of a broken stream
                 stream.send(channel_pb.SubscribeRequest(credit_bytes=credit))
-        except BaseException:  # an interrupt: what the host may send is not known any more
+        except BaseException:  # an interrupt: the credit at the host is unknown
             stream.cancel()
             self._resume()
             raise
@@ -186,7 +186,7 @@ class Subscription(BoundToProcess):
     def _receive(self) -> None:
         try:
             self._take(self._responses.__next__())
-        except StopIteration:  # closed, or a step before was cancelled, and its call with it
+        except StopIteration:  # `close` came, or someone cancelled an earlier step
             self._resume()
         except StampedeError as error:
             self._resume()
@@ -197,19 +197,19 @@ class Subscription(BoundToProcess):
             self._session.cache.forget(self._state.info.channel_id)
 
     def _resume(self) -> None:
-        """The stream is over; the next one goes on so that nothing is missed and nothing comes twice."""
+        """Prepare the next stream, which continues behind the last item: without a gap and without a repetition."""
         self._stream = None
         self._skipped_before = self.skipped
         if self._cursor is not None:
             self._begun.cursor.CopyFrom(self._cursor)
 
     def _lost(self, error: IncarnationLost) -> IncarnationLost:
-        """The channel is another one than this subscription's now."""
-        if self._cursor is None:  # it never held: what the caller named is of another incarnation
+        """Say that the channel has another incarnation than this subscription."""
+        if self._cursor is None:  # the caller's start or item is of another incarnation
             return error
         lost = IncarnationLost(
-            f"channel {self._state.info.name!r} has begun anew: its host was lost, and what it held; everything after "
-            f"seq {self._cursor.next_seq - 1} may be missing; subscribe again to go on with the new incarnation"
+            f"channel {self._state.info.name!r} has begun anew: its host was lost with its items; those after "
+            f"seq {self._cursor.next_seq - 1} may be missing; subscribe again to read the new incarnation"
         )
         lost.concerning("channel", self._state.info.name)
         return lost
@@ -221,7 +221,7 @@ class Subscription(BoundToProcess):
             self._ready.extend(self._unseen(self._decoder.decode_each(response.runs)))
         if response.HasField("cursor"):
             self._cursor = response.cursor
-            if not response.HasField("opened"):  # which repeats where it was told to begin
+            if not response.HasField("opened"):  # "opened" only repeats the cursor of the request
                 self._since_cursor.clear()
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped
