@@ -34,7 +34,7 @@ CHANNELS, ITEMS = 6, 5
 def supernode_command(*words: str) -> str:
     """What `stampede supernode ...` printed; the secret comes from the environment."""
     done = subprocess.run(
-        [sys.executable, "-m", "stampede_rt_supernode", *words],
+        [sys.executable, "-m", "stampede_rt.cli", "supernode", *words],
         env=os.environ,
         capture_output=True,
         text=True,

@@ -312,7 +312,7 @@ def supernode_command(cluster: LocalCluster, files: st.TlsFiles | None, *words: 
     if files is not None:
         named = zip(("CA", "CERTIFICATE", "KEY"), map(str, files.paths()), strict=True)
         environment |= {f"STAMPEDE_TLS_{name}": path for name, path in named}
-    command = [sys.executable, "-m", "stampede_rt_supernode", *words, "--member", cluster.supernodes[0].address]
+    command = [sys.executable, "-m", "stampede_rt.cli", "supernode", *words, "--member", cluster.supernodes[0].address]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
     return done.returncode, done.stdout + done.stderr
 

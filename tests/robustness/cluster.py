@@ -136,7 +136,7 @@ class Cluster:
             names = ("STAMPEDE_TLS_CA", "STAMPEDE_TLS_CERTIFICATE", "STAMPEDE_TLS_KEY")
             environment |= dict(zip(names, map(str, files.paths()), strict=True))
         running = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "stampede_rt_supernode", *words),
+            *(sys.executable, "-m", "stampede_rt.cli", "supernode", *words),
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
             env=environment,

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.timeout(120)
 async def command(*words: str) -> tuple[int, str]:
     """Run `stampede supernode ...` to its end: the exit code, and what it printed."""
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "stampede_rt_supernode", *words),
+        *(sys.executable, "-m", "stampede_rt.cli", "supernode", *words),
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
         env=clean_environment(),

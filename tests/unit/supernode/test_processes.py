@@ -213,3 +213,9 @@ def test_a_data_folder_of_another_member_is_refused_in_one_line(
     said = capsys.readouterr().err
     assert said.startswith("stampede supernode: ")
     assert said.count("\n") == 1
+
+
+def test_a_supernode_does_not_run_the_verbs_of_the_client_and_says_who_does(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status"]) == 2
+    said = "stampede supernode: the client runs 'status', and not the supernode; say: stampede supernode status\n"
+    assert capsys.readouterr().err == said

@@ -72,8 +72,13 @@ def _run_service(verb: str, arguments: Sequence[str]) -> int:
     # Here and in _parser, not at the top: neither loads what only the other needs.
     from importlib.metadata import entry_points
 
-    import stampede_rt.grpc_quiet  # noqa: F401  # before the service imports gRPC
+    import stampede_rt.grpc_quiet  # noqa: F401  # before anything imports gRPC
+    from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 
+    if verb == "supernode" and arguments and arguments[0] in ADMINISTRATIVE_VERBS:
+        from stampede_rt.cli.supernode import administer
+
+        return administer(arguments)
     found = [point for point in entry_points(group="stampede_rt.verbs") if point.name == verb]
     if not found:
         extra = verb if verb in ("demo", "bench") else "server"

@@ -10,30 +10,23 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from stampede_rt.administration.options import add_cluster_options
+from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
 from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.diagnosis import gathered, level_finding, refusal
-from stampede_rt.cli.members import Cluster, is_there, no_member, reached
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.values.timeline import format_duration, format_instant
 
-ADMINISTERING = ("status", "add", "remove", "snapshot")
 FAILED = 1
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
 TOKEN_HOURS_MAX = 24
 ID_BYTES = 4
 
 
-def add_place(parser: argparse.ArgumentParser) -> None:
-    """The options that say where the cluster is."""
-    place = parser.add_mutually_exclusive_group()
-    place.add_argument("--url", "--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
-    place.add_argument("--member", metavar="HOST:PORT,...", help="supernodes, if no front-end runs")
-
-
 def administer(argv: Sequence[str]) -> int:
-    """Run one of ADMINISTERING; returns the exit code."""
+    """Run one of ADMINISTRATIVE_VERBS; returns the exit code."""
     parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     status = _verb(verbs, "status", "who is a member, who leads, and how they do", _run_status)
@@ -50,7 +43,7 @@ def administer(argv: Sequence[str]) -> int:
         "--stale-ok", action="store_true", help="what this replica holds will do; works without a majority, too"
     )
     for each in (status, add, remove, snapshot):
-        add_place(each)
+        add_cluster_options(each)
     parsed = parser.parse_args(argv)
     try:
         return int(parsed.run(parsed))
@@ -58,8 +51,8 @@ def administer(argv: Sequence[str]) -> int:
         print(f"stampede supernode: {error.message}", file=sys.stderr)
         return FAILED
     except OSError as error:
-        place = error.filename or parsed.out  # an open file does not know its name
-        print(f"stampede supernode: {place} cannot be written: {error.strerror}", file=sys.stderr)
+        file = error.filename or parsed.out  # an open file does not know its name
+        print(f"stampede supernode: {file} cannot be written: {error.strerror}", file=sys.stderr)
         return FAILED
 
 

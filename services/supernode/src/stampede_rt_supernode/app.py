@@ -13,7 +13,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.cli.supernode import ADMINISTERING, administer
+from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import directory_service_pb2_grpc, membership_service_pb2_grpc
 from stampede_rt_runtime.clock import SystemClock
@@ -281,16 +281,18 @@ async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `stampede supernode`, or one of its own verbs; returns the exit code."""
+    """Run a supernode, or prepare the folder of one; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if words and words[0] in PREPARING:
         return prepare(words)
-    if words and words[0] in ADMINISTERING:
-        return administer(words)
     if words and not words[0].startswith("-"):
-        verbs = ", ".join((*PREPARING, *ADMINISTERING))
-        sys.stderr.write(
-            f"stampede supernode: there is no verb {words[0]!r}; there are {verbs}, and flags alone start one\n"
-        )
+        sys.stderr.write(f"stampede supernode: {_not_a_verb(words[0])}\n")
         return EXIT_BAD_SETTINGS
     return run_service(SupernodeSettings, "supernode", argv, serve)
+
+
+def _not_a_verb(word: str) -> str:
+    if word in ADMINISTRATIVE_VERBS:
+        return f"the client runs {word!r}, and not the supernode; say: stampede supernode {word}"
+    verbs = ", ".join((*PREPARING, *ADMINISTRATIVE_VERBS))
+    return f"there is no verb {word!r}; there are {verbs}, and flags alone start one"

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from stampede_rt.cli.members import reached
-from stampede_rt.cli.supernode import add_place
+from stampede_rt.administration.options import add_cluster_options
+from stampede_rt.administration.running_cluster import reached
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.tls import CLIENT_VARIABLES
@@ -46,7 +46,7 @@ def prepare(argv: Sequence[str]) -> int:
     )
     join = verbs.add_parser("join", help="enter a cluster", description="Enter a running cluster, under a new id.")
     join.set_defaults(run=_run_join)
-    add_place(join)
+    add_cluster_options(join)
     join.add_argument("--token", help="from `stampede supernode add`; left out, one is asked for")
     for verb in (init, join):
         verb.add_argument("--data-dir", type=Path, required=True, metavar="DIR", help="where its log will be kept")

@@ -1,4 +1,4 @@
-"""The supernodes of a running cluster, as the verbs of `stampede supernode` reach them."""
+"""The supernodes of a running cluster: how an operator and a joining supernode reach, list and change them."""
 
 from __future__ import annotations
 
