@@ -3,14 +3,16 @@ from __future__ import annotations
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.security.credentials import read_secret
 from stampede_rt.status import from_rpc_error
-from stampede_rt_runtime.auth import Secret, load_secret, make_secret_file
+from stampede_rt_runtime.auth import Secret, load_client_secret, load_secret, make_secret_file
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 
@@ -74,8 +76,56 @@ def test_a_secret_does_not_show_when_printed() -> None:
     assert "right" not in repr(RIGHT)
 
 
+def test_a_file_may_hold_two_secrets_while_one_takes_the_place_of_the_other(tmp_path: Path) -> None:
+    place = make_secret_file(tmp_path / "secret").path
+    place.write_text("new\n\nold\n")
+    assert load_secret(place) == Secret(text="new", path=place, other="old")
+    assert read_secret(place) == "new"
+    place.write_text("a\nb\nc\n")
+    with pytest.raises(PermissionDenied, match="has 3 lines"):
+        load_secret(place)
+
+
+def test_the_clients_secret_needs_one_of_the_cluster_and_differs_from_it(tmp_path: Path) -> None:
+    clients, cluster = make_secret_file(tmp_path / "clients"), make_secret_file(tmp_path / "cluster")
+    assert load_client_secret(None, cluster) is None
+    assert load_client_secret(clients.path, cluster) == clients
+    with pytest.raises(PermissionDenied, match="its members would have nothing to bring"):
+        load_client_secret(clients.path, None)
+    shared = Secret(text="x", path=cluster.path, other=clients.text)
+    with pytest.raises(PermissionDenied, match="hold the same value"):
+        load_client_secret(clients.path, shared)
+
+
+async def test_both_values_of_a_secret_open_the_port_while_it_is_replaced() -> None:
+    both = Secret(text="right", path=Path("secret"), other="former")
+    async with serving(register, secret=both) as server:
+        for brought in (RIGHT, Secret(text="former", path=Path("secret"))):
+            assert (await first_of_watch(server.address, brought)).status == health_pb2.HealthCheckResponse.SERVING
+        with pytest.raises(grpc.aio.AioRpcError):
+            await first_of_watch(server.address, WRONG)
+
+
+async def test_who_brings_the_clients_secret_may_call_what_clients_call_alone() -> None:
+    clients = Secret(text="for clients", path=Path("clients"))
+    async with serving(register, secret=RIGHT, client_secret=clients) as server:
+        assert (await first_of_watch(server.address, clients)).status == health_pb2.HealthCheckResponse.SERVING
+        async with dial(server.address, secret=clients) as channel:
+            with pytest.raises(grpc.aio.AioRpcError) as caught:
+                await channel.unary_unary("/stampede_rt.v1.MembershipService/RemoveSupernode")(b"", timeout=5)
+    assert caught.value.code() is grpc.StatusCode.PERMISSION_DENIED
+
+
 def register(server: grpc.aio.Server) -> None:
     """The health service is there anyway; its Watch stands for all methods that need the secret."""
+
+    async def never(request: bytes, context: Any) -> bytes:
+        raise AssertionError("nobody here may call it")
+
+    handlers = {"RemoveSupernode": grpc.unary_unary_rpc_method_handler(never)}
+    server.add_generic_rpc_handlers(
+        (grpc.method_handlers_generic_handler("stampede_rt.v1.MembershipService", handlers),)
+    )
 
 
 async def first_of_watch(address: str, secret: Secret | None) -> health_pb2.HealthCheckResponse:

@@ -8,14 +8,18 @@ from pathlib import Path
 import pytest
 
 import stampede_rt.v1
+from stampede_rt_runtime.access.caller import Caller, by_certificate, by_secret
 from stampede_rt_runtime.identity import Identity, Role, identity_among, parse_identity
 from stampede_rt_runtime.roles import roles_for, why_refused
 
 RAFT = "/stampede_rt.v1.RaftService/Exchange"
+REMOVE = "/stampede_rt.v1.MembershipService/RemoveSupernode"
+
+CLIENT = Identity("c", Role.CLIENT, "n")
 
 
-def identity(role: Role, *, cluster: str = "c", name: str = "n") -> Identity:
-    return Identity(cluster, role, name)
+def caller(role: Role, *, name: str = "n") -> Caller:
+    return by_certificate(Identity("c", role, name))
 
 
 def rpcs_of_the_contract() -> list[str]:
@@ -35,7 +39,7 @@ def test_every_rpc_of_the_contract_is_for_somebody(rpc: str) -> None:
 
 def test_only_supernodes_speak_raft() -> None:
     assert roles_for(RAFT) == {Role.SUPERNODE}
-    assert why_refused(RAFT, identity(Role.SUPERNODE), "c") == ""
+    assert why_refused(RAFT, caller(Role.SUPERNODE)) == ""
 
 
 @pytest.mark.parametrize("method", ["RegisterHost", "RenewHostLease", "DeregisterHost"])
@@ -53,20 +57,20 @@ def test_a_client_cannot_change_who_the_supernodes_are() -> None:
 @pytest.mark.parametrize("method", ["/no.Service/Method", "/stampede_rt.v1.NoService/Method", "nonsense", ""])
 def test_what_has_no_row_is_for_nobody(method: str) -> None:
     assert roles_for(method) == frozenset()
-    assert "nobody" in why_refused(method, identity(Role.OPERATOR), "c")
+    assert "nobody" in why_refused(method, caller(Role.OPERATOR))
 
 
 def test_a_refusal_names_the_caller_the_call_and_the_role() -> None:
-    told = why_refused(RAFT, identity(Role.CLIENT, name="cam"), "c")
+    told = why_refused(RAFT, caller(Role.CLIENT, name="cam"))
     assert told == (
         "client cam may not call RaftService/Exchange, which is for supernode; use a certificate of that role"
     )
 
 
-def test_a_certificate_of_another_cluster_is_refused_whatever_its_role() -> None:
-    told = why_refused("/grpc.health.v1.Health/Check", identity(Role.SUPERNODE, cluster="other"), "c")
-    assert "cluster other" in told
-    assert "this is c" in told
+@pytest.mark.parametrize("rpc", [RAFT, "/stampede_rt.v1.DirectoryService/RenewHostLease", REMOVE])
+def test_the_clients_secret_is_no_members(rpc: str) -> None:
+    assert "a holder of the clients' secret may not call" in why_refused(rpc, by_secret(of_cluster=False))
+    assert why_refused(rpc, by_secret(of_cluster=True)) == ""
 
 
 @pytest.mark.parametrize("role", list(Role))
@@ -86,6 +90,6 @@ def test_a_broken_identity_is_none(uri: str) -> None:
 
 
 def test_two_identities_in_one_certificate_are_none() -> None:
-    uris = [identity(Role.CLIENT).uri, identity(Role.SUPERNODE).uri]
+    uris = [CLIENT.uri, Identity("c", Role.SUPERNODE, "n").uri]
     assert identity_among(uris) is None
-    assert identity_among(["https://elsewhere", uris[0]]) == identity(Role.CLIENT)
+    assert identity_among(["https://elsewhere", uris[0]]) == CLIENT

@@ -20,10 +20,24 @@ def secret_file() -> Path:
     return Path(base) / "stampede" / "secret"
 
 
-def read_secret(path: Path | None = None) -> str | None:
-    """The secret in `path` (default: `secret_file()`), or None if there is no such file.
+SECRETS_MAX = 2
 
-    Raises PermissionDenied if the file cannot be read, or if another user may read it.
+
+def read_secret(path: Path | None = None) -> str | None:
+    """The secret in `path` (default: `secret_file()`) that a caller brings: the first line. None if there is no
+    such file, and empty if it is.
+
+    Raises PermissionDenied if the file cannot be used, or if another user may read it.
+    """
+    values = read_secrets(path)
+    return None if values is None else "".join(values[:1])
+
+
+def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
+    """All secrets in `path`, one a line: services accept each. Two at most, so that one can take the place of the
+    other. None if there is no such file.
+
+    Raises PermissionDenied if the file cannot be used, or if another user may read it.
     """
     path = path or secret_file()
     try:
@@ -35,7 +49,13 @@ def read_secret(path: Path | None = None) -> str | None:
         raise PermissionDenied(f"the secret file {path} cannot be read: {error.strerror}") from error
     if stat.S_IMODE(mode) & 0o007:
         raise PermissionDenied(f"the secret file {path} can be read by every user; run: chmod 600 {path}")
-    return text
+    values = tuple(line.strip() for line in text.splitlines() if line.strip())
+    if len(values) > SECRETS_MAX:
+        raise PermissionDenied(
+            f"the secret file {path} has {len(values)} lines; it may hold one secret, or two while one takes the place "
+            "of the other"
+        )
+    return values
 
 
 def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:

@@ -35,7 +35,10 @@ class _Service:
     def __init__(self, settings: HostSettings) -> None:
         self._settings = settings
         self._credentials = settings.load_credentials(Role.HOST)
-        self._server = ServiceServer(secret=self._credentials.secret, tls=self._credentials.tls)
+        credentials = self._credentials
+        self._server = ServiceServer(
+            secret=credentials.secret, client_secret=credentials.client_secret, tls=credentials.tls
+        )
         self._failed = False
         self._health: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
 

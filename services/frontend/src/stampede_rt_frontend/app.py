@@ -46,7 +46,12 @@ class FrontendSettings(ServiceSettings):
 async def serve(settings: FrontendSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or PermissionDenied."""
     credentials = settings.load_credentials(Role.FRONTEND)
-    server = ServiceServer(secret=credentials.secret, tls=credentials.tls, limits=CONTROL_LIMITS)
+    server = ServiceServer(
+        secret=credentials.secret,
+        client_secret=credentials.client_secret,
+        tls=credentials.tls,
+        limits=CONTROL_LIMITS,
+    )
     roster = SupernodeRoster(tuple(dict.fromkeys(settings.supernodes)))
     async with Prober(roster, credentials, explain=credentials.explain) as prober:
         servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)

@@ -1,19 +1,25 @@
-"""Lets a call in by its caller's certificate: the right cluster, and a role that may call the RPC (see `roles`)."""
+"""Lets a call in by what its caller brings: a certificate, a token, a secret; and by the roles that these give."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextvars import ContextVar
 from typing import Any
 
 import grpc
 
-from stampede_rt.errors import PermissionDenied
+from stampede_rt.errors import PermissionDenied, StampedeError
 from stampede_rt.status import abort
+from stampede_rt_runtime.access.caller import ANYONE, Caller
+from stampede_rt_runtime.access.proofs import Accepted, identify, of_certificate_alone
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import why_refused
 from stampede_rt_runtime.rpc import Context
+
+_WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and containers ask it
+_CALLER: ContextVar[Caller] = ContextVar("caller", default=ANYONE)
 
 
 def caller_identity(context: Context) -> Identity | None:
@@ -22,11 +28,16 @@ def caller_identity(context: Context) -> Identity | None:
     return identity_among(uri.decode(errors="replace") for uri in found)
 
 
-class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """For a server that asks for certificates; `own` is the server's identity."""
+def current_caller() -> Caller:
+    """Who made the call that is being served. ANYONE outside of a server, as in tests of single methods."""
+    return _CALLER.get()
 
-    def __init__(self, own: Identity) -> None:
-        self._own = own
+
+class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
+    """Refuses every call whose caller brings no proof that the service accepts, or may not make that call."""
+
+    def __init__(self, accepted: Accepted) -> None:
+        self._accepted = accepted
 
     async def intercept_service(
         self,
@@ -34,26 +45,48 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
         """The method's handler, which looks at the caller first."""
+        method = handler_call_details.method
         handler = await continuation(handler_call_details)
         if handler is None:
-            return None
-        method = handler_call_details.method
+            return self._unknown(method)
 
         @contextlib.asynccontextmanager
         async def admitted(context: Context) -> AsyncIterator[None]:
-            await self._admit(method, context)
+            try:
+                caller = self._caller(method, context)
+                if refusal := why_refused(method, caller):
+                    raise PermissionDenied(refusal)
+            except StampedeError as error:
+                await abort(context, error)
+            _CALLER.set(caller)  # for the rest of the call, which has a task of its own
             yield
 
         return guarded(handler, admitted)
 
-    async def _admit(self, method: str, context: Context) -> None:
-        caller = caller_identity(context)
-        if caller is None:
-            refusal = (
-                "the caller's certificate names no one role of a cluster (one URI stampede://CLUSTER/ROLE/NAME); "
-                "issue it with `stampede certs issue`"
-            )
-        else:
-            refusal = why_refused(method, caller, self._own.cluster)
-        if refusal:
-            await abort(context, PermissionDenied(refusal))
+    def _unknown(self, method: str) -> Any:
+        """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes.
+
+        Who brings no proof is told nothing of what there is.
+        """
+
+        async def refuse(_requests: Any, context: Context) -> None:
+            try:
+                self._caller(method, context)
+            except StampedeError as error:
+                await abort(context, error)
+            await context.abort(grpc.StatusCode.UNIMPLEMENTED, f"Method not found: {method}")
+
+        return grpc.stream_stream_rpc_method_handler(refuse)
+
+    def _caller(self, method: str, context: Context) -> Caller:
+        certificate = caller_identity(context) if self._accepted.cluster else None
+        if method in _WITHOUT_SECRET:
+            return of_certificate_alone(self._accepted, certificate)
+        return identify(self._accepted, _authorization(context), certificate)
+
+
+def _authorization(context: Context) -> bytes | None:
+    for key, value in context.invocation_metadata() or ():
+        if key == "authorization":
+            return value if isinstance(value, bytes) else value.encode()
+    return None

@@ -1,32 +1,32 @@
-"""The shared secret of a cluster without certificates: making its file, and asking every caller for it."""
+"""The secrets of a cluster without certificates: making the cluster's file, and reading it and that of the clients."""
 
 from __future__ import annotations
 
-import hmac
 import os
 import secrets
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import grpc
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt.security.credentials import read_secret, secret_file
-from stampede_rt.status import abort
+from stampede_rt.security.credentials import read_secrets, secret_file
 from stampede_rt_runtime.written import naming
-
-_OPEN_METHODS = frozenset({"/grpc.health.v1.Health/Check"})
-_SCHEME = "Bearer "
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Secret:
-    """The secret and where it lies. Never logged: `repr` leaves the text out."""
+    """The secret and where it lies. Never logged: `repr` leaves the text out.
+
+    `other`: a second value that is accepted besides, while one takes the place of the other; empty: none.
+    """
 
     text: str = field(repr=False)
     path: Path
+    other: str = field(default="", repr=False)
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """What callers may bring."""
+        return (self.text, self.other) if self.other else (self.text,)
 
 
 def load_secret(path: Path | None) -> Secret | None:
@@ -35,14 +35,36 @@ def load_secret(path: Path | None) -> Secret | None:
     Raises PermissionDenied if the file is missing, empty, or may be read by others.
     """
     secret_path = path or secret_file()
-    text = read_secret(secret_path)
-    if text is None:
+    values = read_secrets(secret_path)
+    if values is None:
         if path is None and "STAMPEDE_SECRET_FILE" not in os.environ:
             return None
         raise PermissionDenied(f"there is no secret file {secret_path}; make one with `stampede dev`, or name another")
-    if not text:
+    if not values:
         raise PermissionDenied(f"the secret file {secret_path} is empty; remove it, and `stampede dev` makes a new one")
-    return Secret(text=text, path=secret_path)
+    return Secret(text=values[0], path=secret_path, other=values[1] if len(values) > 1 else "")
+
+
+def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | None:
+    """The clients' secret in `path`; None: they have none of their own. `secret`: the cluster's.
+
+    Raises PermissionDenied as `load_secret`, and if the two do not tell clients from members.
+    """
+    if path is None:
+        return None
+    found = load_secret(path)
+    assert found is not None, "an explicit path never gives None"
+    if secret is None:
+        raise PermissionDenied(
+            f"the clients have a secret, {path}, and the cluster has none: its members would have nothing to bring; "
+            "give the services --secret-file, too"
+        )
+    if set(found.accepted) & set(secret.accepted):
+        raise PermissionDenied(
+            f"{path} and {secret.path} hold the same value, and whoever has it would count as a member; make another "
+            "one for the clients"
+        )
+    return found
 
 
 def make_secret_file(path: Path | None = None) -> Secret:
@@ -71,47 +93,3 @@ def _create(secret_path: Path) -> None:
         pass  # another process made it meanwhile; its secret is the one
     finally:
         draft.unlink()
-
-
-class SecretInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Refuses every call that does not bring the secret, except the health check, which load balancers make."""
-
-    def __init__(self, secret: Secret) -> None:
-        self._expected = (_SCHEME + secret.text).encode()
-        self._refusal: grpc.RpcMethodHandler[Any, Any] = grpc.stream_stream_rpc_method_handler(_refuse)
-
-    async def intercept_service(
-        self,
-        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[grpc.RpcMethodHandler[Any, Any] | None]],
-        handler_call_details: grpc.HandlerCallDetails,
-    ) -> grpc.RpcMethodHandler[Any, Any] | None:
-        """The method's handler, or one that refuses."""
-        if handler_call_details.method in _OPEN_METHODS or self._brings_secret(handler_call_details):
-            return await continuation(handler_call_details)
-        return self._refusal
-
-    def _brings_secret(self, details: grpc.HandlerCallDetails) -> bool:
-        for key, value in details.invocation_metadata:
-            if key == "authorization":
-                given = value if isinstance(value, bytes) else value.encode()
-                return hmac.compare_digest(given, self._expected)
-        return False
-
-
-async def _refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -> None:
-    """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes."""
-    brought = any(key == "authorization" for key, _ in context.invocation_metadata() or ())
-    searched_files = (
-        "the file that --secret-file or $STAMPEDE_SECRET_FILE names, else $XDG_CONFIG_HOME/stampede/secret, else "
-        "~/.config/stampede/secret"
-    )
-    if brought:
-        what = "the call brought a secret that differs from the service's"
-        remedy = f"the caller read its secret from {searched_files}: replace that file by the service's own"
-    else:
-        what = "the call brought no secret"
-        remedy = (
-            f"copy the service's secret file to one of the files that callers read: {searched_files}. A client sends "
-            "it to another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it"
-        )
-    await abort(context, PermissionDenied(f"{what}; {remedy}", reason="UNAUTHENTICATED"))

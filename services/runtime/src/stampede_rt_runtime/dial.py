@@ -62,9 +62,13 @@ def _open(target: str, options: list[Option], tls: TlsReader | None) -> grpc.aio
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Dialer:
-    """Opens a service's connections, all with the same credentials; callable in the place of `dial`."""
+    """Opens a service's connections, all with the same credentials; callable in the place of `dial`.
+
+    `client_secret` is what its own callers may bring; it is brought to nobody.
+    """
 
     secret: Secret | None
+    client_secret: Secret | None = None
     tls: ServiceTls | None = None
 
     def __call__(self, target: str) -> grpc.aio.Channel:

@@ -14,7 +14,7 @@ from typing import TypeVar
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles
 from stampede_rt_runtime import allocator, open_files
-from stampede_rt_runtime.auth import Secret, load_secret
+from stampede_rt_runtime.auth import Secret, load_client_secret, load_secret
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.listen import CannotListen, NotAllowed
@@ -36,6 +36,13 @@ class ServiceSettings:
         metadata=setting(
             metavar="FILE",
             help="the shared secret; without it: stampede/secret in the user's config folder, if that is there",
+        ),
+    )
+    client_secret_file: Path | None = field(
+        default=None,
+        metadata=setting(
+            metavar="FILE",
+            help="the clients' secret; whoever brings it may do what clients do, and nothing that members do",
         ),
     )
     allow_insecure_anywhere: bool = field(
@@ -77,8 +84,10 @@ class ServiceSettings:
         return load_tls(TlsFiles(ca=self.tls_ca, certificate=self.tls_certificate, key=self.tls_key), role)
 
     def load_credentials(self, role: Role) -> Dialer:
-        """Secret and certificates together, as its server and its outgoing connections need them."""
-        return Dialer(secret=self.load_secret(), tls=self.load_tls(role))
+        """Secrets and certificates together, as its server and its outgoing connections need them."""
+        secret = self.load_secret()
+        clients = load_client_secret(self.client_secret_file, secret)
+        return Dialer(secret=secret, client_secret=clients, tls=self.load_tls(role))
 
 
 S = TypeVar("S", bound=ServiceSettings)

@@ -1,4 +1,4 @@
-"""Which role may call which RPC of a cluster with certificates. Pure.
+"""Which role may call which RPC. Pure.
 
 One row for each service of the contract, and one for each RPC that differs from its service. What has no row is
 refused: whoever adds a service decides here who it is for.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt_runtime.identity import Identity, Role
+from stampede_rt_runtime.access.caller import ALL_ROLES, Caller, CallerKind
+from stampede_rt_runtime.identity import Role
 
 PACKAGE = "stampede_rt.v1"
 
@@ -70,15 +71,17 @@ def roles_for(method: str) -> frozenset[Role]:
     return _METHODS.get(f"{service}/{name}", _SERVICES.get(service, frozenset()))
 
 
-def why_refused(method: str, caller: Identity, own_cluster: str) -> str:
+def why_refused(method: str, caller: Caller) -> str:
     """Why `caller` may not call `method`, as one sentence; empty if it may."""
-    if caller.cluster != own_cluster:
-        return f"the certificate is one of cluster {caller.cluster}, and this is {own_cluster}; use one of this cluster"
     allowed = roles_for(method)
-    if caller.role in allowed:
+    if caller.roles == ALL_ROLES or caller.roles & allowed:
         return ""
     who = " or ".join(sorted(allowed)) or "nobody"
-    return (
-        f"{caller.role} {caller.name} may not call {method.rpartition('.')[2]}, which is for {who}; "
-        "use a certificate of that role"
-    )
+    return f"{caller} may not call {method.rpartition('.')[2]}, which is for {who}; {_WAYS_OUT[caller.kind]}"
+
+
+_WAYS_OUT: Mapping[CallerKind, str] = {
+    CallerKind.CERTIFICATE: "use a certificate of that role",
+    CallerKind.TOKEN: "use a token, a certificate or a secret of that role",
+    CallerKind.CLIENT_SECRET: "use a token of that role, or the cluster's secret",
+}

@@ -11,8 +11,9 @@ from typing import Any
 
 import grpc
 
+from stampede_rt_runtime.access.proofs import Accepted
 from stampede_rt_runtime.admission import AdmissionInterceptor
-from stampede_rt_runtime.auth import Secret, SecretInterceptor
+from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.capacity import CapacityInterceptor
 from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
@@ -29,15 +30,29 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 class ServiceServer:
     """One listening server. Order of use: make, `bind`, register servicers on `.grpc`, `start`, then `run` or `stop`.
 
-    Must be made on the event loop that serves. With `tls` every caller must
-    bring a certificate whose role may call what it calls. With neither secret nor `tls` every caller is let in.
+    Must be made on the event loop that serves. With `tls` every caller must bring a certificate whose role may call
+    what it calls. With `secret` every caller brings that one, and may call everything, or `client_secret`, and may call
+    what clients do. With neither `secret` nor `tls` every caller is let in.
     """
 
-    def __init__(self, *, secret: Secret | None, limits: Limits | None = None, tls: ServiceTls | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        secret: Secret | None,
+        client_secret: Secret | None = None,
+        limits: Limits | None = None,
+        tls: ServiceTls | None = None,
+    ) -> None:
         limits = limits or Limits()
+        accepted = Accepted(
+            secrets=secret.accepted if secret else (),
+            client_secrets=client_secret.accepted if client_secret else (),
+            cluster=tls.identity.cluster if tls else "",
+        )
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            interceptors=_interceptors(secret, tls, limits),
+            # The first is the outermost: who may not call takes no slot.
+            interceptors=[AdmissionInterceptor(accepted), CapacityInterceptor(limits)],
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),
         )
@@ -102,13 +117,6 @@ class ServiceServer:
         await self.grpc.stop(DRAIN_SECONDS)
 
 
-def _interceptors(secret: Secret | None, tls: ServiceTls | None, limits: Limits) -> list[grpc.aio.ServerInterceptor]:
-    """The first is the outermost: who may not call takes no slot."""
-    asked: list[grpc.aio.ServerInterceptor] = [SecretInterceptor(secret)] if secret else []
-    admitted = [*asked, AdmissionInterceptor(tls.identity)] if tls else asked
-    return [*admitted, CapacityInterceptor(limits)]
-
-
 async def _bounded(work: Awaitable[Any]) -> None:
     try:
         await asyncio.wait_for(work, DRAIN_SECONDS)
@@ -135,11 +143,12 @@ async def serving(
     *,
     listen: str = "localhost:0",
     secret: Secret | None = None,
+    client_secret: Secret | None = None,
     limits: Limits | None = None,
     tls: ServiceTls | None = None,
 ) -> AsyncIterator[ServiceServer]:
     """A started server for as long as the block lasts, loopback only; for tests and for servers inside a client."""
-    server = ServiceServer(secret=secret, limits=limits, tls=tls)
+    server = ServiceServer(secret=secret, client_secret=client_secret, limits=limits, tls=tls)
     server.bind(listen)
     register(server.grpc)
     await server.start()

@@ -59,7 +59,12 @@ async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
     gc.disable()
     credentials = settings.load_credentials(Role.SUPERNODE)
-    server = ServiceServer(secret=credentials.secret, tls=credentials.tls, limits=CONTROL_LIMITS)
+    server = ServiceServer(
+        secret=credentials.secret,
+        client_secret=credentials.client_secret,
+        tls=credentials.tls,
+        limits=CONTROL_LIMITS,
+    )
     # Bound before anything else: the log must know the address, and others hear of it.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)

@@ -1,0 +1,65 @@
+"""Who makes a call: by which proof, under which name, in which roles. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from stampede_rt_runtime.identity import SERVICES, Identity, Role
+
+
+class CallerKind(StrEnum):
+    """What proves who the caller is."""
+
+    CERTIFICATE = "certificate"
+    TOKEN = "token"
+    CLIENT_SECRET = "client secret"
+    CLUSTER_SECRET = "cluster secret"
+    NOBODY = "nobody"  # the service asks for no proof
+
+
+ALL_ROLES = frozenset(Role)
+UNJUDGED = SERVICES | {Role.OPERATOR}
+_NAMELESS = {
+    CallerKind.CLIENT_SECRET: ("@clients", "a holder of the clients' secret"),
+    CallerKind.CLUSTER_SECRET: ("@cluster", "a holder of the cluster's secret"),
+    CallerKind.NOBODY: ("@anyone", "a caller without a credential"),
+}
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Caller:
+    """One caller. `name` is what rules know it by; no certificate or token bears one that begins with "@".
+
+    `serial` tells a certificate or token from others of the same name; empty: it has none.
+    """
+
+    kind: CallerKind
+    roles: frozenset[Role]
+    name: str
+    serial: str = ""
+
+    def __str__(self) -> str:
+        if self.kind in _NAMELESS:
+            return _NAMELESS[self.kind][1]
+        return f"{' and '.join(sorted(self.roles))} {self.name}"
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether rules say what it may do. Members of the cluster, and operators, may do everything."""
+        return not self.roles & UNJUDGED
+
+
+ANYONE = Caller(kind=CallerKind.NOBODY, roles=ALL_ROLES, name="@anyone")
+
+
+def by_secret(*, of_cluster: bool) -> Caller:
+    """Who brings the cluster's secret, or that of its clients."""
+    if of_cluster:
+        return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name="@cluster")
+    return Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset({Role.CLIENT}), name="@clients")
+
+
+def by_certificate(identity: Identity, serial: str = "") -> Caller:
+    """Who brings that certificate."""
+    return Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({identity.role}), name=identity.name, serial=serial)

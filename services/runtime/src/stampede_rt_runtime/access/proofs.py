@@ -1,0 +1,101 @@
+"""From what a call brings to who makes it. Pure."""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_runtime.access.caller import ANYONE, Caller, by_certificate, by_secret
+from stampede_rt_runtime.identity import Identity
+
+SCHEME = b"Bearer "
+_SEARCHED_FILES = (
+    "the file that --secret-file or $STAMPEDE_SECRET_FILE names, else $XDG_CONFIG_HOME/stampede/secret, else "
+    "~/.config/stampede/secret"
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Accepted:
+    """The proofs that a service accepts. Without any it asks for none.
+
+    `cluster`: the cluster of its own certificate, without which callers need none. `read_token`: the caller that a
+    token names, None for a text that is no token; raises PermissionDenied or Unavailable.
+    """
+
+    secrets: tuple[str, ...] = field(default=(), repr=False)
+    client_secrets: tuple[str, ...] = field(default=(), repr=False)
+    cluster: str = ""
+    read_token: Callable[[str], Caller | None] = lambda text: None
+
+
+def identify(accepted: Accepted, authorization: bytes | None, certificate: Identity | None) -> Caller:
+    """Who brings that metadata and that certificate. Raises PermissionDenied, and what `read_token` raises."""
+    certified = _certified(accepted, certificate) if accepted.cluster else None
+    brought = _brought(authorization)
+    token = _token(accepted, brought)
+    if token is not None:
+        return token  # beside a certificate, too, which many clients may share: the cluster has signed the token
+    secret = _by_secret(accepted, brought) if accepted.secrets else None
+    return certified or secret or ANYONE
+
+
+def of_certificate_alone(accepted: Accepted, certificate: Identity | None) -> Caller:
+    """For calls that need no secret: who the certificate says, if certificates are asked for."""
+    return _certified(accepted, certificate) if accepted.cluster else ANYONE
+
+
+def _brought(authorization: bytes | None) -> bytes | None:
+    """Empty: something that is none of ours."""
+    if authorization is None:
+        return None
+    return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""
+
+
+def _certified(accepted: Accepted, certificate: Identity | None) -> Caller:
+    if certificate is None:
+        raise PermissionDenied(
+            "the caller's certificate names no one role of a cluster (one URI stampede://CLUSTER/ROLE/NAME); "
+            "issue it with `stampede certs issue`"
+        )
+    if certificate.cluster != accepted.cluster:
+        raise PermissionDenied(
+            f"the certificate is one of cluster {certificate.cluster}, and this is {accepted.cluster}; "
+            "use one of this cluster"
+        )
+    return by_certificate(certificate)
+
+
+def _token(accepted: Accepted, brought: bytes | None) -> Caller | None:
+    if brought is None:
+        return None
+    try:
+        return accepted.read_token(brought.decode())
+    except UnicodeDecodeError:
+        return None
+
+
+def _by_secret(accepted: Accepted, brought: bytes | None) -> Caller:
+    if brought is None:
+        raise _refused(
+            "the call brought no secret",
+            f"copy the service's secret file to one of the files that callers read: {_SEARCHED_FILES}. A client sends "
+            "it to another machine only if $STAMPEDE_SECRET_FILE, or connect(secret=...), names it",
+        )
+    for secrets, of_cluster in ((accepted.secrets, True), (accepted.client_secrets, False)):
+        if _is_one_of(brought, secrets):
+            return by_secret(of_cluster=of_cluster)
+    raise _refused(
+        "the call brought a secret that differs from the service's",
+        f"the caller read its secret from {_SEARCHED_FILES}: replace that file by the service's own",
+    )
+
+
+def _is_one_of(brought: bytes, secrets: tuple[str, ...]) -> bool:
+    return any(hmac.compare_digest(brought, secret.encode()) for secret in secrets)
+
+
+def _refused(what: str, remedy: str) -> PermissionDenied:
+    return PermissionDenied(f"{what}; {remedy}", reason="UNAUTHENTICATED")

@@ -1,0 +1,82 @@
+"""From what a call brings to who makes it."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_runtime.access.caller import ALL_ROLES, ANYONE, Caller, CallerKind
+from stampede_rt_runtime.access.proofs import Accepted, identify
+from stampede_rt_runtime.identity import Identity, Role
+
+TOKEN = Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name="cam", serial="1")
+
+
+def read_token(text: str) -> Caller | None:
+    if text == "token-that-is-over":
+        raise PermissionDenied("the token is over", reason="UNAUTHENTICATED")
+    return TOKEN if text == "token" else None
+
+
+OPEN = Accepted(read_token=read_token)
+ONE = Accepted(secrets=("s",), read_token=read_token)
+TWO = Accepted(secrets=("s", "s-new"), client_secrets=("c", "c-new"), read_token=read_token)
+CERTIFIED = Accepted(cluster="lab", read_token=read_token)
+HOST = Identity("lab", Role.HOST, "h1")
+
+
+@pytest.mark.parametrize(
+    ("accepted", "brought", "certificate", "name", "roles"),
+    [
+        (OPEN, None, None, "@anyone", ALL_ROLES),
+        (OPEN, b"Bearer whatever", None, "@anyone", ALL_ROLES),
+        (OPEN, b"Bearer token", None, "cam", {Role.CLIENT}),
+        (ONE, b"Bearer s", None, "@cluster", ALL_ROLES),
+        (ONE, b"Bearer token", None, "cam", {Role.CLIENT}),
+        (TWO, b"Bearer s-new", None, "@cluster", ALL_ROLES),
+        (TWO, b"Bearer c", None, "@clients", {Role.CLIENT}),
+        (TWO, b"Bearer c-new", None, "@clients", {Role.CLIENT}),
+        (CERTIFIED, None, HOST, "h1", {Role.HOST}),
+        (CERTIFIED, b"Bearer s", HOST, "h1", {Role.HOST}),
+        (CERTIFIED, b"Bearer token", HOST, "cam", {Role.CLIENT}),
+    ],
+)
+def test_each_proof_gives_a_name_and_roles(
+    accepted: Accepted, brought: bytes | None, certificate: Identity | None, name: str, roles: set[Role]
+) -> None:
+    caller = identify(accepted, brought, certificate)
+    assert (caller.name, caller.roles) == (name, roles)
+
+
+@pytest.mark.parametrize(
+    ("accepted", "brought", "certificate", "told"),
+    [
+        (ONE, None, None, "brought no secret"),
+        (ONE, b"s", None, "a secret that differs"),
+        (ONE, b"bearer s", None, "a secret that differs"),
+        (ONE, b"Bearer ", None, "a secret that differs"),
+        (ONE, b"Bearer \xff", None, "a secret that differs"),
+        (ONE, b"Bearer c", None, "a secret that differs"),
+        (ONE, b"Bearer token-that-is-over", None, "the token is over"),
+        (CERTIFIED, b"Bearer token", None, "names no one role"),
+        (CERTIFIED, None, Identity("other", Role.HOST, "h1"), "cluster other, and this is lab"),
+    ],
+)
+def test_what_is_no_proof_is_refused_and_told_why(
+    accepted: Accepted, brought: bytes | None, certificate: Identity | None, told: str
+) -> None:
+    with pytest.raises(PermissionDenied, match=told):
+        identify(accepted, brought, certificate)
+
+
+def test_rules_judge_clients_and_nobody_who_could_change_them_or_holds_the_data() -> None:
+    assert TOKEN.is_judged
+    assert not ANYONE.is_judged
+    for role in Role:
+        caller = Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({role}), name="n")
+        assert caller.is_judged == (role is Role.CLIENT)
+
+
+def test_secrets_are_not_shown() -> None:
+    assert "s-new" not in repr(TWO)
+    assert "c-new" not in repr(TWO)
