@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import pytest
 
@@ -11,6 +12,7 @@ from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.records import policy_to_spec
 from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels import sweep
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import IncomingRun
@@ -78,6 +80,28 @@ async def test_channels_in_which_nothing_happens_cost_a_sweep_nothing() -> None:
     host.put(idle[7], b"y")
     await host.sweep.sweep()
     assert host.sweep.looked_at <= 3
+
+
+async def test_a_step_of_the_sweep_frees_few_entries_however_many_channels_have_some(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    host = Host()
+    channels = [host.open(Policy(max_age_nanos=S)) for _ in range(40)]
+    for channel in channels:
+        for _ in range(100):
+            host.put(channel, b"x")
+            host.clock.advance(1)
+    await host.sweep.sweep()
+    freed: list[int] = []
+
+    async def give_way() -> None:
+        freed.append(sum(one.channel.freed_entries for one in channels))
+
+    monkeypatch.setattr(sweep, "_give_way", give_way)
+    host.clock.advance(2 * S)
+    await host.sweep.sweep()
+    assert sum(one.channel.freed_entries for one in channels) == 40 * 99
+    assert max(after - before for before, after in pairwise(freed)) <= 3 * sweep.ENTRIES_PER_STEP_MAX
 
 
 async def test_what_is_known_of_producers_is_charged_and_goes_without_another_put() -> None:

@@ -23,8 +23,8 @@ from stampede_rt_channel_host.core.channel import (
     pieces,
     seq_set,
 )
-from stampede_rt_channel_host.core.channel.consumption import RANGES_PER_LOOK_MAX
-from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX
+from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, RANGES_PER_LOOK_MAX, Consumers
+from stampede_rt_channel_host.core.channel.retention import SLICES_AGED_MAX, SLICES_USED_UP_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.unit.core.channels import CLOCK, a_channel, put
 
@@ -333,3 +333,59 @@ def test_items_that_all_come_late_are_counted_in_blocks_too(looked: Counter) -> 
     channel.configure(Policy(max_items=ITEMS // 2, max_age_nanos=10**12), CLOCK)
     assert channel.counters(CLOCK).held == ITEMS // 2
     assert looked.slices <= 3 * BLOCK_ITEMS + 20
+
+
+def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() -> None:
+    """One consume after 200,000 such ranges took 228 ms."""
+    consumers, end = Consumers(1), 40_001
+    consumers.consume(1, range(2, end, 2), next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
+    consumers.let_go(1, end)
+    done = consumers._taken[1].done
+    assert done is not None
+    left = [done.range_count]
+    while left[-1]:
+        consumers.consume(1, [], next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
+        left.append(done.range_count)
+    assert max(before - after for before, after in pairwise(left)) <= 2 * RANGES_PER_LOOK_MAX + 16
+    assert done.below == end
+
+
+def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> None:
+    consumers, end = Consumers(1), 40_001
+    for seq in range(2, end, 2):
+        consumers.let_go(seq, seq + 1)
+    seq, left = 1, [consumers._gone.range_count]
+    while seq < end:
+        seq = consumers.let_go_some(seq, end, ranges_max=8)
+        left.append(consumers._gone.range_count)
+    assert max(before - after for before, after in pairwise(left)) <= 2 * 8
+    assert consumers._gone.ranges == []
+
+
+def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 200,000 items, consumed out of the order in which they go, one status took 6 x 256."""
+    channel = backwards(ITEMS, consumers=2)
+    for consumer in (1, 2):
+        channel.consume(consumer, [], CLOCK)
+    told, let_go = 0, Consumers.let_go
+
+    def counting(self: Consumers, first: int, end: int) -> None:
+        nonlocal told
+        told += 1
+        let_go(self, first, end)
+
+    monkeypatch.setattr(Consumers, "let_go", counting)
+    for first in range(2, ITEMS + 1, 4096):  # not the first item, which is the newest one
+        seqs = range(first, min(first + 4096, ITEMS + 1))
+        for consumer in (1, 2):
+            channel.consume(consumer, seqs, CLOCK)
+    for look in (channel.counters, channel.next_deadline, channel.collect):
+        told = 0
+        look(CLOCK)
+        assert told <= 2 * SLICES_USED_UP_MAX
+        assert channel.oldest is not None
+        assert channel.frontier is None
+        assert told <= 2 * SLICES_USED_UP_MAX, "a look at the same moment takes nothing more"
+    while channel.collect(CLOCK):
+        pass
+    assert channel.counters(CLOCK).held == 1

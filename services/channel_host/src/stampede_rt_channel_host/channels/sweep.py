@@ -15,6 +15,8 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 
 ROUND_SECONDS = 0.5
 CHANNELS_PER_STEP_MAX = 256
+ENTRIES_PER_STEP_MAX = 128
+STEPS_PER_RECLAIM = 4
 
 
 class Sweep:
@@ -47,25 +49,35 @@ class Sweep:
             await _give_way()
 
     def reclaim(self) -> None:
-        """Collect what is due, a bounded part, because memory is short."""
-        self._step()
+        """Collect what is due, a bounded part, because memory is short: a put waits for it."""
+        for _ in range(STEPS_PER_RECLAIM):
+            if not self._step():
+                return
 
     def _step(self) -> bool:
-        """A bounded part; True if more is left to do at once."""
+        """A bounded part, however many channels have something to free; True if more is left to do at once."""
+        freed_entries = 0
         for _ in range(CHANNELS_PER_STEP_MAX):
-            hosted = next(iter(self._touched), None)
-            if hosted is not None:
-                del self._touched[hosted]
-                self._enter(hosted)
-            elif (hosted := self._deadlines.pop(self._now())) is not None:
-                self.looked_at += 1
-                more = hosted.collect(self._now())
-                self._enter(hosted)
-                if more:
-                    return True
-            else:
+            hosted = next(iter(self._touched), None) or self._deadlines.pop(self._now())
+            if hosted is None:
                 return False
+            before = hosted.channel.freed_entries
+            more = self._look_at(hosted)
+            freed_entries += hosted.channel.freed_entries - before
+            if more or freed_entries >= ENTRIES_PER_STEP_MAX:
+                return True
         return True
+
+    def _look_at(self, hosted: HostedChannel) -> bool:
+        """Enter a channel that was touched, or collect what is due in it; True if more is left to collect at once."""
+        more = False
+        if hosted in self._touched:
+            del self._touched[hosted]
+        else:
+            self.looked_at += 1
+            more = hosted.collect(self._now())
+        self._enter(hosted)
+        return more
 
     def _enter(self, hosted: HostedChannel) -> None:
         self.looked_at += 1

@@ -90,6 +90,7 @@ class ChannelCore:
         self._reading = Reading(self._held, self._retention, incarnation, lost_before)
         self._clock: int | None = None
         self._puts_unsettled = 0
+        self._settled: int | None = None
         self._entries_to_free = 0  # what puts may have brought in since they last freed
 
     def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
@@ -277,7 +278,7 @@ class ChannelCore:
         """Let consumers know all that was collected, in pieces: do it before `consume` and `restore_consumers`, which
         otherwise do it at once."""
         self._settle(self._tick(now))
-        while self._retention.learn_gone(pieces.STEPS_PER_PIECE):
+        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # each takes longer than to look at a slice
             yield
 
     def consumers(self, now: int) -> list[ConsumerStanding]:
@@ -306,10 +307,10 @@ class ChannelCore:
             self._retention.consumers.restore(places, clock)
             self._settle(clock)
 
-    def collect(self, now: int, entries_max: int = 512) -> bool:
+    def collect(self, now: int, entries_max: int = 128) -> bool:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
-        knows_less = self._retention.learn_gone(entries_max)
+        knows_less = self._retention.learn_gone(entries_max // 2)  # which takes longer
         return self._held.free(entries_max) or knows_less or self._retention.has_more
 
     def emptying(self) -> Pieces[None]:
@@ -354,6 +355,11 @@ class ChannelCore:
         return self._held.footprint_bytes
 
     @property
+    def freed_entries(self) -> int:
+        """How many entries of the index were freed so far: a measure of the work that was done."""
+        return self._held.freed_entries
+
+    @property
     def policy(self) -> Policy:
         """The policy as stated."""
         return self._policy
@@ -395,12 +401,13 @@ class ChannelCore:
         return self._clock
 
     def _age(self) -> None:
-        if self._clock is not None:
+        """As of the last call; what was settled at that time already is left as it is."""
+        if self._clock is not None and (self._puts_unsettled or self._settled != self._clock):
             self._retention.apply_time(self._clock)
 
     def _settle(self, clock: int) -> int:
         """Let go what time has outdated, and free a little."""
-        self._puts_unsettled = 0
+        self._puts_unsettled, self._settled = 0, clock
         if self._retention.consumers is None:
             self._retention.age_out(clock)
         else:

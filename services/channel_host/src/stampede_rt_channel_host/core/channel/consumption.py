@@ -37,6 +37,9 @@ LEASE_NANOS_MAX = 3_600_000_000_000
 SEQS_MAX = 4096
 RANGES_PER_LOOK_MAX = 256
 """So many ranges of seqs one call goes on behind what a consumer has consumed."""
+SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
+RANGE_STEPS = 4
+"""To count what has gone within a range of consumed seqs takes as long as so many slices."""
 
 
 class Consumed(NamedTuple):
@@ -138,8 +141,8 @@ class Consumers:
         place, done = self._take(consumer_id, next_seq if newest_seq is None else newest_seq)
         items, ranges = 0, _ranges(seqs)
         for first, end in ranges:
-            for known in self._gone.touching(first, end):
-                done.add(*known)
+            for low, high in self._gone.touching(first, end):
+                done.add(max(low, first), min(high, end))
             items += done.add(first, end)
         self._tidy(place, done, len(ranges) + 16)
         place.until = clock + lease
@@ -196,11 +199,9 @@ class Consumers:
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
         """It has done more: it stands where that says, or, where it would go on for long, a part of the way there."""
-        for _ in range(RANGES_PER_LOOK_MAX):
-            end = self._gone.end_of(done.below)
-            if end == done.below:
-                break
-            done.add(done.below, end)
+        left = RANGES_PER_LOOK_MAX
+        while left > 0 and (end := self._gone.end_of(done.below)) > done.below:
+            left -= 1 + _go_on(done, done.below, end, left)
         if done.below != place.below:
             self._live.remove(place)
             place.below = done.below
@@ -208,18 +209,24 @@ class Consumers:
 
     def _tidy(self, place: _Place, done: SeqSet, ranges: int) -> None:
         """Take in what has gone behind so many of its ranges: they never are many more than items are held."""
-        for _ in range(ranges):
+        while ranges > 0:
             found = done.first_range(place.tidied)
             if found is None:
                 place.tidied = 0
                 return
             end = self._gone.end_of(found[1])
             place.tidied = found[1] if end == found[1] else found[0]
-            done.add(found[1], end)
+            ranges -= 1 + _go_on(done, found[1], end, ranges)
 
     def let_go(self, first: int, end: int) -> None:
         """Items were collected, whatever for: nobody owes them any more."""
         self._gone.add(first, end)
+
+    def let_go_some(self, first: int, end: int, ranges_max: int) -> int:
+        """The same of a stretch of which much may be known to be gone: a bounded part. How far it came."""
+        end = min(self._gone.until(first, end, ranges_max), first + SEQS_PER_LOOK_MAX)
+        self._gone.add(first, end)
+        return end
 
     def resize(self, places: int) -> None:
         """Another number of places. Of too many taken ones go first those that ended, then the soonest to end."""
@@ -275,8 +282,9 @@ class Consumers:
             seq = place.done.below
             while place.done is not None and (found := place.done.first_range(seq)) is not None:
                 waiting -= found[1] - found[0] - self._gone.count(*found)
-                seq, steps = found[1], steps + 1
-                if steps % pieces.STEPS_PER_PIECE == 0:
+                seq, steps = found[1], steps + RANGE_STEPS
+                if steps >= pieces.STEPS_PER_PIECE:
+                    steps = 0
                     yield
             shown.append(ConsumerStanding(place.consumer_id, lease, max(0, waiting)))
             if steps >= pieces.STEPS_PER_PIECE:
@@ -302,6 +310,13 @@ class Consumers:
                 self._leases.arm(place, place.until)
                 self._rank(place, done)
         self.resize(self._places)
+
+
+def _go_on(done: SeqSet, first: int, end: int, ranges_max: int) -> int:
+    """Put in seqs from `first` on, up to `end` at most: so many that about `ranges_max` ranges become one. How many."""
+    before = done.range_count
+    done.add(first, done.until(first, end, ranges_max))
+    return max(0, before - done.range_count)
 
 
 def _worth(place: _Place) -> tuple[bool, int]:

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 
-TOLD_SLICES_MAX = 256
+TOLD_SLICES_MAX = 64
 """Of so many slices consumers hear at once that they were collected; the next calls go on."""
 
 FREED_ENTRIES_MAX = 2048
@@ -41,13 +41,14 @@ class Holdings:
     `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
     or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
     `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection.
-    `overlap_nanos`: how long a later item does not cut one with a duration.
+    `overlap_nanos`: how long a later item does not cut one with a duration. `freed_entries`: so many were freed so far.
     """
 
     __slots__ = (
         "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest",
         "_on_gone", "_snapshots", "_stored_bytes", "_stored_items", "_tally", "_told",
-        "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "index", "items",
+        "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "freed_entries", "index",
+        "items",
         "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes",
     )  # fmt: skip
 
@@ -80,6 +81,7 @@ class Holdings:
         self._stored_items = 0  # their items
         self._kept_body_bytes = 0  # of every run with an entry in the index
         self._cut = cut
+        self.freed_entries = 0
 
     @property
     def next_seq(self) -> int:
@@ -412,6 +414,7 @@ class Holdings:
     def _free_entry(self) -> bool:
         entry = self.index.pop_below(self._free_floor)
         if entry is not None:
+            self.freed_entries += 1
             self._forget(Slice(entry.run, entry.lo, entry.hi))
         return entry is not None
 

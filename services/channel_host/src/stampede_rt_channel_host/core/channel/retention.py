@@ -17,10 +17,10 @@ from stampede_rt_channel_host.core.channel.index import FIRST_KEY, SEQ_END
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
-SLICES_USED_UP_MAX = 256
+SLICES_USED_UP_MAX = 64
 """What one call lets go of by consumption: a consumer that makes up for a long delay stalls nobody."""
 ENTRIES_PER_LOOK = 8
-SLICES_AGED_MAX = 1024
+SLICES_AGED_MAX = 256
 """Of so many slices one call asks whether all consumers have consumed them, where ageing depends on that."""
 
 
@@ -64,8 +64,9 @@ class Retention:
         seq, end = self._unknown_from, self._unknown_to
         for _ in range(max(1, slices_max // 4) if seq < end else 0):
             first = held.seq_from(seq, end, ENTRIES_PER_LOOK)
-            consumers.let_go(seq, first)
-            seq = held.held_up_to(first, end, ENTRIES_PER_LOOK)
+            seq = consumers.let_go_some(seq, first, ENTRIES_PER_LOOK)
+            if seq == first:
+                seq = held.held_up_to(first, end, ENTRIES_PER_LOOK)
             if seq >= end:
                 break
         self._unknown_from = seq

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Any
 
-from sortedcontainers import SortedDict
+from sortedcontainers import SortedList
+
+from stampede_rt.values.timeline import MAX_INSTANT
+
+_LAST = MAX_INSTANT
 
 
 class SeqSet:
@@ -17,41 +22,52 @@ class SeqSet:
         """Seqs start at 1, so `below` 1 is the empty set. `ranges` are firsts with their ends, the end excluded."""
         self.below = below
         self.size = below - 1  # how many seqs are in
-        self._ranges: Any = SortedDict()  # first -> end; apart from each other, and all above `below`
+        # First and end; apart from each other, and all above `below`. No dict: a large one grows in one long step.
+        self._ranges: Any = SortedList()
         for first, end in ranges:
             self.add(first, end)
 
     def first_range(self, seq: int) -> tuple[int, int] | None:
         """The first range above `below` that begins at or above `seq`; None: there is none."""
-        low = next(self._ranges.irange(seq), None)
-        return None if low is None else (low, self._ranges[low])
+        return next(self._ranges.irange((seq, 0)), None)
 
     @property
     def ranges(self) -> list[tuple[int, int]]:
         """What is in above `below`, ascending: first and end, the end excluded."""
-        return list(self._ranges.items())
+        return list(self._ranges)
+
+    @property
+    def range_count(self) -> int:
+        """How many ranges are in above `below`."""
+        return len(self._ranges)
+
+    def until(self, first: int, end: int, ranges_max: int) -> int:
+        """How far from `first` towards `end` one step may add: no more than about so many ranges lie before that."""
+        if len(self._ranges) <= ranges_max:
+            return end
+        beyond = next(islice(self._ranges.irange((first, _LAST), (end, 0)), ranges_max, None), None)
+        return end if beyond is None else beyond[0]
 
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """The ranges that share a seq with those from `first` up to `end`, or adjoin them; the first one may be the one
         below `below`."""
         if first <= self.below and self.below > 1:
             yield 1, self.below
-        low = self._floor(first)
-        if low is not None and self._ranges[low] >= first:
-            yield low, self._ranges[low]
-        for low in self._ranges.irange(first, end, (False, True)):
-            yield low, self._ranges[low]
+        before = self._floor(first)
+        if before is not None and before[1] >= first:
+            yield before
+        yield from self._ranges.irange((first, _LAST), (end, _LAST))
 
-    def _floor(self, seq: int) -> int | None:
-        """Where the last range begins that begins at or below `seq`. By keys: places would be counted anew."""
-        return next(self._ranges.irange(None, seq, reverse=True), None)
+    def _floor(self, seq: int) -> tuple[int, int] | None:
+        """The last range that begins at or below `seq`. By values: places would be counted anew."""
+        return next(self._ranges.irange(None, (seq, _LAST), reverse=True), None)
 
     def end_of(self, seq: int) -> int:
         """The first seq at or above `seq` that is not in."""
         if seq < self.below:
             return self.below
-        low = self._floor(seq)
-        return seq if low is None else max(seq, self._ranges[low])
+        before = self._floor(seq)
+        return seq if before is None else max(seq, before[1])
 
     def add(self, first: int, end: int) -> int:
         """Put in the seqs from `first` up to, not including, `end`; how many were not in."""
@@ -66,14 +82,14 @@ class SeqSet:
             self.below = end
         else:
             self.size += end - first
-            self._ranges[first] = end
+            self._ranges.add((first, end))
         return self.size - before
 
     def _absorb(self, first: int, end: int) -> tuple[int, int]:
         """Take out the ranges that touch first to end; the range that they are all in."""
         touched = [one for one in self.touching(first, end) if one[0] > self.below]
         for low, high in touched:
-            del self._ranges[low]
+            self._ranges.remove((low, high))
             self.size -= high - low
             self._meet(max(low, first), min(high, end))
         if touched:
@@ -85,6 +101,8 @@ class SeqSet:
 
 
 BLOCK_SEQS = 1024
+BLOCKS_FORGOTTEN_MAX = 64
+"""So many blocks one call forgets that lie below `below`."""
 
 
 class CountedSeqs(SeqSet):
@@ -102,9 +120,10 @@ class CountedSeqs(SeqSet):
         first = max(first, self.below)
         self._count(first, end, 1)
         added = super().add(first, end)
-        for block in range(self._first_block, self.below // BLOCK_SEQS):
+        outdated = range(self._first_block, self.below // BLOCK_SEQS)[:BLOCKS_FORGOTTEN_MAX]
+        for block in outdated:  # the next calls go on: nobody asks for these any more
             self._blocks.pop(block, None)
-        self._first_block = max(self._first_block, self.below // BLOCK_SEQS)
+        self._first_block += len(outdated)
         return added
 
     def _meet(self, first: int, end: int) -> None:
@@ -119,9 +138,9 @@ class CountedSeqs(SeqSet):
 
     def count(self, first: int, end: int) -> int:
         """How many of the seqs from `first` up to, not including, `end` are in. Walks one block, and counts the others
-        in between."""
-        known = max(0, min(end, self.below) - first)
-        first = max(first, self.below)
+        in between; a range that holds `first` counts as a whole."""
+        behind = max(first, min(end, self.end_of(first)))
+        known, first = behind - first, behind
         low, high = -(-first // BLOCK_SEQS), end // BLOCK_SEQS
         if low >= high:
             return known + self._walk(first, end)

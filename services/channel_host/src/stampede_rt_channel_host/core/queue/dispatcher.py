@@ -14,7 +14,7 @@ from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
 """Of a batch with several items, on the wire: with a little beside it, it makes a message of 1 MiB."""
-ITEMS_DEALT_MAX = 512
+ITEMS_DEALT_MAX = 256
 """So many items one batch holds at the most, and as many in all are given out at once; then others have their turn."""
 DELIVERY_BYTES = 16
 """What an item's delivery id and number take on the wire, at the most."""
