@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
@@ -145,7 +145,7 @@ class RaftReplica:
 
     def _open_node(
         self, state_machine: StateMachine, random_source: RandomSource, rules: type, run_in_background: RunInBackground
-    ) -> Any:
+    ) -> PreVoteElections:
         node = build_node(
             self._settings,
             state_machine,

@@ -19,6 +19,7 @@ from stampede_rt_supernode.replication.library.seams import LibraryLog
 from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
+from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import Message
 
 T = TypeVar("T")
@@ -81,11 +82,11 @@ class LibraryNode:
     # FOLLOWER, CANDIDATE or LEADER.
     role = _Private[int]("raftState")
     # Whom this node follows, itself, or None.
-    leader = _Private[Any]("raftLeader")
+    leader = _Private[MemberNode | None]("raftLeader")
     # Everybody who votes with this node.
-    other_voters = _Private[set[Any]]("otherNodes")
+    other_voters = _Private[set[MemberNode]]("otherNodes")
     # To whom messages leave at present.
-    connected = _Private[set[Any]]("connectedNodes")
+    connected = _Private[set[MemberNode]]("connectedNodes")
     # By the clock that was given to `load_library`.
     election_deadline = _Private[float]("raftElectionDeadline")
     commit_index = _Private[int]("raftCommitIndex")
@@ -93,9 +94,9 @@ class LibraryNode:
     leader_commit_index = _Private[int]("leaderCommitIndex")
     last_applied = _Private[int]("raftLastApplied")
     # Of the leader, by member.
-    next_index = _Private[dict[Any, int]]("raftNextIndex")
-    match_index = _Private[dict[Any, int]]("raftMatchIndex")
-    last_response_time = _Private[dict[Any, float]]("lastResponseTime")
+    next_index = _Private[dict[MemberNode, int]]("raftNextIndex")
+    match_index = _Private[dict[MemberNode, int]]("raftMatchIndex")
+    last_response_time = _Private[dict[MemberNode, float]]("lastResponseTime")
     # The position of the first entry that this node has written as the leader of its term.
     first_index_of_term = _Private[int | None]("noopIDx")
 
@@ -108,8 +109,8 @@ class LibraryNode:
     _SyncObj__setCurrentTerm: Callable[[int, str | None], None]
     _SyncObj__onBecomeLeader: Callable[[], None]
     _SyncObj__onLeaderChanged: Callable[[], None]
-    _SyncObj__onNodeConnected: Callable[[Any], None]
-    _SyncObj__onNodeDisconnected: Callable[[Any], None]
+    _SyncObj__onNodeConnected: Callable[[MemberNode], None]
+    _SyncObj__onNodeDisconnected: Callable[[MemberNode], None]
     _SyncObj__generateRaftTimeout: Callable[[], float]
     _SyncObj__callErrCallback: Callable[[int, Any], None]
     doTick: Callable[[float], None]
@@ -201,7 +202,7 @@ class LibraryNode:
 
     # -- what the library calls, and rules replace -----------------------------------------------------------------
 
-    def receive(self, node: Any, message: Message) -> None:
+    def receive(self, node: MemberNode, message: Message) -> None:
         """Handle a member's message."""
         super()._SyncObj__onMessageReceived(node, to_library(message))  # type: ignore[misc]
 
@@ -217,15 +218,15 @@ class LibraryNode:
         """Begin a snapshot when the log has grown long, and go on with one that was begun."""
         super()._SyncObj__tryLogCompaction()  # type: ignore[misc]
 
-    def on_connected(self, node: Any) -> None:
+    def on_connected(self, node: MemberNode) -> None:
         """Messages to a member leave from now on."""
         self._SyncObj__onNodeConnected(node)
 
-    def on_disconnected(self, node: Any) -> None:
+    def on_disconnected(self, node: MemberNode) -> None:
         """Messages to a member are lost from now on."""
         self._SyncObj__onNodeDisconnected(node)
 
-    def on_stream_opened(self, node: Any) -> None:
+    def on_stream_opened(self, node: MemberNode) -> None:
         """A member has opened a new stream; the library does not care."""
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:

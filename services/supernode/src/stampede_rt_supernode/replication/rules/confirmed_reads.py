@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Protocol
 
-from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport, MemberNode
 from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, ReadIndexRequest
 
 
@@ -33,7 +33,7 @@ class _Round:
     commit_index: int
     reads: list[ConfirmedRead] = field(default_factory=list)
     # (member, request id) of followers that asked.
-    requests: list[tuple[Any, int]] = field(default_factory=list)
+    requests: list[tuple[MemberNode, int]] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -50,16 +50,32 @@ class _Asked:
         return (self.leader_id, self.request_id) == (member_id, request_id)
 
 
+class ReadingNode(Protocol):
+    """The node, as reads need it."""
+
+    leader: MemberNode | None
+    commit_index: int
+    last_applied: int
+
+    def can_confirm_reads(self) -> bool:
+        """Whether this node leads and has applied an entry of its own term."""
+
+    def voter_ids(self) -> set[str]:
+        """The ids of all other voters."""
+
+    def is_majority(self, count: int) -> bool:
+        """Whether so many voters, this one included, are more than half of all."""
+
+
 class ConfirmedReads:
     """All reads of one replica. Tick thread only.
 
-    `node` offers can_confirm_reads(), commit_index, last_applied, leader, voter_ids(), is_majority(count).
     Invariant: a read is in exactly one of `_new`, `_rounds`, `_asked`, `_confirmed` until it is done.
     """
 
     def __init__(
         self,
-        node: Any,
+        node: ReadingNode,
         transport: BufferedTransport,
         clock: Callable[[], float],
         *,
@@ -75,7 +91,7 @@ class ConfirmedReads:
         self.round = 0
         self._new: list[ConfirmedRead] = []
         # Of each member the last one: whoever asks again has given up what it asked before.
-        self._new_requests: dict[Any, int] = {}
+        self._new_requests: dict[MemberNode, int] = {}
         self._rounds: list[_Round] = []
         self._echoes: dict[str, int] = {}
         self._asked: _Asked | None = None
@@ -85,7 +101,7 @@ class ConfirmedReads:
         """Begin a read."""
         self._new.append(read)
 
-    def on_request(self, node: Any, message: ReadIndexRequest) -> None:
+    def on_request(self, node: MemberNode, message: ReadIndexRequest) -> None:
         """A member asks for a position."""
         self._new_requests[node] = message.request_id
 
@@ -169,11 +185,11 @@ class ConfirmedReads:
         self._asked = _Asked(self._next_request_id, self._new, self._clock() + self._retry_seconds, leader.id)
         self._new = []
 
-    def _refuse(self, requests: list[tuple[Any, int]]) -> None:
+    def _refuse(self, requests: list[tuple[MemberNode, int]]) -> None:
         for node, request_id in requests:
             self._answer(node, request_id, 0)
 
-    def _answer(self, node: Any, request_id: int, read_index: int) -> None:
+    def _answer(self, node: MemberNode, request_id: int, read_index: int) -> None:
         self._transport.send(node, ReadIndexReply(request_id=request_id, read_index=read_index))
 
     def _expire(self) -> None:

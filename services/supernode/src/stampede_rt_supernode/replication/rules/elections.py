@@ -7,12 +7,13 @@ unseats a leader that serves well. The library has none.
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from typing import assert_never
 
 from stampede_rt_supernode.replication.library.node import CANDIDATE
 from stampede_rt_supernode.replication.rules.following import Following
 from stampede_rt_supernode.replication.rules.leading import Leading
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
+from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import (
     AppendEntries,
     AppendReply,
@@ -43,9 +44,9 @@ class RaftRules(Following, Leading):
     # Who voted for this node, and in which term: a repeated vote counts once.
     _votes: tuple[int, set[str]] = (0, set())
 
-    def receive(self, node: Any, message: Message) -> None:
+    def receive(self, node: MemberNode, message: Message) -> None:
         """Hand a member's message to its rule. The library takes messages from anybody."""
-        if self.transport.node(node.id) is None:
+        if self.transport.find_node(node.id) is None:
             return
         self._check_term(node.id, message)
         self._note_promise(node.id, message)
@@ -97,7 +98,7 @@ class RaftRules(Following, Leading):
             case VoteReply():
                 self.log.note_promise(member_id, message.voter_term, 0)
 
-    def _on_command_answer(self, node: Any, message: ForwardedCommandReply) -> None:
+    def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
         """The leader has taken a command of this node's, or not. What it says of the log is waited for in bounds."""
         if node != self.leader:
             return
@@ -106,13 +107,13 @@ class RaftRules(Following, Leading):
         else:
             super().receive(node, message)
 
-    def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
+    def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
         """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
         may_lead = self.is_voter() and not self.stands_aside()
         if message.term == self.term and node == self.leader and may_lead:
             self.election_deadline = float("-inf")
 
-    def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
+    def _on_vote_request(self, node: MemberNode, message: VoteRequest) -> None:
         if message.term > self.term:
             self.become_follower(message.term)
         if message.term < self.term or self.is_leader:
@@ -125,7 +126,7 @@ class RaftRules(Following, Leading):
         self.put_off_election()
         self.transport.send(node, VoteReply(term=message.term))
 
-    def _on_vote(self, node: Any, message: VoteReply) -> None:
+    def _on_vote(self, node: MemberNode, message: VoteReply) -> None:
         """Count a vote once per node and term. The library counts messages."""
         if message.term != self.term or self.role != CANDIDATE:
             return
@@ -182,7 +183,7 @@ class PreVoteElections(RaftRules):
             self.give_up_forwarded()
             self.reads.on_leader_lost()
 
-    def _on_vote_request(self, node: Any, message: VoteRequest) -> None:
+    def _on_vote_request(self, node: MemberNode, message: VoteRequest) -> None:
         if not message.pre_vote:
             super()._on_vote_request(node, message)
             return
@@ -192,7 +193,7 @@ class PreVoteElections(RaftRules):
             return
         self.transport.send(node, VoteReply(term=message.term, pre_vote=True, voter_term=self.term))
 
-    def _on_vote(self, node: Any, message: VoteReply) -> None:
+    def _on_vote(self, node: MemberNode, message: VoteReply) -> None:
         if not message.pre_vote:
             super()._on_vote(node, message)
             return
@@ -207,7 +208,7 @@ class PreVoteElections(RaftRules):
             self._pre_vote_won_term = self.term + 1
             self.election_deadline = float("-inf")
 
-    def _on_timeout_now(self, node: Any, message: TimeoutNow) -> None:
+    def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
         super()._on_timeout_now(node, message)
         if self.election_deadline == float("-inf"):
             # Those who hear the leader would refuse a trial; the leader itself has asked for this election.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from stampede_rt_supernode.replication.library.node import FOLLOWER
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.snapshot_receiver import UnreadableSnapshot
+from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, FromLeader, InstallSnapshot
 
 
@@ -19,7 +19,7 @@ class Following(Membership):
     # Who has sent the snapshot that is being opened.
     _snapshot_from: str = ""
 
-    def _on_append(self, node: Any, message: FromLeader) -> None:
+    def _on_append(self, node: MemberNode, message: FromLeader) -> None:
         if message.term < self.term:
             # Tells a leader of an older term that it is one; the library is silent.
             self._reply(node, message, next_index=self.log.last_index + 1)
@@ -33,7 +33,7 @@ class Following(Membership):
         else:
             self._on_entries(node, message)
 
-    def _follow(self, node: Any, term: int) -> None:
+    def _follow(self, node: MemberNode, term: int) -> None:
         if term == self.term and self.is_leader:
             raise PeerAtFault(node.id, f"says that it leads in term {term}, and this node does")
         if self.leader != node:
@@ -46,7 +46,7 @@ class Following(Membership):
         self.last_leader_contact = self.clock()
         self.put_off_election()
 
-    def _on_entries(self, node: Any, message: AppendEntries) -> None:
+    def _on_entries(self, node: MemberNode, message: AppendEntries) -> None:
         first = self.log[0]
         previous, previous_term, entries = message.previous_index, message.previous_term, message.entries
         if previous < first.log_index:
@@ -86,12 +86,13 @@ class Following(Membership):
     def _cut_off(self, log_index: int) -> None:
         settled = max(self.commit_index, self.last_applied)
         if log_index <= settled:
+            assert self.leader is not None, "only a leader's entries are merged"
             raise PeerAtFault(
                 self.leader.id, f"leads, and wants entry {log_index} replaced, but {settled} is committed"
             )
         self.log.cut_from(log_index)
 
-    def _on_install_snapshot(self, node: Any, message: InstallSnapshot) -> None:
+    def _on_install_snapshot(self, node: MemberNode, message: InstallSnapshot) -> None:
         """Take in a piece. The message's commit index says nothing about this log, and is not used.
 
         The library takes it over, and so commits whatever the log happens to hold. It also acknowledges a
@@ -117,7 +118,7 @@ class Following(Membership):
             self.give_up_waiting(last.log_index)
 
     def _reply(
-        self, node: Any, message: FromLeader, *, next_index: int, reset: bool = False, success: bool = False
+        self, node: MemberNode, message: FromLeader, *, next_index: int, reset: bool = False, success: bool = False
     ) -> None:
         reply = AppendReply(term=self.term, round=message.round, next_index=next_index, reset=reset, success=success)
         self.transport.send(node, reply)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation, PeerAtFault
+from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, InstallSnapshot, SnapshotChunk
 
 # How many batches of entries one member is sent at a time.
@@ -17,7 +16,7 @@ APPEND_BATCH_BYTES = 1 << 20
 class Leading(Membership):
     """Handles what followers answer, and sends to them. Tick thread only."""
 
-    def _on_append_reply(self, node: Any, message: AppendReply) -> None:
+    def _on_append_reply(self, node: MemberNode, message: AppendReply) -> None:
         """Take an acknowledgement of this very term. The library's carry no term."""
         if message.term > self.term:
             self.become_follower(message.term)
@@ -52,7 +51,7 @@ class Leading(Membership):
             elif self.next_index[node] > self.log.first_sendable or self._send_snapshot(node):
                 self._send_entries(node)
 
-    def _send_snapshot(self, node: Any) -> bool:
+    def _send_snapshot(self, node: MemberNode) -> bool:
         """Send the next pieces; True when the last one is among them."""
         while (chunk := self.keeper.next_chunk(node.id)) is not None:
             self._send_chunk(node, chunk)
@@ -62,7 +61,7 @@ class Leading(Membership):
         self._send_chunk(node, None)
         return False
 
-    def _send_chunk(self, node: Any, chunk: SnapshotChunk | None) -> None:
+    def _send_chunk(self, node: MemberNode, chunk: SnapshotChunk | None) -> None:
         message = InstallSnapshot(
             term=self.term,
             commit_index=self.commit_index,
@@ -72,7 +71,7 @@ class Leading(Membership):
         )
         self.transport.send(node, message)
 
-    def _send_entries(self, node: Any) -> None:
+    def _send_entries(self, node: MemberNode) -> None:
         end = self.log.last_index
         for _ in range(BATCHES_PER_ROUND):
             next_index = self.next_index[node]

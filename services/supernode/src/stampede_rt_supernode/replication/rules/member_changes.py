@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
-from stampede_rt_supernode.replication.configuration import MEMBERS_MAX
+from stampede_rt_supernode.replication.configuration import MEMBERS_MAX, Configuration
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     ChangeRefused,
@@ -22,6 +21,7 @@ from stampede_rt_supernode.replication.interface import (
     ReleaseOutdated,
     TicketSpent,
 )
+from stampede_rt_supernode.replication.rules.membership import Membership
 
 ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
@@ -82,7 +82,7 @@ class _Leaving:
 
 
 class MemberChanges:
-    """All changes of one replica. Tick thread only; `node` is a Membership.
+    """All changes of one replica. Tick thread only.
 
     At most one configuration is on its way, and at most one newcomer catches up; a removal does not wait for it.
     Invariant: both only while this node leads.
@@ -90,7 +90,7 @@ class MemberChanges:
 
     def __init__(
         self,
-        node: Any,
+        node: Membership,
         clock: Callable[[], float],
         finish: Callable[[Callable[[], None]], None],
         *,
@@ -273,7 +273,7 @@ class MemberChanges:
         alive = self._node.alive_voters(within_seconds=self._alive_seconds) - {member_id}
         return bool(2 * (1 + len(alive)) > len(self._node.configuration().members) - 1)
 
-    def _commit(self, member_id: str, configuration: Any, source: _Addition | MemberChange) -> None:
+    def _commit(self, member_id: str, configuration: Configuration, source: _Addition | MemberChange) -> None:
         callers = source.callers if isinstance(source, _Addition) else [source]
         log_index = self._node.append_configuration(configuration)
         self._committing = _Committing(member_id, log_index, self._node.term, callers)
@@ -318,7 +318,7 @@ class MemberChanges:
             self._finish_later(lambda caller=caller: caller.done(left))  # type: ignore[misc]
 
 
-def _refusal(configuration: Any, member: Member, ticket: str) -> ChangeRefused | None:
+def _refusal(configuration: Configuration, member: Member, ticket: str) -> ChangeRefused | None:
     if ticket and configuration.spender_of(ticket) is not None:
         return TicketSpent(f"the token has let {configuration.spender_of(ticket)} in already; make another one")
     if member.member_id in configuration.retired:

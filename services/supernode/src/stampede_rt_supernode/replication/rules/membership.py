@@ -13,12 +13,12 @@ may all be gone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LEADER
 from stampede_rt_supernode.replication.rules.raft_node import NodeState
+from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 from stampede_rt_supernode.replication.wire.records import encode_configuration
 
@@ -31,7 +31,7 @@ class Membership(NodeState):
 
     self_member: Member
     # Makes the library's node for an id.
-    make_member: Callable[[str], Any]
+    make_member: Callable[[str], MemberNode]
     # Who is catching up in order to be added; only while this node leads.
     learner: Member | None = None
 
@@ -180,9 +180,9 @@ class Membership(NodeState):
             for node in [node for node in progress if node.id not in sent_to]:
                 del progress[node]
 
-    def sent_to(self) -> list[Any]:
+    def sent_to(self) -> list[MemberNode]:
         """Everybody whom a leader sends its log to, in the order of the library's set."""
-        learner = self.transport.node(self.learner.member_id) if self.learner is not None else None
+        learner = self.transport.find_node(self.learner.member_id) if self.learner is not None else None
         others = list(self.other_voters)
         return others if learner is None or learner in self.other_voters else [*others, learner]
 
@@ -223,7 +223,7 @@ class Membership(NodeState):
 
     def held_by(self, member_id: str) -> int:
         """Up to where a member or the learner has acknowledged this leader's log; 0 for others."""
-        node = self.transport.node(member_id)
+        node = self.transport.find_node(member_id)
         return 0 if node is None else self.match_index.get(node, 0)
 
     def note_promises(self) -> None:
@@ -252,7 +252,7 @@ class Membership(NodeState):
 
     def send_timeout_now(self, member_id: str) -> bool:
         """Ask a member to lead; False when the message cannot leave."""
-        node = self.transport.node(member_id)
+        node = self.transport.find_node(member_id)
         return node is not None and self.transport.send(node, TimeoutNow(term=self.term))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import StateMachine
@@ -31,7 +30,7 @@ def build_node(
     random_source: RandomSource,
     rules: type = PreVoteElections,
     run_in_background: RunInBackground = run_inline,
-) -> Any:
+) -> PreVoteElections:
     """A node with its transport, keeper and reads attached; its snapshot is not opened yet.
 
     `rules` stands before the library's class in the order of methods. Raises LibraryMismatch.
@@ -41,7 +40,7 @@ def build_node(
     peers = {member.member_id: member for member in settings.initial_members if member.member_id != self_id}
     others = [assembly.make_member(member_id) for member_id in peers]
     log.track_members(Configuration.of(settings.initial_members))
-    node = assembly.allocate(rules)
+    node: PreVoteElections = assembly.allocate(rules)
     node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
     node.digests = Digests(state_machine.adopt_digest)
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers

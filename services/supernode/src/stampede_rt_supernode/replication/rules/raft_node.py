@@ -7,12 +7,12 @@ figures 2 and 13). Each one says which fault of PySyncObj 0.3.17 it closes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from stampede_rt_supernode.replication.library.node import LibraryNode
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedReads
 from stampede_rt_supernode.replication.rules.digests import Digests
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
-from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
+from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport, MemberNode
 
 
 class InvariantViolation(RuntimeError):
@@ -34,7 +34,7 @@ class NodeState(LibraryNode):
     has_room: Callable[[str], bool]
     keeper: SnapshotKeeper
     digests: Digests
-    reads: Any
+    reads: ConfirmedReads
 
     # When this node last heard from a leader of its term, by `clock`.
     last_leader_contact: float = float("-inf")
@@ -54,7 +54,7 @@ class NodeState(LibraryNode):
         self.digests.note(*self.state_machine.digest())
         return result
 
-    def on_disconnected(self, node: Any) -> None:
+    def on_disconnected(self, node: MemberNode) -> None:
         """Begin again with this member: pieces of a snapshot may be lost with the link.
 
         The library would go on in the middle.
@@ -63,7 +63,7 @@ class NodeState(LibraryNode):
         self.keeper.cancel_sending(node.id)
         self.on_stream_opened(node)
 
-    def on_stream_opened(self, node: Any) -> None:
+    def on_stream_opened(self, node: MemberNode) -> None:
         """Our stream to a member broke, or it opened a new one to us: requests or replies may be lost.
 
         The library lets the callers of forwarded commands wait for ever.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from stampede_rt_supernode.replication.interface import LogUnavailable
+from stampede_rt_supernode.replication.rules.raft_node import NodeState
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredSnapshot
 
@@ -21,7 +22,7 @@ class SnapshotRequest(NamedTuple):
 class SnapshotRequests:
     """Has snapshots taken until one holds what was applied when it was asked for. Tick thread only."""
 
-    def __init__(self, node: Any, log: RaftLog, finish: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(self, node: NodeState, log: RaftLog, finish: Callable[[Callable[[], None]], None]) -> None:
         self._node = node
         self._log = log
         self._finish_later = finish

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.wire.messages import Message
@@ -83,19 +83,30 @@ NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received 
 Outgoing = tuple[str, Message]
 
 
+class MemberNode(Protocol):
+    """Another member, as the sets and dictionaries of the library hold it."""
+
+    @property
+    def id(self) -> str:
+        """The member's id."""
+
+    def __hash__(self) -> int:
+        """The same in every process."""
+
+
 class Handler(Protocol):
     """Whom the events are for: a node of the log. `node` is the member that an event is about."""
 
-    def receive(self, node: Any, message: Message) -> None:
+    def receive(self, node: MemberNode, message: Message) -> None:
         """A member has sent a message."""
 
-    def on_connected(self, node: Any) -> None:
+    def on_connected(self, node: MemberNode) -> None:
         """Messages to a member leave from now on."""
 
-    def on_disconnected(self, node: Any) -> None:
+    def on_disconnected(self, node: MemberNode) -> None:
         """Messages to a member are lost from now on."""
 
-    def on_stream_opened(self, node: Any) -> None:
+    def on_stream_opened(self, node: MemberNode) -> None:
         """A member has opened a new stream to us."""
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
@@ -111,9 +122,9 @@ class Handler(Protocol):
 class BufferedTransport:
     """The messages of one node, in and out. Tick thread only."""
 
-    def __init__(self, nodes: Iterable[Any]) -> None:
+    def __init__(self, nodes: Iterable[MemberNode]) -> None:
         # Whom we know: whoever is not in here is neither heard nor sent to.
-        self._nodes: dict[str, Any] = {node.id: node for node in nodes}
+        self._nodes: dict[str, MemberNode] = {node.id: node for node in nodes}
         # To whom our links are up, known or not: links come and go a little later than members.
         self._connected: set[str] = set()
         # Whose answers reach us at present, likewise.
@@ -137,7 +148,7 @@ class BufferedTransport:
         elif (node := self._nodes.get(event.member_id)) is not None:
             self._hand_over(self._handler, node, event)
 
-    def _hand_over(self, handler: Handler, node: Any, event: NetworkEvent) -> None:
+    def _hand_over(self, handler: Handler, node: MemberNode, event: NetworkEvent) -> None:
         match event:
             case Received():
                 handler.receive(node, event.message)
@@ -169,7 +180,7 @@ class BufferedTransport:
         known = {one: level for one, level in self.highest_levels.items() if one in self._nodes}
         self.highest_levels = {**known, member_id: highest_level}
 
-    def send(self, node: Any, message: Message) -> bool:
+    def send(self, node: MemberNode, message: Message) -> bool:
         """Queue a message for the next release; False when the member is not connected. Never blocks."""
         if node.id not in self._connected or node.id not in self._nodes:
             return False
@@ -185,17 +196,21 @@ class BufferedTransport:
         outbox, self._outbox = self._outbox, []
         return outbox
 
-    def node(self, member_id: str) -> Any:
-        """The node with this id, None for a stranger."""
+    def node(self, member_id: str) -> MemberNode:
+        """The node of a member that this node hears. Raises KeyError for others."""
+        return self._nodes[member_id]
+
+    def find_node(self, member_id: str) -> MemberNode | None:
+        """The node of a member that this node hears; None for others."""
         return self._nodes.get(member_id)
 
-    def add_node(self, node: Any) -> None:
+    def add_node(self, node: MemberNode) -> None:
         """Hear and send to one more member."""
         self._nodes[node.id] = node
         if node.id in self._connected and self._handler is not None:
             self._handler.on_connected(node)
 
-    def drop_node(self, node: Any) -> None:
+    def drop_node(self, node: MemberNode) -> None:
         """Neither hear nor send to this member any more."""
         if self._nodes.pop(node.id, None) is not None and self._handler is not None:
             self._handler.on_disconnected(node)
