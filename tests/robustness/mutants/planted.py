@@ -124,7 +124,7 @@ MUTANTS = (
     ),
     Mutant(
         name="links_queue_survives_a_break",
-        file=f"{REPLICATION}/network/links.py",
+        file=f"{REPLICATION}/network/peer_link.py",
         edits=(("        self._queue.clear()\n        self.queued_bytes = 0\n", ""),),
         noticed_by="tests/unit/supernode/replication/network/test_streams.py",
         quick=True,

@@ -315,7 +315,7 @@ async def test_a_link_on_which_nobody_answers_is_made_anew(tmp_path: Path) -> No
 
 
 async def test_links_that_are_answered_stay_up(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO", logger="stampede_rt_supernode.replication.network.links")
+    caplog.set_level("INFO", logger="stampede_rt_supernode.replication.network.peer_link")
     async with LiveCluster(3, tmp_path, timing=replace(QUICK, link_silence_seconds=1.0)) as cluster:
         leader = running(await cluster.leader())
         loop = asyncio.get_running_loop()

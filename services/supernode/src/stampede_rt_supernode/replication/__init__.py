@@ -26,7 +26,7 @@ from stampede_rt_supernode.replication.interface import (
     TicketSpent,
 )
 from stampede_rt_supernode.replication.library.pinned_copy import LibraryMismatch
-from stampede_rt_supernode.replication.network.links import CHANNEL_OPTIONS
+from stampede_rt_supernode.replication.network.peer_link import CHANNEL_OPTIONS
 from stampede_rt_supernode.replication.replicated_log import open_replicated_log
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, RaftTiming, ReplicationSettings
 from stampede_rt_supernode.replication.storage.backups import Backup, BackupHeader, make_backup

@@ -21,7 +21,8 @@ from stampede_rt_supernode.replication.interface import (
     TakenSnapshot,
 )
 from stampede_rt_supernode.replication.network.hello import introduction
-from stampede_rt_supernode.replication.network.links import Dial, PeerLinks
+from stampede_rt_supernode.replication.network.links import PeerLinks
+from stampede_rt_supernode.replication.network.peer_link import Dial
 from stampede_rt_supernode.replication.network.refusals import Grounds
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.raft_replica import RaftReplica

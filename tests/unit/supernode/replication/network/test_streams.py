@@ -14,7 +14,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.hello import OLDER_STORE, introduction
-from stampede_rt_supernode.replication.network.links import PeerLink
+from stampede_rt_supernode.replication.network.peer_link import PeerLink
 from stampede_rt_supernode.replication.network.reports import SparseReports
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.raft_replica import MemberRoster

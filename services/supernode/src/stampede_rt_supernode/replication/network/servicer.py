@@ -17,6 +17,7 @@ from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
+from stampede_rt_supernode.replication.arrivals import InboxFull
 from stampede_rt_supernode.replication.network.hello import (
     ANOTHER_STORE,
     OLDER_STORE,
@@ -25,10 +26,10 @@ from stampede_rt_supernode.replication.network.hello import (
     newly_met,
     refusal_of,
 )
-from stampede_rt_supernode.replication.network.links import REQUEST_MESSAGES_MAX
+from stampede_rt_supernode.replication.network.peer_link import REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.network.refusals import grounds_of
 from stampede_rt_supernode.replication.network.reports import SparseReports
-from stampede_rt_supernode.replication.raft_replica import InboxFull, RaftReplica
+from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
 from stampede_rt_supernode.replication.wire.buffered_transport import Introduced, Received, StreamEnded, StreamOpened
