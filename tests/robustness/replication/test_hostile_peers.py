@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 
 from stampede_rt.v1 import raft_service_pb2 as pb
+from stampede_rt_supernode.replication.arrivals import InboxFull
 from stampede_rt_supernode.replication.interface import Member
-from stampede_rt_supernode.replication.raft_replica import InboxFull, MemberRoster, RaftReplica
+from stampede_rt_supernode.replication.raft_replica import MemberRoster, RaftReplica
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings

@@ -1,15 +1,16 @@
-"""One replica of the log: inbox, node, log and outbox, driven by `step`. Clock, random source, network and store
-come from outside, so that the simulator runs the very code that runs in production.
+"""One replica of the log: arrivals, node, log and outbox, driven by `step`.
+
+Clock, random source, network and store come from outside. The simulator therefore runs the code of production.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
-from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
+from stampede_rt_supernode.replication.arrivals import Arrivals, taken_from
+from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import TERM_MAX, PreVoteElections
@@ -18,14 +19,11 @@ from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest, SnapshotRequests
-from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
+from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import REJOIN, Promise, Store, StoreDamaged
 from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, run_inline
-from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEvent, Outgoing, Received
-
-CHANGES_MAX = 100
-SNAPSHOTS_MAX = 10
+from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEvent, Outgoing
 
 
 class RaftNetwork(Protocol):
@@ -56,46 +54,6 @@ class MemberRoster:
     removed: frozenset[str]
 
 
-class InboxFull(RuntimeError):
-    """More of one member's messages wait than are allowed: its link must be dropped."""
-
-
-class _Inbox:
-    """What waits of each member's messages, counted apart so that nobody fills the others' share.
-
-    Two threads count, each its own half: what came, and what was taken out.
-    """
-
-    def __init__(self, items_max: int, bytes_max: int) -> None:
-        self._items_max, self._bytes_max = items_max, bytes_max
-        self._came: dict[str, tuple[int, int]] = {}
-        self._taken: dict[str, tuple[int, int]] = {}
-
-    def come(self, event: Received) -> None:
-        """Count it in. Raises InboxFull."""
-        items, size = self._came.get(event.member_id, (0, 0))
-        items_out, size_out = self._taken.get(event.member_id, (0, 0))
-        if items - items_out >= self._items_max or size - size_out >= self._bytes_max:
-            raise InboxFull(f"{items - items_out} messages of {event.member_id} wait for the log's thread")
-        self._came[event.member_id] = items + 1, size + event.size_bytes
-
-    def take(self, event: Received) -> None:
-        """Count it out."""
-        items, size = self._taken.get(event.member_id, (0, 0))
-        self._taken[event.member_id] = items + 1, size + event.size_bytes
-
-
-@dataclass(frozen=True, slots=True)
-class _Arrivals:
-    """What other threads have brought since the last step."""
-
-    events: deque[NetworkEvent] = field(default_factory=deque)
-    proposals: deque[Proposal] = field(default_factory=deque)
-    reads: deque[ConfirmedRead] = field(default_factory=deque)
-    changes: deque[MemberChange | HandOver] = field(default_factory=deque)
-    snapshots: deque[SnapshotRequest] = field(default_factory=deque)
-
-
 class RaftReplica:
     """The synchronous heart of a replica.
 
@@ -124,8 +82,7 @@ class RaftReplica:
         self._network = network
         self._clock = clock
         self._wake = wake
-        self._new = _Arrivals()
-        self._inbox = _Inbox(settings.inbox_items_max, settings.inbox_bytes_max)
+        self._arrivals = Arrivals(settings)
         # Results to hand out once what they rest on is durable.
         self._completions: list[Callable[[], None]] = []
         self._log = RaftLog(store, kept_bytes_max=settings.kept_log_bytes_max)
@@ -180,44 +137,32 @@ class RaftReplica:
 
     def deliver(self, event: NetworkEvent) -> None:
         """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
-        if isinstance(event, Received):
-            self._inbox.come(event)
-        self._new.events.append(event)
+        self._arrivals.add_event(event)
         self._wake()
 
     def propose(self, proposal: Proposal) -> None:
         """Queue a command. Raises LogUnavailable when too many wait, ValueError when it is too large."""
-        if len(proposal.command) > COMMAND_BYTES_MAX:
-            raise ValueError(f"a command of {len(proposal.command)} bytes is over the limit of {COMMAND_BYTES_MAX}")
-        if len(self._new.proposals) >= self._settings.proposals_max:
-            raise LogUnavailable(f"{self._settings.proposals_max} commands wait already: slow down and try again")
-        self._new.proposals.append(proposal)
+        self._arrivals.add_proposal(proposal)
         self._wake()
 
     def read(self, read: ConfirmedRead) -> None:
         """Queue a confirmed read. Raises LogUnavailable when too many wait."""
-        if len(self._new.reads) >= self._settings.reads_max:
-            raise LogUnavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
-        self._new.reads.append(read)
+        self._arrivals.add_read(read)
         self._wake()
 
     def change_members(self, change: MemberChange | HandOver) -> None:
         """Queue a change of the members, or a hand-over. Raises LogUnavailable when too many wait."""
-        if len(self._new.changes) >= CHANGES_MAX:
-            raise LogUnavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
-        self._new.changes.append(change)
+        self._arrivals.add_change(change)
         self._wake()
 
     def take_snapshot(self, request: SnapshotRequest) -> None:
         """Queue a wish for a snapshot. Raises LogUnavailable when too many wait."""
-        if len(self._new.snapshots) >= SNAPSHOTS_MAX:
-            raise LogUnavailable(f"{SNAPSHOTS_MAX} wait for a snapshot already: try again in a while")
-        self._new.snapshots.append(request)
+        self._arrivals.add_snapshot_request(request)
         self._wake()
 
     def changes_are_settled(self) -> bool:
         """Whether this replica leads and no change of the members is on its way; after the last step."""
-        return bool(self._node.may_change_members()) and self._changes.is_idle and not self._new.changes
+        return bool(self._node.may_change_members()) and self._changes.is_idle and not self._arrivals.changes
 
     def promise_of(self, member_id: str) -> Promise:
         """What another member has said that it holds."""
@@ -262,13 +207,10 @@ class RaftReplica:
         self._node.let_go_of_log()
         self._log.sync()
         self._release()
-        return bool(self._new.events) or self._commits_alone()
+        return bool(self._arrivals.events) or self._commits_alone()
 
     def _hear(self) -> None:
-        for _ in range(len(self._new.events)):
-            event = self._new.events.popleft()
-            if isinstance(event, Received):
-                self._inbox.take(event)
+        for event in self._arrivals.take_events():
             self._at_risk(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
 
     def _at_risk(self, act: Callable[[], None]) -> None:
@@ -280,32 +222,31 @@ class RaftReplica:
 
     def close(self) -> None:
         """End everything that waits, write everything down and let go of the store."""
-        for proposal in self._new.proposals:
+        for proposal in self._arrivals.proposals:
             self._proposals.add(proposal)
-        for request in self._new.snapshots:
+        for request in self._arrivals.snapshot_requests:
             self._snapshots.add(request)
         self._proposals.close()
         self._changes.close()
         self._snapshots.close()
-        for read in self._new.reads:
+        for read in self._arrivals.reads:
             self._node.reads.add(self._later(read))
         self._node.reads.close()
         self._log.close()
         self._run_completions()
 
     def _take_in(self) -> None:
-        for _ in range(len(self._new.proposals)):
-            self._proposals.add(self._new.proposals.popleft())
-        for _ in range(len(self._new.reads)):
-            self._node.reads.add(self._later(self._new.reads.popleft()))
-        for _ in range(len(self._new.changes)):
-            change = self._new.changes.popleft()
+        for proposal in taken_from(self._arrivals.proposals):
+            self._proposals.add(proposal)
+        for read in taken_from(self._arrivals.reads):
+            self._node.reads.add(self._later(read))
+        for change in taken_from(self._arrivals.changes):
             if isinstance(change, HandOver):
                 self._changes.hand_over(change)
             else:
                 self._changes.add(change)
-        for _ in range(len(self._new.snapshots)):
-            self._snapshots.add(self._new.snapshots.popleft())
+        for request in taken_from(self._arrivals.snapshot_requests):
+            self._snapshots.add(request)
         takes = self._leader_reachable() and not self._changes.hands_over
         self._proposals.advance(leader_reachable=takes, now=self._clock())
 

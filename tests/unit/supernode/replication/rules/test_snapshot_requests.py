@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_supernode.replication.arrivals import SNAPSHOT_REQUESTS_MAX
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member
-from stampede_rt_supernode.replication.raft_replica import SNAPSHOTS_MAX, RaftReplica
+from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
@@ -114,7 +115,7 @@ def test_what_waits_when_the_replica_closes_is_told_so() -> None:
 
 def test_no_more_than_a_few_wait() -> None:
     alone = Alone(MemoryStore())
-    for _ in range(SNAPSHOTS_MAX):
+    for _ in range(SNAPSHOT_REQUESTS_MAX):
         alone.ask()
     with pytest.raises(LogUnavailable, match="try again"):
         alone.ask()

@@ -1,0 +1,107 @@
+"""The messages and requests that other threads bring to a replica between two of its steps. All queues have bounds."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from typing import TypeVar
+
+from stampede_rt_supernode.replication.interface import LogUnavailable
+from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
+from stampede_rt_supernode.replication.rules.member_changes import HandOver, MemberChange
+from stampede_rt_supernode.replication.rules.proposals import Proposal
+from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
+from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
+from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEvent, Received
+
+CHANGES_MAX = 100
+SNAPSHOT_REQUESTS_MAX = 10
+
+T = TypeVar("T")
+
+
+class InboxFull(RuntimeError):
+    """Too many messages of one member wait: its link must be dropped."""
+
+
+class Arrivals:
+    """Any thread adds. Only the tick thread takes."""
+
+    def __init__(self, settings: ReplicationSettings) -> None:
+        self._settings = settings
+        self._inbox = _InboxShares(settings.inbox_items_max, settings.inbox_bytes_max)
+        self.events: deque[NetworkEvent] = deque()
+        self.proposals: deque[Proposal] = deque()
+        self.reads: deque[ConfirmedRead] = deque()
+        self.changes: deque[MemberChange | HandOver] = deque()
+        self.snapshot_requests: deque[SnapshotRequest] = deque()
+
+    def add_event(self, event: NetworkEvent) -> None:
+        """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
+        if isinstance(event, Received):
+            self._inbox.come(event)
+        self.events.append(event)
+
+    def add_proposal(self, proposal: Proposal) -> None:
+        """Queue a command. Raises LogUnavailable when too many wait, ValueError when it is too large."""
+        if len(proposal.command) > COMMAND_BYTES_MAX:
+            raise ValueError(f"a command of {len(proposal.command)} bytes is over the limit of {COMMAND_BYTES_MAX}")
+        if len(self.proposals) >= self._settings.proposals_max:
+            raise LogUnavailable(f"{self._settings.proposals_max} commands wait already: slow down and try again")
+        self.proposals.append(proposal)
+
+    def add_read(self, read: ConfirmedRead) -> None:
+        """Queue a confirmed read. Raises LogUnavailable when too many wait."""
+        if len(self.reads) >= self._settings.reads_max:
+            raise LogUnavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
+        self.reads.append(read)
+
+    def add_change(self, change: MemberChange | HandOver) -> None:
+        """Queue a change of the members, or a hand-over. Raises LogUnavailable when too many wait."""
+        if len(self.changes) >= CHANGES_MAX:
+            raise LogUnavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
+        self.changes.append(change)
+
+    def add_snapshot_request(self, request: SnapshotRequest) -> None:
+        """Queue a request for a snapshot. Raises LogUnavailable when too many wait."""
+        if len(self.snapshot_requests) >= SNAPSHOT_REQUESTS_MAX:
+            raise LogUnavailable(f"{SNAPSHOT_REQUESTS_MAX} wait for a snapshot already: try again in a while")
+        self.snapshot_requests.append(request)
+
+    def take_events(self) -> Iterator[NetworkEvent]:
+        """The events that wait now, in order. Those that come meanwhile wait for the next call."""
+        for event in taken_from(self.events):
+            if isinstance(event, Received):
+                self._inbox.take(event)
+            yield event
+
+
+def taken_from(queue: deque[T]) -> Iterator[T]:
+    """The items that wait in `queue` now, in order, each taken out as it is given."""
+    for _ in range(len(queue)):
+        yield queue.popleft()
+
+
+class _InboxShares:
+    """How much of each member's messages waits. Each member has a share, so that none fills the share of another.
+
+    Two threads count. Each has its own half: what came, and what was taken out.
+    """
+
+    def __init__(self, items_max: int, bytes_max: int) -> None:
+        self._items_max, self._bytes_max = items_max, bytes_max
+        self._came: dict[str, tuple[int, int]] = {}
+        self._taken: dict[str, tuple[int, int]] = {}
+
+    def come(self, event: Received) -> None:
+        """Count it in. Raises InboxFull."""
+        items, size = self._came.get(event.member_id, (0, 0))
+        items_out, size_out = self._taken.get(event.member_id, (0, 0))
+        if items - items_out >= self._items_max or size - size_out >= self._bytes_max:
+            raise InboxFull(f"{items - items_out} messages of {event.member_id} wait for the log's thread")
+        self._came[event.member_id] = items + 1, size + event.size_bytes
+
+    def take(self, event: Received) -> None:
+        """Count it out."""
+        items, size = self._taken.get(event.member_id, (0, 0))
+        self._taken[event.member_id] = items + 1, size + event.size_bytes
