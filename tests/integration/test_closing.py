@@ -15,7 +15,7 @@ from tests.support.cluster import cluster_fixture
 cluster = cluster_fixture(hosts=1, supernodes=1)
 LIMIT_S = 20.0
 SECOND = 10**9
-SENTENCE = "this connection is closed; connect() again"
+SENTENCE = "this connection is closed; call connect() again"
 CALLS = ("take", "messages", "items", "cuts", "matches", "newest", "complete", "peers")
 
 

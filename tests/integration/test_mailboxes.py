@@ -117,7 +117,7 @@ def test_closing_the_connection_wakes_whoever_waits_at_its_mailbox(cluster: Loca
             assert other.peer("waiter").alive
     rt.close()
     waiting.join(10)
-    assert [error.message for error in told] == ["this connection is closed; connect() again"]
+    assert [error.message for error in told] == ["this connection is closed; call connect() again"]
 
 
 async def test_the_same_on_asyncio(cluster: LocalCluster) -> None:

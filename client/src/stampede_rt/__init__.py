@@ -1,12 +1,12 @@
 """Stampede RT: a distributed store of time-indexed live streams.
 
-Producers put items into named channels under wall-clock time; consumers get whatever lies in a time interval, wait for
-it, subscribe to it. Everything here blocks; `stampede_rt.aio` has the same surface with `await`.
+A producer puts items with their times into named channels. A consumer gets the items of an interval, waits for them, or
+subscribes to them. All calls here block; `stampede_rt.aio` has the same names with `await`.
 """
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # type checkers know better; `typing` itself takes as long to load as all of this
+TYPE_CHECKING = False  # importing `typing` takes as long as all of this
 
 if TYPE_CHECKING:
     from stampede_rt.surface import *  # noqa: F403
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name):
-        """A submodule, or a name of the surface, all of which is then loaded.
+        """Load a submodule, or a name of the surface and with it the whole surface.
 
-        Not before: gRPC and protobuf take 0.1 s of a processor, for which who needs a submodule alone does not pay, and
-        which the command line spends where it can be interrupted.
+        The package loads the surface late: gRPC and protobuf take 0.1 s to load. A program that needs one submodule
+        alone does not pay for them, and the command line loads them where Ctrl-C works.
         """
         from importlib import import_module
         from importlib.util import find_spec

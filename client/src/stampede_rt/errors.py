@@ -1,7 +1,7 @@
-"""Every error of the system, on both sides of the wire. Pure.
+"""All errors of the product, on both sides of the wire. Pure.
 
-Each carries a `reason` (a value of `stampede_rt.v1.ErrorReason` without its prefix), a sentence that names the thing,
-the reason and the way out, and `metadata` with the thing's particulars.
+Each has a `reason` (a value of `stampede_rt.v1.ErrorReason` without its prefix), a sentence that names the thing, the
+reason and the way out, and `metadata` with the particulars.
 """
 
 from __future__ import annotations
@@ -10,7 +10,10 @@ from collections.abc import Mapping
 
 
 class StampedeError(Exception):
-    """The root. `retryable` says that the same call may succeed after resolving the channel again or waiting."""
+    """The base of all errors.
+
+    `retryable`: the same call may succeed later, or after the client has looked for the host again.
+    """
 
     reason: str = "INTERNAL"
     retryable: bool = False
@@ -23,7 +26,7 @@ class StampedeError(Exception):
             self.reason = reason
 
     def concerning(self, kind: str, name: str) -> None:
-        """Name the thing, such as "channel" and its name, unless the message does already."""
+        """Add the kind and name of the thing to the message, such as "channel" and its name, if they are not in it."""
         if name not in self.message:
             self.message = f"{kind} {name!r}: {self.message}"
             self.args = (self.message,)
@@ -37,7 +40,7 @@ class InvalidArgument(StampedeError, ValueError):
 
 
 class InvalidInterval(InvalidArgument):
-    """A concrete lower bound lies above a concrete upper one."""
+    """An interval's concrete start lies after its concrete end."""
 
     reason = "INVALID_INTERVAL"
 
@@ -55,47 +58,47 @@ class MalformedRun(InvalidArgument):
 
 
 class ItemTooLarge(InvalidArgument):
-    """One item is larger than its channel, or one message, can hold."""
+    """The item is larger than one channel, or one message, can hold."""
 
     reason = "ITEM_TOO_LARGE"
 
 
 class CodecError(InvalidArgument):
-    """A value cannot be encoded, or a payload is not what its reader's codec decodes."""
+    """A codec cannot encode a value, or cannot decode a payload."""
 
 
 class ChannelNotFound(StampedeError, LookupError):
-    """No channel has that name or id; it may have been deleted."""
+    """No channel has that name or id. Someone may have deleted it."""
 
     reason = "CHANNEL_NOT_FOUND"
 
 
 class ChannelExists(StampedeError):
-    """The channel is there with a set-up that contradicts the one stated."""
+    """The channel exists with another policy, or at another host, than the caller stated."""
 
     reason = "CHANNEL_EXISTS"
 
 
 class GroupNotFound(StampedeError, LookupError):
-    """No group has that name or id; it may have been deleted."""
+    """No group has that name or id. Someone may have deleted it."""
 
     reason = "GROUP_NOT_FOUND"
 
 
 class GroupExists(StampedeError):
-    """The group is there with other members or another reference."""
+    """The group exists with other members or settings than the caller stated."""
 
     reason = "GROUP_EXISTS"
 
 
 class QueueNotFound(StampedeError, LookupError):
-    """No queue has that name or id; it may have been deleted, or be the mailbox of a peer that has left."""
+    """No queue has that name or id. Someone may have deleted it, or its peer has left."""
 
     reason = "QUEUE_NOT_FOUND"
 
 
 class QueueExists(StampedeError):
-    """The queue is there with a set-up that contradicts the one stated."""
+    """The queue exists with another policy, or at another host, than the caller stated."""
 
     reason = "QUEUE_EXISTS"
 
@@ -125,41 +128,41 @@ class HostExists(StampedeError):
 
 
 class Full(StampedeError):
-    """A limit is reached, and nothing made room in time: a ChannelFull or a QueueFull."""
+    """A channel or queue is full, and no room came in time: a ChannelFull or a QueueFull."""
 
 
 class ChannelFull(Full):
-    """The channel's limits are reached and nothing made room in time, or all places of its consumers are taken."""
+    """The channel is full and no room came in time, or all its consumer places are taken."""
 
     reason = "CHANNEL_FULL"
 
 
 class QueueFull(Full):
-    """The limits of the queue or mailbox are reached and nothing made room in time. Leased messages take room, too."""
+    """The queue or mailbox is full and no room came in time. Leased messages count, too."""
 
     reason = "QUEUE_FULL"
 
 
 class TooOld(StampedeError):
-    """The item lies behind the retention window, behind what was collected, or below an advance."""
+    """The item is older than the channel's retention, than a collected item, or than an advance."""
 
     reason = "TOO_OLD"
 
 
 class InFuture(StampedeError):
-    """The item lies further ahead of the host's clock than the channel allows."""
+    """The item's time is further ahead of the host's clock than the channel allows."""
 
     reason = "IN_FUTURE"
 
 
 class IncarnationLost(StampedeError):
-    """The channel's host was lost and items with it: seqs and cursors from before do not hold any more."""
+    """The channel's host was lost with its items. Older seqs and cursors no longer hold."""
 
     reason = "INCARNATION_LOST"
 
 
 class LeaseExpired(StampedeError):
-    """A lease has ended, or was never held."""
+    """A lease has ended, or the caller never had it."""
 
     reason = "LEASE_EXPIRED"
 
@@ -171,7 +174,7 @@ class PermissionDenied(StampedeError):
 
 
 class Overloaded(StampedeError):
-    """A bound of the server is reached."""
+    """The server has reached one of its bounds. Try again later."""
 
     reason = "OVERLOADED"
     retryable = True
@@ -185,39 +188,39 @@ class Unavailable(StampedeError, ConnectionError):
 
 
 class DeadlineExceeded(StampedeError, TimeoutError):
-    """The call's time is over before the work was done."""
+    """The call's time was over before the work was done. The server may still do it."""
 
     reason = "DEADLINE_EXCEEDED"
 
 
 class StaleBinding(StampedeError):
-    """A cached place of a channel does not hold any more; treated as a cache miss (paper, section 4.2)."""
+    """A cached binding no longer holds. The client looks for the host again (paper, section 4.2)."""
 
     reason = "NOT_HERE"
     retryable = True
 
 
 class NotLeader(StampedeError):
-    """This supernode does not lead; `metadata["leader_endpoint"]` names the one that does, if known."""
+    """This supernode does not lead. `metadata["leader_endpoint"]` names the leader, if it is known."""
 
     reason = "NOT_LEADER"
     retryable = True
 
 
 class ForkedProcess(StampedeError, RuntimeError):
-    """The process was forked, and what it inherited does not work in it. The client alone raises it."""
+    """The process was forked, and the connection that it inherited does not work in it. Only the client raises it."""
 
     reason = "FORKED_PROCESS"
 
 
 class VersionMismatch(StampedeError):
-    """The two sides speak versions that do not go together."""
+    """The two sides speak versions that do not work together."""
 
     reason = "VERSION_MISMATCH"
 
 
 class WatchRestart(StampedeError):
-    """The changes asked for are not kept any more: list again, then watch from there."""
+    """The directory no longer keeps the changes since that point. List again, and begin a new watch."""
 
     reason = "WATCH_RESTART"
 
@@ -242,5 +245,5 @@ _BY_REASON |= {
 
 
 def error_for(reason: str, message: str, metadata: Mapping[str, str] | None = None) -> StampedeError:
-    """The exception that stands for `reason`; an unknown reason of a newer server is a plain StampedeError."""
+    """The exception for `reason`. A reason that this client does not know is a plain StampedeError."""
     return _BY_REASON.get(reason, StampedeError)(message, reason=reason, metadata=metadata)

@@ -1,10 +1,11 @@
-"""Imports gRPC so that it leaves its users' programs alone; imported before anything else here that imports gRPC.
+"""Imports gRPC with settings that leave its users' programs alone.
 
-It logs errors only: otherwise it writes two lines about each refused handshake to the standard error of every program
-that uses this package, beside the sentence that the program gets as an exception. And it does nothing at a fork:
-otherwise it starts its threads in the child, where they crash one child in three of a parent that uses asyncio, though
-the child never uses gRPC (decision 0067). `$GRPC_VERBOSITY` and `$GRPC_ENABLE_FORK_SUPPORT`, which it reads once, when
-it is imported, still decide if they are set.
+Import this before any other module that imports gRPC.
+
+gRPC logs errors only. Otherwise it writes two lines about each refused handshake to standard error, although the
+program gets the reason as an exception. gRPC does nothing at a fork. Otherwise it starts its threads in the child,
+where they crash one child in three of a parent that uses asyncio, even if the child never uses gRPC (decision 0067).
+gRPC reads `$GRPC_VERBOSITY` and `$GRPC_ENABLE_FORK_SUPPORT` once, at its import. If the user has set them, they decide.
 """
 
 from __future__ import annotations
@@ -19,6 +20,6 @@ try:
     import grpc
 finally:
     for _name in _unset:
-        del os.environ[_name]  # child processes are none of our business
+        del os.environ[_name]  # do not pass it on to child processes
 
 __all__ = ["grpc"]

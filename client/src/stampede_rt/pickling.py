@@ -1,6 +1,6 @@
-"""Passing connections and handles to another process: what is pickled is where the cluster is, and the thing's name.
+"""Connections and handles in other processes: a pickle has the cluster's address and the name of the thing.
 
-The secret never is. Where it comes from a file, the other process finds it as `connect` does.
+It never has the secret. If the secret comes from a file, the other process finds it as `connect` does.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt.values.timeline import DurationLike
 
-_sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary()  # of handles that came from elsewhere
+_sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary()  # of unpickled handles
 
 
 @dataclass(frozen=True, slots=True)
 class ClusterReference:
-    """How another process reaches the same cluster."""
+    """The address by which another process reaches the same cluster."""
 
     frontends: tuple[str, ...]
     zone: str
@@ -39,29 +39,29 @@ class ClusterReference:
 
     @classmethod
     def of(cls, target: Target, secret: str | None) -> ClusterReference:
-        """Of a connection; `secret` as its maker stated it."""
+        """The reference of a connection; `secret` is the argument of `connect`."""
         return cls(target.frontends, target.zone, target.tls.files if target.tls else None, secret is not None)
 
     def __reduce__(self) -> tuple[Callable[..., ClusterReference], tuple[Any, ...]]:
         if self.secret_is_an_argument:
             raise TypeError(
-                "a connection whose secret was an argument of connect() cannot be pickled, nor what was opened with "
-                "it: the secret would be written down; name a file of it in $STAMPEDE_SECRET_FILE instead"
+                "a connection with a secret as argument of connect() cannot be pickled, nor can its handles: the "
+                "pickle would have the secret; name the secret's file in $STAMPEDE_SECRET_FILE instead"
             )
         return ClusterReference, (self.frontends, self.zone, self.tls)
 
     def connection(self) -> Connection:
-        """A connection of the other process' own."""
+        """Make a connection of the other process."""
         return Connection(self._connect(), "")
 
     def channel(self, name: str, stated: Policy, create: bool, coding: Coding | None) -> Channel:
-        """A channel's handle, as it was opened."""
+        """Open a channel's handle as it was opened first."""
         session = self._session()
         info = session.open_channel(name, stated, None, create)
         return Channel(session, session.state_of(info, stated, create, coding))
 
     def group_members(self, name: str, codings: Sequence[tuple[str, Coding]]) -> GroupMembers:
-        """What a group's handle and its descriptors share; `codings`: the codecs of its members, by name."""
+        """Open what a group's handle and its descriptors share; `codings`: the codecs of its members, by name."""
         members = Connection(self._session(), "").group(name)._members
         by_name = dict(codings)
         for channel in members.channels:
@@ -69,11 +69,11 @@ class ClusterReference:
         return members
 
     def group(self, members: GroupMembers) -> Group:
-        """A group's handle."""
+        """Open a group's handle."""
         return Group(members)
 
     def descriptor(self, members: GroupMembers, name: str, coding: Coding | None) -> GroupChannel:
-        """A group's descriptor of a channel."""
+        """Open a group's descriptor of a channel."""
         descriptor = Group(members)[name]
         descriptor._state.coding = coding
         return descriptor
@@ -87,13 +87,13 @@ class ClusterReference:
         prefetch: int,
         reconnect: DurationLike | None,
     ) -> Queue:
-        """A queue's handle, as it was opened."""
+        """Open a queue's handle as it was opened first."""
         session = self._session()
         info = open_queue(session, name, stated, None, create)
         return Queue(session, queue_state(session, name, info, stated, create, coding), prefetch, reconnect)
 
     def _session(self) -> Session:
-        """The one that all handles from elsewhere share in this process."""
+        """The session that all unpickled handles of a cluster share in this process."""
         session = _sessions.get(self)
         if session is None or session.closed or session.inherited:
             session = _sessions[self] = self._connect()

@@ -1,7 +1,7 @@
-"""The one table from errors to gRPC status codes, and their form on the wire (`proto/stampede_rt/v1/error.proto`).
+"""The one table from errors to gRPC status codes, and their wire form (`proto/stampede_rt/v1/error.proto`).
 
-`google.rpc.Status` and `google.rpc.ErrorInfo` are written and read field by field: their Python stubs are a
-distribution of their own, which the base client does not need.
+It writes and reads `google.rpc.Status` and `google.rpc.ErrorInfo` field by field: their Python stubs are a distribution
+of their own, which the base client does not need.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ _CODES: dict[str, grpc.StatusCode] = {
 
 
 def code_for(reason: str) -> grpc.StatusCode:
-    """The gRPC status code of a reason; an unknown one is INTERNAL."""
+    """The gRPC status code of a reason; INTERNAL for an unknown one."""
     return _CODES.get(reason, grpc.StatusCode.INTERNAL)
 
 
 def encode_status(error: StampedeError) -> bytes:
-    """`error` as an encoded google.rpc.Status with one ErrorInfo."""
+    """Return `error` as an encoded google.rpc.Status with one ErrorInfo."""
     info = rpc_status_pb2.ErrorInfo(reason=error.reason, domain=DOMAIN, metadata=error.metadata)
     number, _ = code_for(error.reason).value
     status = rpc_status_pb2.Status(code=number, message=error.message)
@@ -94,21 +94,21 @@ async def abort(context: Any, error: StampedeError) -> NoReturn:
 
 
 def to_error_message(error: StampedeError) -> error_pb2.Error:
-    """`error` in the form that travels inside streams."""
+    """Return `error` in its form inside streams."""
     return error_pb2.Error(reason=_PREFIX + error.reason, message=error.message, metadata=error.metadata)
 
 
 def from_error_message(message: error_pb2.Error) -> StampedeError:
-    """The exception that an Error inside a stream stands for."""
+    """Return the exception for an Error inside a stream."""
     try:
         reason = error_pb2.ErrorReason.Name(message.reason).removeprefix(_PREFIX)
-    except ValueError:  # a newer server's reason
+    except ValueError:  # the reason of a newer server
         reason = "INTERNAL"
     return error_for(reason, message.message, dict(message.metadata))
 
 
 def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
-    """The exception that a failed RPC to `peer` (an address, for the message) stands for."""
+    """Return the exception for a failed RPC to `peer` (an address, for the message)."""
     for key, value in _trailers(error):
         if key == DETAILS_KEY and isinstance(value, bytes):
             found = _from_status(value)
@@ -132,7 +132,7 @@ def _from_status(encoded: bytes) -> StampedeError | None:
 
 
 def _brief(details: str) -> str:
-    """What gRPC says, without how it came to say it, so that what matters is seen."""
+    """Shorten gRPC's text to the words that matter."""
     return _GRPC_PREAMBLE.sub("", details)
 
 

@@ -202,12 +202,14 @@ def connect(
 ) -> Connection:
     """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
 
-    `name`: the peer name of this connection, which gives it a mailbox. Without a name others cannot send to it.
-    `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that gives
-    the same proof takes over name and mailbox at once. `secret`: the cluster's secret; on the cluster's own machine the
-    client finds it by itself. `zone`: the caller's zone; the client prefers supernodes of the same zone. `tls`: the
-    certificates, if the cluster asks for them. Blocks for at most 5 s.
-    Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
+    - `name`: the peer name of this connection, which gives it a mailbox. Without a name other peers cannot send to it.
+    - `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that
+      gives the same proof takes over name and mailbox at once.
+    - `secret`: the cluster's secret. On the cluster's own machine the client finds it by itself.
+    - `zone`: the caller's zone. The client prefers supernodes of the same zone.
+    - `tls`: the certificates, if the cluster asks for them.
+
+    Blocks for at most 5 s. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists, InvalidArgument.
     """
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
     address = ClusterReference.of(target, secret)
@@ -220,5 +222,5 @@ def connect(
 
 
 def now() -> int:
-    """Return this machine's clock in nanoseconds since the epoch. It is not corrected towards the clock of a host."""
+    """Return this machine's clock in nanoseconds since the epoch. A host's clock may differ, see `Channel.stats`."""
     return time.time_ns()

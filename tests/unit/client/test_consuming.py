@@ -155,6 +155,6 @@ async def test_items_of_two_incarnations_are_told_apart(session: Any, state: Cha
 
 
 async def test_only_items_are_taken(session: Any, state: ChannelState) -> None:
-    with pytest.raises(st.InvalidArgument, match="give the items"):
+    with pytest.raises(st.InvalidArgument, match="give items"):
         await consume(session, state, [b"payload"])  # type: ignore[list-item]
     assert not session.host.requests

@@ -134,7 +134,7 @@ async def test_a_long_outage_has_a_line_in_the_log_at_its_beginning_and_at_its_e
     with caplog.at_level(logging.WARNING, "stampede_rt"):
         await one.open(Opening(*[st.Unavailable("down") for _ in range(100)]))
     assert [record.getMessage().split(":")[0].rsplit(" after")[0] for record in caplog.records] == [
-        "the subscription to channel 'cam' has been broken for 10 s, and is tried again",
+        "the subscription to channel 'cam' has been broken for 10 s; the client tries again",
         "the subscription to channel 'cam' is back",
     ]
 

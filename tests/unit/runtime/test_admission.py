@@ -243,7 +243,10 @@ async def test_a_client_hears_what_is_wrong_with_the_certificate_of_the_service(
 async def test_a_client_hears_that_the_service_speaks_plain_text(made: ClusterCertificates) -> None:
     async with serving(lambda _: None) as server:
         told = await refusal(server.address, made.issue(Role.CLIENT, "cam"))
-        assert told == f"{server.address} speaks plain text, not TLS; leave the certificates out, or secure it"
+        assert told == (
+            f"{server.address} speaks plain text, not TLS; "
+            "leave the certificates out, or give that service certificates"
+        )
         assert await asyncio.to_thread(explain_refusal, server.address, None) is None
 
 

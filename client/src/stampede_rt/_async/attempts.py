@@ -1,4 +1,4 @@
-"""Tries an operation at the place of a channel or queue, and again at its new place if that one is stale or gone."""
+"""Tries an operation at the host of a channel or queue, and again at its new host if the binding is stale."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ Result = TypeVar("Result")
 
 
 class Locator(Protocol):
-    """Where a channel or queue is, as far as it is known; what turns out to be stale counts as a miss."""
+    """Finds the binding of a channel or queue."""
 
     async def find(self, deadline_s: float) -> Binding:
-        """The place, from a cache or by asking, until `deadline_s` on the monotonic clock."""
+        """Return the binding, from a cache or from the cluster, until `deadline_s` on the monotonic clock."""
         ...
 
     def forget(self) -> None:
-        """The place turned out to be stale."""
+        """Forget a binding that turned out to be stale."""
         ...
 
     def check(self) -> None:
-        """Raises what keeps the connection from being used: it is closed, or was made before a fork."""
+        """Raise ForkedProcess, or Unavailable if the connection is closed."""
         ...
 
     def explain(self, error: StampedeError) -> None:
-        """Name the thing in `error`."""
+        """Add the name of the channel or queue to `error`."""
         ...
 
     @property
     def closed(self) -> bool:
-        """The connection is closed: nothing is tried again."""
+        """Whether the connection is closed: no operation is tried again then."""
         ...
 
 
 async def attempt(
     locator: Locator, operation: Callable[[Binding], Awaitable[Result]], timeout_s: float | None
 ) -> Result:
-    """Run `operation` where the thing is, again and again while what it raises is retryable.
+    """Run `operation` at the present host, again and again while its error is retryable.
 
-    `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met; if only
-    the end of the time cut that one short, what the try before met, which says more.
+    `timeout_s` bounds the tries, not a wait inside `operation`; None: no limit. Raises the last error. If the last try
+    only ran out of time, raises the error of the try before, which says more.
     """
     locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
@@ -56,9 +56,9 @@ async def attempt(
             return await operation(await locator.find(backoff.deadline_s))
         except StampedeError as error:
             if locator.closed:
-                locator.check()  # says so, instead of what the call met when its connection went
+                locator.check()  # raises "closed" instead of the broken call's error
             locator.explain(error)
-            slow = isinstance(error, DeadlineExceeded)  # a host that hangs may be lost soon
+            slow = isinstance(error, DeadlineExceeded)  # the host hangs; the channel may get another one
             if not (error.retryable or slow):
                 raise
             locator.forget()

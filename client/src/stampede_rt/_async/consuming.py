@@ -1,8 +1,8 @@
-"""Using items up, on channels that count consumption (paper, section 3.4: reference count).
+"""Consumption: a channel can keep its items until all consumers have consumed them (paper, section 3.4).
 
-The consumer is the connection: all its handles of a channel share one place there. The place is kept by a lease that
-each `consume` renews, and the library in between, in the background, until the connection is closed. A process that
-dies loses its places when their leases end.
+The consumer is the connection. All its handles of a channel share one consumer place. Each `consume` renews the place's
+lease. In between the library renews it in the background, until the connection is closed. The places of a process that
+dies end with their leases.
 """
 
 from __future__ import annotations
@@ -38,13 +38,16 @@ async def consume(session: Session, state: ChannelState, items: Item | Iterable[
 
 
 def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]]]:
-    """In requests of a size that hosts take; one without seqs if there are no items: it takes a place, or keeps it."""
+    """Split the items into requests of a size that hosts take.
+
+    Without items there is one request: it takes or keeps the place.
+    """
     if not isinstance(items, Iterable):
-        raise InvalidArgument(f"{items!r} is to be consumed; give the items that a read or subscription gave you")
+        raise InvalidArgument(f"{items!r} cannot be consumed; give items from a read or subscription")
     found: dict[int, list[int]] = {}
     for item in items:
         if not isinstance(item, Item):
-            raise InvalidArgument(f"{item!r} is to be consumed; give the items that a read or subscription gave you")
+            raise InvalidArgument(f"{item!r} cannot be consumed; give items from a read or subscription")
         found.setdefault(item.incarnation, []).append(item.seq)
     requests: list[tuple[int, Sequence[int]]] = [
         (incarnation, seqs[first : first + SEQS_MAX])
@@ -62,7 +65,7 @@ async def _consume(
     lease_nanos: int | None = None,
     timeout_s: float = CALL_TIMEOUT_S,
 ) -> channel_pb.ConsumeResponse:
-    """One request, tried again as often as that helps: consuming twice is as good as once."""
+    """Send one request, and try again after a break: consuming twice changes nothing."""
 
     async def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
         endpoint = session.endpoints.to(binding.target)
@@ -81,7 +84,7 @@ async def _consume(
 
 
 class _HeldConsumerPlace:
-    """Renews the lease on the connection's place at one channel until the connection is closed, then gives it up."""
+    """Renews the lease of the connection's place at one channel, and gives the place up when the connection closes."""
 
     def __init__(self, session: Session, state: ChannelState) -> None:
         self._session = session
@@ -92,7 +95,7 @@ class _HeldConsumerPlace:
         self._background: BackgroundTask | None = None
 
     def keep(self, lease_s: float) -> None:
-        """The place was just taken or renewed for so long. Begins to renew it, unless that is under way."""
+        """Note that the place was taken or renewed for so long, and begin to renew it in the background."""
         with self._mutex:
             self._lease_s = lease_s
             if self._background is None:
@@ -100,14 +103,21 @@ class _HeldConsumerPlace:
                 self._background = BackgroundTask(self._run, f"consumer of {self._state.info.name}")
 
     async def end(self) -> None:
-        """Give the place up, so that nothing waits for the lease to end. What closing the connection does."""
+        """Give the place up now, so that no one has to wait for the end of its lease.
+
+        The connection calls this when it closes.
+        """
         self._stop.set()
         if self._background is None or not await self._background.join(END_TIMEOUT_S):
             return
         try:
             await _consume(self._session, self._state, lease_nanos=0, timeout_s=END_TIMEOUT_S)
         except StampedeError as error:
-            _log.info("the place at channel %s goes when its lease ends: %s", self._state.info.name, error)
+            _log.info(
+                "the consumer place at channel %s could not be given up; it ends with its lease: %s",
+                self._state.info.name,
+                error,
+            )
 
     async def _run(self) -> None:
         try:
@@ -115,16 +125,23 @@ class _HeldConsumerPlace:
                 await self._renew()
         except StampedeError as error:
             if not self._session.closed:
-                _log.warning("the place as consumer of %s is lost: %s", self._state.info.name, error)
+                _log.warning("the consumer place at channel %s is lost: %s", self._state.info.name, error)
             self._session.consumer_places.pop(self._state.info.channel_id, None)
             self._session.detach(self)
 
     async def _renew(self) -> None:
-        """Raises what makes it useless to try again: the channel is deleted, or all places are taken by others."""
+        """Renew the lease.
+
+        Raises an error that makes further tries useless: the channel is deleted, or others have all places.
+        """
         try:
             response = await _consume(self._session, self._state, timeout_s=self._lease_s / RENEWALS_PER_LEASE)
             self._lease_s = response.lease_nanos / 1e9
         except StampedeError as error:
             if self._session.closed or not (error.retryable or isinstance(error, DeadlineExceeded)):
                 raise
-            _log.info("cannot renew the place as consumer of %s yet: %s", self._state.info.name, error)
+            _log.info(
+                "the consumer place at channel %s could not be renewed; the client tries again: %s",
+                self._state.info.name,
+                error,
+            )

@@ -1,4 +1,4 @@
-"""The way to the directory: front-ends give the supernodes, the nearest one is asked, the next one takes over."""
+"""Calls to the directory. Front-ends name the supernodes; the client asks the nearest one, and then the next."""
 
 from __future__ import annotations
 
@@ -30,14 +30,17 @@ from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 MEASURE_EVERY_S = 60.0
 PING_TIMEOUT_S = 1.0
-TRY_TIMEOUT_S = 2.5  # for one supernode while there are others: one that is stopped must not use up all the time
+TRY_TIMEOUT_S = 2.5  # for one of several supernodes: a stopped one must leave time for the others
 CONNECT_TIMEOUT_S = 5.0
-EXPLAIN_TIMEOUT_S = 1.0  # after it no other front-end is looked at
-LEADERS_ASKED_MAX = 3  # for one call: one that was, one that was said to be, and one more
+EXPLAIN_TIMEOUT_S = 1.0  # the search for a reason ends after this time
+LEADERS_ASKED_MAX = 3  # for one call: the last leader, the one it names, and one more
 
 
 class _Call(NamedTuple):
-    """A call that may be made several times; `since_s`: when it, or another with its request id, was made first."""
+    """A call that the client may repeat.
+
+    `since_s`: when it first made this call, or another one with the same request id.
+    """
 
     method: str
     request: Any
@@ -45,7 +48,7 @@ class _Call(NamedTuple):
 
 
 class DirectoryClient:
-    """Calls the directory, through whichever supernode is nearest and alive (paper, section 4.3)."""
+    """Calls the directory through the nearest supernode that is alive (paper, section 4.3)."""
 
     def __init__(self, frontends: tuple[str, ...], endpoints: EndpointPool, *, peer_name: str, zone: str) -> None:
         self._frontends = frontends
@@ -53,17 +56,17 @@ class DirectoryClient:
         self.peer_name = peer_name
         self._zone = zone
         self._targets: list[str] = []
-        self._elsewhere: frozenset[str] = frozenset()  # those of another zone than ours, if we have one
+        self._elsewhere: frozenset[str] = frozenset()  # supernodes of other zones, if this client has a zone
         self._measure_again_s = float("-inf")
-        self._leader = ""  # who led when it was looked for last
+        self._leader = ""  # the last known leader
         self.cluster_id = ""
-        self._strangers: set[str] = set()  # at the addresses of supernodes, by their own word of another cluster
-        self.clock: ClockOffset | None = None  # this machine's, by the last call that told a supernode's time
+        self._strangers: set[str] = set()  # addresses at which another cluster answers
+        self.clock: ClockOffset | None = None  # measured by the last call that told a supernode's time
 
     async def bind(self, timeout_s: float) -> None:
-        """Ask the front-ends, one after the other, for the supernodes, and put the nearest first.
+        """Ask one front-end after the other for the supernodes, and put the nearest first.
 
-        Raises Unavailable, PermissionDenied or VersionMismatch if none of them helps within `timeout_s`.
+        Raises Unavailable, PermissionDenied or VersionMismatch if no front-end helps within `timeout_s`.
         """
         deadline_s = time.monotonic() + timeout_s
         failure: StampedeError | None = None
@@ -98,7 +101,7 @@ class DirectoryClient:
             return failure
         addresses = ", ".join(self._frontends)
         if isinstance(failure, Unavailable) and UNREACHED not in failure.metadata:
-            return Unavailable(f"the front-end {addresses} runs, but: {failure}", reason=failure.reason)
+            return Unavailable(f"the front-end {addresses} runs, but cannot serve: {failure}", reason=failure.reason)
         return Unavailable(
             f"cannot connect to {addresses}: {failure} (start one with `stampede dev`, or name another in connect() or "
             "$STAMPEDE_URL)",
@@ -106,7 +109,7 @@ class DirectoryClient:
         )
 
     async def _explain(self) -> StampedeError | None:
-        """Whether it is for certificates that no front-end answers."""
+        """Return the error if the front-ends do not answer because of certificates."""
         deadline_s = time.monotonic() + EXPLAIN_TIMEOUT_S
         for target in self._frontends:
             if time.monotonic() > deadline_s:
@@ -117,11 +120,11 @@ class DirectoryClient:
         return None
 
     async def _measure(self) -> None:
-        """Ping all supernodes at once and put the nearest first, those of our zone before others.
+        """Ping all supernodes at once and put the nearest first, those of the own zone before others.
 
-        What does not answer within PING_TIMEOUT_S goes last. A supernode of another cluster is left out: somebody has
-        restored a backup at the address of one of ours. The next time comes earlier or later than for others who
-        began at the same moment.
+        Supernodes that do not answer within PING_TIMEOUT_S go last. The client leaves out a supernode of another
+        cluster, such as a restored backup at an old address. The time of the next ping is random, so that many clients
+        do not ping at once.
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
@@ -135,8 +138,11 @@ class DirectoryClient:
             self.clock = answered.get(self._targets[0], self.clock)
 
     async def _ping(self, target: str) -> ClockOffset | None:
-        """How far away a supernode is, and its clock; None if it cannot serve."""
-        began, sent = time.monotonic_ns(), time.time_ns()  # a pause in between makes the round trip longer, not shorter
+        """Measure the distance and the clock of a supernode; None if it cannot serve."""
+        began, sent = (
+            time.monotonic_ns(),
+            time.time_ns(),
+        )  # in this order a pause makes the round trip longer, not shorter
         try:
             endpoint = self._endpoints.to(target)
             pong = await endpoint.call(
@@ -155,10 +161,12 @@ class DirectoryClient:
         )
 
     async def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
-        """One call of the directory. Goes to the next supernode if one cannot serve, and to the front-ends after all.
+        """Make one call of the directory.
 
-        Updates are safe to repeat: they carry a request id, and say how long ago they were first sent: now, or at
-        `since_s` by `age_clock_s`. Raises what the directory answers, or Unavailable once `timeout_s` is over.
+        If a supernode cannot serve, ask the next one, and at last the front-ends for others.
+
+        Updates are safe to repeat: they carry a request id and their age, counted from now, or from `since_s` by
+        `age_clock_s`. Raises the directory's error, or Unavailable after `timeout_s`.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, age_clock_s() if since_s is None else since_s)
@@ -178,7 +186,7 @@ class DirectoryClient:
             await self._rebind(backoff.deadline_s)
 
     async def _call_each(self, call: _Call, rounds: DirectoryCall) -> Any:
-        """Ask one supernode after the other. Raises what the failures of this round and of former ones come to."""
+        """Ask one supernode after the other. Raises the one error that sums up all failures so far."""
         if time.monotonic() > self._measure_again_s:
             await self._measure()
         rounds.begin_round(self._targets, TRY_TIMEOUT_S if len(self._targets) > 1 else float("inf"))
@@ -198,7 +206,10 @@ class DirectoryClient:
             self._targets.append(target)
 
     async def _rebind(self, deadline_s: float) -> None:
-        """All supernodes failed: a front-end may know others. If none answers, the known ones stay."""
+        """Ask the front-ends for other supernodes, because all known ones failed.
+
+        Keep these if no front-end answers.
+        """
         left_s = deadline_s - time.monotonic()
         try:
             await self.bind(max(min(left_s, CONNECT_TIMEOUT_S), 0.1))
@@ -206,20 +217,22 @@ class DirectoryClient:
             self._measure_again_s = float("-inf")
 
     async def present_cluster(self, deadline_s: float) -> str:
-        """The id of the cluster whose supernode answers; another one than before if its directory began anew.
+        """Return the id of the cluster that answers. It is a new one if the directory has begun anew.
 
         Raises Unavailable.
         """
         timeout_s = max(min(deadline_s - time.monotonic(), CONNECT_TIMEOUT_S), 0.1)
         pong = await self.call("Ping", directory_pb.DirectoryServicePingRequest(), timeout_s)
         if not pong.cluster_id:
-            raise Unavailable("the directory is only just beginning")
+            raise Unavailable("the directory has just begun and has no cluster id yet; try again")
         self.cluster_id = pong.cluster_id
         return self.cluster_id
 
     async def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
-        """One call of the leader, who alone can answer it. Raises what it answers; Unavailable if nobody leads, for
-        this is not tried again."""
+        """Make one call of the leader, which alone can answer it. Does not try again.
+
+        Raises the leader's error, and Unavailable if there is no leader.
+        """
         for _ in range(LEADERS_ASKED_MAX):
             self._leader = target = self._leader or await self._find_leader(timeout_s)
             endpoint = self._endpoints.to(target)
@@ -230,17 +243,17 @@ class DirectoryClient:
             except (Unavailable, DeadlineExceeded):
                 self._leader = ""
                 raise
-        raise Unavailable("the supernodes have no leader at present")
+        raise Unavailable("the supernodes have no leader at present; try again, or run `stampede doctor`")
 
     async def _find_leader(self, timeout_s: float) -> str:
         response = await self.call("ListSupernodes", directory_pb.ListSupernodesRequest(), timeout_s)
         for record in response.supernodes:
             if record.is_leader:
                 return str(record.endpoint.target)
-        raise Unavailable("the supernodes have no leader at present")
+        raise Unavailable("the supernodes have no leader at present; try again, or run `stampede doctor`")
 
     def stream(self, method: str, request: Any) -> ServerStream[Any]:
-        """The responses of one streaming call, from the nearest supernode."""
+        """Open a stream of responses from the nearest supernode."""
         if not self._targets:
             raise Unavailable("no supernode is known; is a front-end running?")
         endpoint = self._endpoints.to(self._targets[0])

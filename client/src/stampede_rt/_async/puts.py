@@ -1,4 +1,4 @@
-"""Single puts: each waits for its ack, on a stream that stays open to the channel's host."""
+"""Single puts: each waits for its ack, on an open stream to the channel's host."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from stampede_rt.wire.runs import run_parts
 
 
 class ProducerNumbers:
-    """A producer's identity and the numbers of its puts, by which a put that is sent again is recognised."""
+    """The id of a producer and the numbers of its puts. By them the host recognises a repeated put."""
 
     def __init__(self) -> None:
         self.producer_id = int.from_bytes(os.urandom(8), "little") | 1
         self._numbers = itertools.count(1)
 
     def next(self) -> int:
-        """A number that no put before had; callable from several threads."""
+        """Return a new number. Several threads may call it."""
         return next(self._numbers)
 
 
 class Puts:
-    """The puts of one handle, each on an open stream to the place of its channel or queue."""
+    """The puts of one handle."""
 
     def __init__(
         self, session: Session, locator: Locator, open_stream: Callable[[ServerEndpoint], PutExchange]
@@ -53,10 +53,10 @@ class Puts:
     async def put(
         self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, renew_s: float = RENEW_S
     ) -> channel_pb.PutAck:
-        """Put one item under the producer's next number, which makes it safe to send it again; its ack.
+        """Put one item under the producer's next number, so that it is safe to repeat. Returns the ack.
 
-        `wait` is for one that may have to wait for room. A long one is renewed from time to time, the first time after
-        `renew_s`, so that a host that hangs is noticed.
+        `wait` bounds the wait for room. The client splits a long wait, the first time after `renew_s`, so that it
+        notices a host that hangs.
         """
         began_s = monotonic_s()
         while True:  # ends with the wait
@@ -66,7 +66,9 @@ class Puts:
             try:
                 return await self._put(numbers, item, part)
             except Full:
-                if part is left or monotonic_s() - asked_s < renew_s / 2:  # too soon: the host lets no put wait
+                if (
+                    part is left or monotonic_s() - asked_s < renew_s / 2
+                ):  # refused at once: this channel lets no put wait
                     raise
             renew_s = RENEW_S
 
@@ -75,7 +77,7 @@ class Puts:
         number, ends_s = numbers.next(), monotonic_s() + seconds
 
         async def put_at(binding: Binding) -> channel_pb.PutAck:
-            left = Wait(max(ends_s - monotonic_s(), 0.0))  # one that is tried again does not wait anew
+            left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
             head = put_head(binding.subject_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
             with self._session.put_streams.use(
@@ -86,12 +88,12 @@ class Puts:
         return await attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)
 
     def close(self) -> None:
-        """Give the streams up. A later put opens one again."""
+        """Close the streams. A later put opens a new one."""
         self._session.put_streams.close(self._handle_id)
 
 
 def enqueued(ack: channel_pb.PutAck) -> Enqueued:
-    """Where a queue has the item."""
+    """The ack of a queue, as its callers see it."""
     return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation)
 
 
@@ -105,7 +107,7 @@ def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
 
 @dataclass(frozen=True, slots=True)
 class SingleItem:
-    """One item as its caller stated it, checked."""
+    """One checked item, as its caller stated it."""
 
     payload: bytes
     time: int | None
@@ -125,7 +127,7 @@ class SingleItem:
         content_type: str | None,
         message_id: str | None = None,
     ) -> SingleItem:
-        """Raises InvalidArgument, ItemTooLarge, CodecError."""
+        """Check the arguments of a put. Raises InvalidArgument, ItemTooLarge, CodecError."""
         check_attributes(attributes)
         return cls(
             coding.encode(payload) if coding else check_payload(payload),
@@ -137,7 +139,7 @@ class SingleItem:
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:
-        """The item as its channel's host accepted it."""
+        """The item as the channel's host accepted it."""
         time = ack.stamped_unix_nano if self.time is None else self.time
         fields = (
             time,
@@ -153,7 +155,7 @@ class SingleItem:
         return state.coding.item(fields) if state.coding else Item._make(fields)
 
     def run_parts(self) -> list[bytes]:
-        """The item as a run of its own."""
+        """The item as an encoded run of one item."""
         return run_parts(
             (self.payload,),
             times=None if self.time is None else (self.time,),

@@ -7,11 +7,12 @@ from types import TracebackType
 from typing import Any
 
 from stampede_rt._async.attempts import Locator, attempt
+from stampede_rt._async.endpoints import connection_closed
 from stampede_rt._async.message import Message
 from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._async.reconnecting import Reconnecting
-from stampede_rt._async.session import CALL_TIMEOUT_S, Session, connection_closed, request_id
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s

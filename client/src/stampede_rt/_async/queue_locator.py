@@ -1,4 +1,4 @@
-"""Where a queue is: at the gatekeeper of the host that owns it, as the directory says (paper, section 4.2)."""
+"""Finds the host of a queue: the directory names the owner, and its gatekeeper's address serves the queue."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
 
 @dataclass(slots=True)
 class QueueState:
-    """What a handle knows of its queue; `info` follows the directory. `name` is what people call it.
+    """What a handle knows of its queue. `info` follows the directory; `name` is the queue's name for people.
 
-    `cluster_id`: where `info` comes from.
+    `cluster_id`: the cluster that `info` comes from.
     """
 
     kind: str
@@ -33,7 +33,7 @@ class QueueState:
 def queue_state(
     session: Session, name: str, info: QueueInfo, stated: QueuePolicy, create: bool, coding: Coding | None
 ) -> QueueState:
-    """What a new handle knows of a queue."""
+    """The state of a new handle."""
     return QueueState("queue", name, info, stated, create, coding, session.supernodes.cluster_id)
 
 
@@ -45,7 +45,7 @@ async def open_queue(
     create: bool,
     timeout_s: float = CALL_TIMEOUT_S,
 ) -> QueueInfo:
-    """Get or create a queue by name; an owner whose lease has ended is replaced."""
+    """Get or create a queue by name. The directory replaces an owner whose lease has ended."""
     request = queue_directory_service_pb2.OpenQueueRequest(
         request_id=request_id(),
         name=name,
@@ -58,7 +58,7 @@ async def open_queue(
 
 
 def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord) -> QueueInfo:
-    """The directory has told where a queue is."""
+    """Keep a queue's owner as the directory named it."""
     owner = Owner(
         host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version, incarnation=record.incarnation
     )
@@ -67,15 +67,15 @@ def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory
 
 
 class QueueLocator:
-    """Where a queue is, as far as a session knows."""
+    """Finds the binding of a queue."""
 
     def __init__(self, session: Session, state: QueueState) -> None:
         self._session = session
         self._state = state
-        self._turn = 0  # of a host with several endpoints the next one is taken after a failure
+        self._turn = 0  # after a failure the next endpoint of the host has its turn
 
     async def find(self, deadline_s: float) -> Binding:
-        """The cached place, or one found anew."""
+        """Return the cached binding, or look for it."""
         queue_id = self._state.info.queue_id
         owner = self._session.cache.owner(queue_id)
         if owner is None:
@@ -83,7 +83,7 @@ class QueueLocator:
             owner = self._session.cache.owner(queue_id)
         targets = self._session.cache.gatekeepers(owner.host_id) if owner is not None else ()
         if owner is None or not targets:
-            raise Unavailable(f"the {self._state.kind} {self._state.name!r} has no owner at present")
+            raise Unavailable(f"the {self._state.kind} {self._state.name!r} has no owner at present; try again soon")
         return Binding(
             subject_id=queue_id,
             target=targets[self._turn % len(targets)],
@@ -92,7 +92,7 @@ class QueueLocator:
         )
 
     async def _resolve(self, deadline_s: float) -> None:
-        """Ask a supernode who owns the queue; one whose owner is lost is opened anew, as its handle was."""
+        """Ask a supernode for the owner. If the owner is lost, open the queue again as its handle did."""
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)
         try:
@@ -109,17 +109,16 @@ class QueueLocator:
         state = self._state
         if not state.create:
             raise Unavailable(
-                f"the host of queue {state.name!r} ({lost_host or 'unknown'}) is lost, and this handle may not create "
-                "the queue anew; wait for the host, or open the queue with create=True",
+                f"the host of queue {state.name!r} ({lost_host or 'unknown'}) is lost with its messages; start the "
+                "host again, or open the queue with create=True to have it at another host",
                 reason="NO_HOST",
             )
         state.info = await open_queue(self._session, state.name, state.stated, None, True, left_s(deadline_s))
 
     async def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
-        """The queue's id is not known any more: whichever has its name now is meant.
+        """Open the queue by its name, because the directory does not know its id any more.
 
-        If none has, it was deleted; unless the whole directory began anew, as it does in memory: then it is opened as
-        its handle was. Raises QueueNotFound.
+        Creates it only if the directory itself began anew, as a directory in memory does. Raises QueueNotFound.
         """
         state, supernodes = self._state, self._session.supernodes
         create = state.create and await supernodes.present_cluster(deadline_s) != state.cluster_id
@@ -127,19 +126,19 @@ class QueueLocator:
         state.cluster_id = supernodes.cluster_id
 
     def forget(self) -> None:
-        """Forget the queue's place, and its host's endpoint."""
+        """Forget the binding."""
         self._turn += 1
         self._session.cache.forget(self._state.info.queue_id)
 
     def check(self) -> None:
-        """Raises what keeps the connection from being used."""
+        """Raise ForkedProcess, or Unavailable if the connection is closed."""
         self._session.check()
 
     def explain(self, error: StampedeError) -> None:
-        """Name the queue."""
+        """Add the name of the queue to the error."""
         error.concerning(self._state.kind, self._state.name)
 
     @property
     def closed(self) -> bool:
-        """The connection is closed."""
+        """Whether the connection is closed."""
         return self._session.closed

@@ -1,4 +1,4 @@
-"""Gets: one request on the open stream of the channel's host, and its answer as Items."""
+"""Reads: one request on the open stream to the channel's host, and its answer as Items."""
 
 from __future__ import annotations
 
@@ -21,16 +21,15 @@ from stampede_rt.wire.reads import (
     summary_reason,
 )
 
-_MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)  # also what was lost: its producer may put it again
+_MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)  # LOST: the producer may put the items again
 
 
 async def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
-    """Perform `query`, at a new place if the channel has moved. Blocks as long as the query may wait.
+    """Perform `query`, also after the channel has moved. Blocks as long as the query may wait.
 
-    `view`: what a group shows of the channel; the highest cut that it has seen is sent along and kept.
-
-    A wait without limit is renewed from time to time, so that a host that hangs is noticed; the interval stays as it
-    was first resolved.
+    `view`: the group through which to read. The client sends the highest cut that it has seen, and keeps the answer's.
+    The client splits a wait without limit, so that it notices a host that hangs. The interval stays as the host first
+    resolved it.
     """
     if query.wait.seconds is not None:
         return await _read_once(session, state, query, view)

@@ -1,4 +1,4 @@
-"""How streams come back after their connection broke: for as long as their user lets them, at growing distances."""
+"""Opens streams again after a break, at growing intervals, for as long as their user allows."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _log = logging.getLogger("stampede_rt")
 
 
 class Reconnecting:
-    """Opens a stream, and opens it again whenever it broke, for `reconnect` at the most, None: for ever.
+    """Opens a stream, and opens it again after each break, for at most `reconnect` (None: without a limit).
 
-    What never was open is tried for CALL_TIMEOUT_S alone, so that a wrong name is told soon; `held`: it counts as open.
-    `what` names the stream in logs.
+    The first opening fails after CALL_TIMEOUT_S, so that the caller soon learns of a wrong name. With `held` the stream
+    counts as open from the beginning. `what` names the stream in logs.
     """
 
     def __init__(self, session: Session, what: str, reconnect: DurationLike | None, *, held: bool = False) -> None:
@@ -29,29 +29,29 @@ class Reconnecting:
         self._what = what
         self._bound_s = parse_reconnect(reconnect)
         self._held = held
-        self._since_s: float | None = None  # when it was found broken
+        self._since_s: float | None = None  # when the break was noticed
         self._told = False
-        self.ended = False  # by its user
+        self.ended = False  # by `stop`
         self.reconnects = 0
 
     @property
     def connected(self) -> bool:
-        """It is open, as far as is known."""
+        """Whether the stream is open, as last known."""
         return self._held and self._since_s is None and not self.ended and not self._session.closed
 
     def stop(self) -> None:
-        """Try no more. Callable from any thread."""
+        """Try no more. Any thread may call it."""
         self.ended = True
 
     def broke(self) -> None:
-        """The stream is not open any more, and nobody wanted that."""
+        """Note that the stream has broken."""
         if self._since_s is None:
             self._since_s = monotonic_s()
 
     async def open(self, open_once: Callable[[float], Awaitable[None]]) -> None:
-        """Do `open_once`, which gets the seconds that it may take, until it is done, or `stop` was called.
+        """Call `open_once` with the seconds that it may take, until it succeeds or someone calls `stop`.
 
-        Raises what makes it useless to go on, or what the last try met when the time is over.
+        Raises an error that makes further tries useless, or the last error after `reconnect`.
         """
         if not self._held:
             await open_once(CALL_TIMEOUT_S)
@@ -62,7 +62,7 @@ class Reconnecting:
             pass
 
     async def _try(self, open_once: Callable[[float], Awaitable[None]], backoff: Backoff) -> bool:
-        """Whether it is open, or not wanted any more; if not, some time has passed."""
+        """Return whether the stream is open or no longer wanted. Otherwise some time has passed."""
         try:
             await open_once(min(self._left_s(), TRY_TIMEOUT_S))
         except StampedeError as error:
@@ -71,7 +71,7 @@ class Reconnecting:
                 return True
             over = self._left_s() <= 0
             if over:
-                self._since_s = None  # whoever goes on regardless gets the whole time again
+                self._since_s = None  # a user who goes on has the whole time again
             if over or not may_heal(error) or self._session.closed:
                 raise
             self._tell(error)
@@ -89,7 +89,9 @@ class Reconnecting:
         if not self._told and self._since_s is not None and monotonic_s() - self._since_s > SILENT_S:
             self._told = True
             bound = "" if self._bound_s == float("inf") else f" for {format_duration(round(self._bound_s * 1e9))}"
-            _log.warning("%s has been broken for %g s, and is tried again%s: %s", self._what, SILENT_S, bound, error)
+            _log.warning(
+                "%s has been broken for %g s; the client tries again%s: %s", self._what, SILENT_S, bound, error
+            )
 
     def _is_open(self) -> None:
         if self._since_s is None:
@@ -101,15 +103,15 @@ class Reconnecting:
 
 
 def may_heal(error: StampedeError) -> bool:
-    """Whether trying again may help."""
+    """Whether another try may succeed."""
     return error.retryable or isinstance(error, DeadlineExceeded)
 
 
 def parse_reconnect(reconnect: DurationLike | None) -> float:
-    """Seconds, 0 or more; None: for ever. Raises InvalidArgument."""
+    """Return seconds, 0 or more; None: no limit. Raises InvalidArgument."""
     if reconnect is None:
         return float("inf")
     nanos = parse_duration(reconnect, "reconnect")
     if nanos < 0:
-        raise InvalidArgument(f'reconnect is {reconnect!r}; give "0s" or more, or None to try for ever')
+        raise InvalidArgument(f'reconnect is {reconnect!r}; give "0s" or more, or None to try without a limit')
     return nanos / 1e9

@@ -1,7 +1,7 @@
-"""One participant's link to the cluster: resolves channels, binds to their hosts, tries again when a place is stale.
+"""The connection behind all handles: it finds the hosts of channels, and tries again when a binding is stale.
 
-A request takes the cached data endpoint; a miss asks the host's gatekeeper; a miss there asks a supernode; all
-supernodes gone, the front-end. What fails as stale is forgotten and counts as a miss (paper, section 4.2).
+A request uses the cached binding. Without one the client asks the host's gatekeeper, then a supernode for the host,
+then a front-end for other supernodes. The client forgets what turns out to be stale (paper, section 4.2).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 
 from stampede_rt._async.attempts import attempt
 from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S, DirectoryClient
-from stampede_rt._async.endpoints import EndpointPool
+from stampede_rt._async.endpoints import EndpointPool, connection_closed
 from stampede_rt._async.put_streams import PutStreams
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
@@ -34,21 +34,24 @@ Result = TypeVar("Result")
 
 
 class SessionTask(Protocol):
-    """What works in the background of a connection, and ends with it."""
+    """A background task of a connection. It ends with the connection."""
 
     async def end(self) -> None:
-        """Let go of what it holds, within a second or so."""
+        """End within about a second."""
         ...
 
 
 def request_id() -> bytes:
-    """What makes an update safe to repeat."""
+    """A random id that makes an update safe to repeat."""
     return os.urandom(16)
 
 
 @dataclass(slots=True)
 class ChannelState:
-    """What a handle knows of its channel; `info` follows the directory. `cluster_id`: where `info` comes from."""
+    """What a handle knows of its channel.
+
+    `info` follows the directory; `cluster_id` is the cluster that it comes from.
+    """
 
     info: ChannelInfo
     stated: Policy
@@ -57,7 +60,7 @@ class ChannelState:
     cluster_id: str = ""
 
     def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
-        """What makes Items of the runs that the host sends."""
+        """A decoder that turns the host's runs into Items."""
         policy = self.info.policy
         return ItemDecoder(
             incarnation=incarnation,
@@ -69,7 +72,7 @@ class ChannelState:
 
 
 class Session:
-    """The caches and the retries behind every handle of one connection."""
+    """The caches and the retries behind all handles of one connection."""
 
     def __init__(
         self,
@@ -90,41 +93,41 @@ class Session:
         self._binding_locks = KeyedLock()
         self.closing = False
         self.closed = False
-        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # who the connection is where items are consumed
-        self.consumer_places: dict[bytes, SessionTask] = {}  # that it keeps, by channel id; see `consuming`
-        self._attached: dict[SessionTask, None] = {}  # in the order of their coming
+        self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection as a consumer
+        self.consumer_places: dict[bytes, SessionTask] = {}  # by channel id; see `consuming`
+        self._attached: dict[SessionTask, None] = {}  # in the order of `attach`
 
     async def open(self) -> None:
         """Find the supernodes, within 5 s. Raises Unavailable, PermissionDenied, VersionMismatch."""
         await self.supernodes.bind(CONNECT_TIMEOUT_S)
 
     async def aclose(self) -> None:
-        """End everything that is under way, the latest first. In a forked child it is the parent's, and goes on."""
+        """End everything under way, the latest first. A forked child leaves the parent's connection alone."""
         if self.inherited:
             self.closed = True
-        if self.closing or self.inherited:  # whoever began it ends it: what takes its leave is not cut off meanwhile
+        if self.closing or self.inherited:  # the first caller ends everything
             return
         self.closing = True
         try:
             for one in reversed(tuple(self._attached)):
                 await one.end()
-        finally:  # also when somebody loses patience meanwhile
+        finally:  # also after an interrupt
             self.closed = True
             self.cache.forget_all()
             await self.endpoints.aclose()
 
     @property
     def inherited(self) -> bool:
-        """The connection was made before this process was forked, and is of no use in it."""
+        """Whether the connection was made before a fork of this process. It does not work in the child."""
         return self.endpoints.inherited
 
     @property
     def state(self) -> str:
-        """What keeps the connection from being used, for people; "" if nothing does."""
+        """Why the connection cannot be used, for people; "" if it can."""
         return "of the parent process" if self.inherited else "connection closed" if self.closed else ""
 
     def reopened(self, kind: str, *arguments: object) -> tuple[Callable[..., object], tuple[object, ...]]:
-        """What pickle writes for a handle of this connection: how another process opens it. Raises TypeError."""
+        """What pickle writes for a handle: how another process opens it. Raises TypeError for asyncio handles."""
         if self._reopening is None:
             raise TypeError(
                 f"a {kind} of stampede_rt.aio belongs to its event loop and cannot be pickled: pass its name, and open "
@@ -133,28 +136,28 @@ class Session:
         return getattr(self._reopening, kind), arguments
 
     def check_process(self) -> None:
-        """Raises ForkedProcess if the connection is inherited."""
+        """Raise ForkedProcess in a forked child."""
         self.endpoints.check_process()
 
     def check(self) -> None:
-        """Raises ForkedProcess, or Unavailable if the connection is closed."""
+        """Raise ForkedProcess, or Unavailable if the connection is closed."""
         self.check_process()
         if self.closed:
             raise connection_closed()
 
     def attach(self, one: SessionTask) -> None:
-        """End `one` before the connection is closed."""
+        """End `one` before the connection closes."""
         self.check()
         self._attached[one] = None
 
     def detach(self, one: SessionTask) -> None:
-        """It has ended by itself."""
+        """Forget `one`, which has ended by itself."""
         self._attached.pop(one, None)
 
     async def open_channel(
         self, name: str, policy: Policy, host: str | None, create: bool, timeout_s: float = CALL_TIMEOUT_S
     ) -> ChannelInfo:
-        """Get or create a channel by name; an owner whose lease has ended is replaced."""
+        """Get or create a channel by name. The directory replaces an owner whose lease has ended."""
         request = directory_service_pb2.OpenChannelRequest(
             request_id=request_id(),
             name=name,
@@ -171,16 +174,16 @@ class Session:
         return channel_info(record, host)
 
     def found(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelState:
-        """What a handle knows of a channel that the directory told of unasked; it may not create the channel anew."""
+        """The state of a handle for a channel from a listing. The handle may not create the channel again."""
         info = self._learn(record, host) if host is not None else channel_info(record, None)
         return self.state_of(info, Policy(), False)
 
     def state_of(self, info: ChannelInfo, stated: Policy, create: bool, coding: Coding | None = None) -> ChannelState:
-        """What a new handle knows of a channel."""
+        """The state of a new handle."""
         return ChannelState(info, stated, create, coding, self.supernodes.cluster_id)
 
     async def place(self, state: ChannelState) -> Binding:
-        """Where the channel's data is; waits a while for an owner if it has none."""
+        """Return the channel's binding. Waits up to 10 s for an owner if the channel has none."""
 
         async def itself(binding: Binding) -> Binding:
             return binding
@@ -193,14 +196,14 @@ class Session:
         operation: Callable[[Binding], Awaitable[Result]],
         timeout_s: float | None = CALL_TIMEOUT_S,
     ) -> Result:
-        """Run `operation` at the channel's host, and again at its new place if this one is stale or gone.
+        """Run `operation` at the channel's host, and again at its new host if the binding is stale.
 
-        `timeout_s` bounds the trying, not a wait inside `operation`; None: for ever. Raises what the last try met.
+        `timeout_s` bounds the tries, not a wait inside `operation`; None: no limit. Raises the error of the last try.
         """
         return await attempt(ChannelLocator(self, state), operation, timeout_s)
 
     async def bind(self, state: ChannelState, deadline_s: float = float("inf")) -> Binding:
-        """Where the channel's data is, from the caches or by asking."""
+        """Return the channel's binding, from the cache or from the cluster."""
         found = self.cache.binding(state.info.channel_id, thread_id())
         if found is not None:
             return found
@@ -209,18 +212,18 @@ class Session:
 
     async def _find(self, state: ChannelState, deadline_s: float) -> Binding:
         found = self.cache.binding(state.info.channel_id, thread_id())
-        if found is not None:  # by now
+        if found is not None:  # another caller found it meanwhile
             return found
         owner = self.cache.owner(state.info.channel_id)
         if owner is None:
             await self._resolve(state, deadline_s)
             owner = self.cache.owner(state.info.channel_id)
         if owner is None:
-            raise Unavailable(f"the channel {state.info.name!r} has no owner at present")
+            raise Unavailable(f"the channel {state.info.name!r} has no owner at present; try again soon")
         return await self._bind_at(state, owner, deadline_s)
 
     async def _resolve(self, state: ChannelState, deadline_s: float) -> None:
-        """Ask a supernode who owns the channel; one whose owner is lost is opened anew, as its handle was."""
+        """Ask a supernode for the owner. If the owner is lost, open the channel again as its handle did."""
         timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
         try:
@@ -233,18 +236,16 @@ class Session:
             return
         if not state.create:
             raise Unavailable(
-                f"the host of channel {state.info.name!r} ({response.host.name or 'unknown'}) is lost, and what "
-                "it held with it; this handle only looks: start the host again, or have another one take the channel, "
-                "as whoever opens it with create=True does",
+                f"the host of channel {state.info.name!r} ({response.host.name or 'unknown'}) is lost with its items; "
+                "start the host again, or open the channel with create=True to have it at another host",
                 reason="NO_HOST",
             )
         state.info = await self.open_channel(state.info.name, state.stated, None, True, timeout_s)
 
     async def _resolve_name(self, state: ChannelState, deadline_s: float) -> None:
-        """The channel's id is not known any more: whoever has its name now is meant.
+        """Open the channel by its name, because the directory does not know its id any more.
 
-        If nobody has, it was deleted; unless the whole directory began anew, as it does in memory: then it is opened as
-        its handle was. Raises ChannelNotFound.
+        Creates it only if the directory itself began anew, as a directory in memory does. Raises ChannelNotFound.
         """
         begun_anew = await self.supernodes.present_cluster(deadline_s) != state.cluster_id
         create = state.create and begun_anew
@@ -255,7 +256,9 @@ class Session:
         request = gatekeeper_service_pb2.BindChannelRequest(
             channel_id=state.info.channel_id, epoch=owner.epoch, spec_version=owner.spec_version
         )
-        failure: StampedeError = Unavailable(f"the host of channel {state.info.name!r} has no endpoint")
+        failure: StampedeError = Unavailable(
+            f"the host of channel {state.info.name!r} has no endpoint; start that host again"
+        )
         for target in self.cache.gatekeepers(owner.host_id):
             endpoint = self.endpoints.to(target)
             try:
@@ -276,7 +279,10 @@ class Session:
         record = response.channel
         targets = [e.target for e in response.endpoints if e.transport == gatekeeper_service_pb2.TRANSPORT_GRPC]
         if not targets:
-            raise Unavailable(f"the host of channel {record.name!r} offers no transport that this client has")
+            raise Unavailable(
+                f"the host of channel {record.name!r} offers no transport that this client has; install the same "
+                "release on both"
+            )
         binding = Binding(
             subject_id=record.channel_id, target=targets[0], epoch=record.epoch, incarnation=record.incarnation
         )
@@ -286,38 +292,33 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class ChannelLocator:
-    """Where a channel is, as far as a session knows."""
+    """Finds the binding of a channel."""
 
     session: Session
     state: ChannelState
 
     async def find(self, deadline_s: float) -> Binding:
-        """The cached data endpoint, or one found anew."""
+        """Return the cached binding, or look for it."""
         return await self.session.bind(self.state, deadline_s)
 
     def forget(self) -> None:
-        """Forget the channel's place, and its host's endpoint."""
+        """Forget the binding."""
         self.session.cache.forget(self.state.info.channel_id)
 
     def check(self) -> None:
-        """Raises what keeps the connection from being used."""
+        """Raise ForkedProcess, or Unavailable if the connection is closed."""
         self.session.check()
 
     def explain(self, error: StampedeError) -> None:
-        """Name the channel."""
+        """Add the name of the channel to the error."""
         error.concerning("channel", self.state.info.name)
 
     @property
     def closed(self) -> bool:
-        """The connection is closed."""
+        """Whether the connection is closed."""
         return self.session.closed
 
 
-def connection_closed() -> Unavailable:
-    """What every call meets whose connection is closed, before it begins or while it waits."""
-    return Unavailable("this connection is closed; connect() again")
-
-
 def left_s(deadline_s: float) -> float:
-    """How long one call may take that is to be over by `deadline_s`."""
+    """The seconds for one call that should end by `deadline_s`."""
     return max(0.1, min(deadline_s - time.monotonic(), CALL_TIMEOUT_S))

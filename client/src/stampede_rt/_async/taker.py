@@ -10,10 +10,11 @@ from contextlib import suppress
 from functools import partial
 
 from stampede_rt._async.attempts import Locator, attempt
+from stampede_rt._async.endpoints import connection_closed
 from stampede_rt._async.message import Message, Settler
 from stampede_rt._async.prefetch_buffer import PrefetchBuffer
 from stampede_rt._async.queue_locator import QueueState
-from stampede_rt._async.session import CALL_TIMEOUT_S, Session, connection_closed
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.pacing.retry import FIRST_DELAY_S

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Cross-sections: what several channels hold at one item of a reference, without a group (paper, section 3.3)."""
+"""Cross-sections: the items of several channels at one item of a reference, without a group (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ def cross_section(
         raise InvalidArgument(f"others is {others!r}; give a list of channels, even for one")
     for channel in (reference, *others):
         if not isinstance(channel, Reader):
-            raise InvalidArgument(f"{channel!r} is no channel; give what channel(...) gave, not its name")
+            raise InvalidArgument(
+                f"{channel!r} is no channel; give the handle from connection.channel(...), not the name"
+            )
     wait, began_s = Wait.parse(timeout), monotonic_s()
     held = reference.at(at, payloads=payloads, timeout=timeout)
     found = {reference.info.channel_id: held}
@@ -52,7 +54,7 @@ def cross_section(
 
 
 def _beside(other: Reader, item: Item, over: Over, *, complete: bool, payloads: bool, timeout: float | None) -> Items:
-    """What `other` holds at the item's time, or over its span; an open span reaches to now."""
+    """Return the items of `other` at the item's time or over its span. An open span ends now."""
     end: BoundLike = item.time
     bounds: Bounds = "[]"
     if over == "span" and item.end != item.time:

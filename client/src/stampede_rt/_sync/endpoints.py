@@ -13,9 +13,9 @@ ENDPOINTS_MAX = 1024
 
 
 class EndpointPool:
-    """Opens an endpoint at its first use and keeps it; beyond a bound the pool lets the longest unused one go.
+    """Opens an endpoint at its first use and keeps it. Beyond a bound it closes the endpoint that was unused longest.
 
-    Certificates that change count for new endpoints. A stream that is under way goes on with the certificates before.
+    New certificates count for new endpoints. A stream under way keeps the certificates with which it began.
     """
 
     def __init__(self, credentials: Credentials) -> None:
@@ -24,16 +24,16 @@ class EndpointPool:
         self.credentials = credentials
         self._material = credentials.material()
         self._endpoints: dict[str, ServerEndpoint] = {}
-        self._former: list[ServerEndpoint] = []  # of the certificates before; their streams may still be read
+        self._former: list[ServerEndpoint] = []  # with earlier certificates; their streams may still be read
         self._mutex = Mutex()
         self.closed = False
 
     def to(self, target: str) -> ServerEndpoint:
-        """The endpoint to `target`. Raises Unavailable once these are closed."""
+        """Return the endpoint to `target`. Raises Unavailable once the pool is closed."""
         self.check_process()
         with self._mutex:
             if self.closed:
-                raise Unavailable("this connection is closed; connect() again")
+                raise connection_closed()
             self._look_at_certificates()
             endpoint = self._endpoints.pop(target, None) or ServerEndpoint(
                 target, self.credentials.secret, self._material
@@ -45,11 +45,14 @@ class EndpointPool:
 
     @property
     def inherited(self) -> bool:
-        """They were opened before this process was forked, and are of no use in it."""
+        """Whether the endpoints were opened before a fork of this process. They do not work in the child."""
         return self._forks != forking.forks()
 
     def check_process(self) -> None:
-        """Raises ForkedProcess if they are inherited. Locks may be held for good then, so this goes before them."""
+        """Raise ForkedProcess in a forked child.
+
+        Call this before taking a lock, which the child may have inherited locked.
+        """
         forking.check(self._forks)
 
     def _look_at_certificates(self) -> None:
@@ -60,7 +63,10 @@ class EndpointPool:
             self._endpoints.clear()
 
     def close(self) -> None:
-        """End everything that is under way. Interrupted, it has ended all the same, and only was not waited for."""
+        """End all calls and streams.
+
+        If the call is interrupted, everything has ended, but the caller did not wait for it.
+        """
         with self._mutex:
             self.closed = True
             endpoints = [*self._former, *self._endpoints.values()]
@@ -71,3 +77,8 @@ class EndpointPool:
         forking.closed(self)
         for endpoint in endpoints:
             endpoint.ended()
+
+
+def connection_closed() -> Unavailable:
+    """The error of every call on a closed connection, also of calls that wait when it closes."""
+    return Unavailable("this connection is closed; call connect() again")

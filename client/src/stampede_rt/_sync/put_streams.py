@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""The open put streams of a connection, shared out over all of its handles."""
+"""The open put streams of a connection. All its handles share them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _handle_ids = itertools.count(1)
 
 
 class PutStream:
-    """One open stream to the place of a channel or queue, how many puts are under way on it, and until when at most."""
+    """One open stream to a host: the number of puts under way on it, and the latest end of their waits."""
 
     __slots__ = ("binding", "ends_s", "exchange", "puts")
 
@@ -29,24 +29,23 @@ class PutStream:
         self.ends_s = 0.0
 
     def leads_to(self, binding: Binding) -> bool:
-        """It is open, and to that place."""
+        """Whether the stream is open and goes to `binding`."""
         return (self.binding is binding or self.binding == binding) and not self.exchange.broken
 
 
 class PutStreams:
-    """One stream for each handle and thread. Beyond 512 the longest unused one is closed; none that is in use.
+    """One stream for each handle and thread. Beyond 512 it closes the stream that was unused longest.
 
-    Behind a put that waits for room, the next ones on its stream wait, too. So a put takes a stream where all give up
-    before it does, another one if need be: those of one handle that wait equally long stay in order, and none waits
-    for longer than it was told to.
+    A put that waits for room blocks later puts on its stream. A put with an earlier deadline therefore uses another
+    stream. Puts of one handle that wait equally long stay in order, and no put waits longer than its deadline.
     """
 
     def __init__(self) -> None:
-        self._streams: dict[tuple[int, int, int], PutStream] = {}  # the longest unused one first
+        self._streams: dict[tuple[int, int, int], PutStream] = {}  # the stream that was unused longest is first
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
-        """The key of a new handle, whose streams are closed once nobody holds `owner`."""
+        """Return the key of a new handle. Its streams close once nobody holds `owner`."""
         handle_id = next(_handle_ids)
         when_dropped(owner, partial(self._let_go, handle_id))
         return handle_id
@@ -55,7 +54,7 @@ class PutStreams:
     def use(
         self, handle_id: int, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
     ) -> Iterator[PutExchange]:
-        """The handle's stream to `binding`, for one put, which waits for room until `ends_s` on the monotonic clock."""
+        """The handle's stream to `binding` for one put, which waits for room until `ends_s` on the monotonic clock."""
         key = self._line(handle_id, ends_s)
         stream = self._streams.get(key)
         if stream is None or not stream.leads_to(binding):
@@ -64,18 +63,18 @@ class PutStreams:
             stream.ends_s = max(stream.ends_s, ends_s) if stream.puts else ends_s
             stream.puts += 1
             if self._streams.pop(key, None) is stream:
-                self._streams[key] = stream  # the last one used is the last to go
+                self._streams[key] = stream  # the stream used last is the last to close
         try:
             yield stream.exchange
         finally:
             with self._mutex:
                 stream.puts -= 1
                 over = not stream.puts and self._streams.get(key) is not stream
-            if over:  # closed while it was in use
+            if over:  # it was closed during the put
                 stream.exchange.cancel()
 
     def _line(self, handle_id: int, ends_s: float) -> tuple[int, int, int]:
-        """Where no put under way waits for longer; if there are very many, on the last one all the same."""
+        """Return the key of a stream on which no put waits longer; with very many streams, the key of the last one."""
         caller = thread_id()
         for line in range(LINES_MAX - 1):
             stream = self._streams.get((handle_id, caller, line))
@@ -85,7 +84,7 @@ class PutStreams:
 
     def _replace(self, key: tuple[int, int, int], stream: PutStream) -> PutStream:
         with self._mutex:
-            gone = [self._streams.pop(key, None)]  # to a place that is not the channel's any more
+            gone = [self._streams.pop(key, None)]  # a stream with a stale binding
             alive = live_thread_ids()
             gone += [self._streams.pop(one) for one in tuple(self._streams) if one[1] not in alive]
             idle = [one for one, open_one in self._streams.items() if not open_one.puts]
@@ -95,7 +94,7 @@ class PutStreams:
         return stream
 
     def close(self, handle_id: int) -> None:
-        """Close the handle's streams, those in use after their puts. A later put opens one again."""
+        """Close the handle's streams, busy ones after their puts. A later put opens a new one."""
         with self._mutex:
             gone = [self._streams.pop(one, None) for one in tuple(self._streams) if one[0] == handle_id]
         _close(gone)

@@ -8,11 +8,12 @@ from types import TracebackType
 from typing import Any
 
 from stampede_rt._sync.attempts import Locator, attempt
+from stampede_rt._sync.endpoints import connection_closed
 from stampede_rt._sync.message import Message
 from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._sync.reconnecting import Reconnecting
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, connection_closed, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s

@@ -11,10 +11,11 @@ from contextlib import suppress
 from functools import partial
 
 from stampede_rt._sync.attempts import Locator, attempt
+from stampede_rt._sync.endpoints import connection_closed
 from stampede_rt._sync.message import Message, Settler
 from stampede_rt._sync.prefetch_buffer import PrefetchBuffer
 from stampede_rt._sync.queue_locator import QueueState
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, connection_closed
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.pacing.retry import FIRST_DELAY_S

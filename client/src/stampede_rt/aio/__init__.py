@@ -1,4 +1,4 @@
-"""The surface of `stampede_rt` with `await`: the same names, on asyncio."""
+"""The names of `stampede_rt` for asyncio: every blocking method is awaited here."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ __all__ = [
 
 
 class _Connecting:
-    """`await connect(...)` gives the connection; `async with connect(...) as rt` closes it at the end, too."""
+    """`await connect(...)` gives the connection; `async with connect(...) as rt` also closes it at the end."""
 
     def __init__(self, target: _Target, proof: str | None) -> None:
         self._target = target
@@ -85,5 +85,5 @@ def connect(
     zone: str | None = None,
     tls: TlsFiles | None = None,
 ) -> _Connecting:
-    """As `stampede_rt.connect`; await it, or enter it with `async with`."""
+    """As `stampede_rt.connect`. Await it, or enter it with `async with`."""
     return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls), proof)

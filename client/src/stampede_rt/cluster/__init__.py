@@ -1,1 +1,1 @@
-"""Where a cluster is, and what a client remembers of it."""
+"""The addresses of a cluster, and what a client remembers of it."""

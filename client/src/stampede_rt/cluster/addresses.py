@@ -1,4 +1,4 @@
-"""Where front-ends listen: how people write it. Pure."""
+"""Addresses of front-ends, as people write them. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ _LOOPBACK_NAMES = ("localhost", "ip6-localhost", "ip6-loopback")
 
 
 def parse_addresses(url: str) -> tuple[str, ...]:
-    """The gRPC targets of `"host:port,host:port"`; a port left out is 7580. `unix:/path` stays as it is."""
+    """Return the gRPC targets of `"host:port,host:port"`; the default port is 7580. `unix:/path` stays as it is.
+
+    Raises InvalidArgument.
+    """
     if not isinstance(url, str):
         raise InvalidArgument(f'the address is {url!r}; give it as text, as in "localhost:7580"')
     parts = [part.strip() for part in url.removeprefix("stampede://").split(",") if part.strip()]
@@ -23,9 +26,9 @@ def parse_addresses(url: str) -> tuple[str, ...]:
 
 
 def is_loopback(target: str) -> bool:
-    """Whether `HOST:PORT` or `unix:PATH` is certain to be of the caller's own machine alone. Resolves no name.
+    """Whether `HOST:PORT` or `unix:PATH` certainly belongs to this machine. Resolves no name.
 
-    A name that only begins with "localhost" or with "127." may be anybody's.
+    A name that only begins with "localhost" or with "127." may belong to another machine.
     """
     if target.startswith("unix:"):
         return True

@@ -1,4 +1,4 @@
-"""The caches of a peer and the order of its supernodes (paper, sections 4.2 and 4.3). Pure."""
+"""The caches of a client, and the order of its supernodes (paper, sections 4.2 and 4.3). Pure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Binding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Owner:
-    """Which host owns a channel or queue, under which epoch; `incarnation` is for queues, 0 for channels."""
+    """The host that owns a channel or queue, and its epoch. `incarnation` is for queues, 0 for channels."""
 
     host_id: bytes
     epoch: int
@@ -35,8 +35,8 @@ class Owner:
 class BindingCache:
     """The gatekeepers of hosts, the owners of channels and queues, and the bindings of channels.
 
-    The cache keeps one binding for each channel and thread, so that each thread has a connection of its own. Its user
-    makes it forget a stale entry. Bounded: a full cache starts anew.
+    The cache keeps one binding for each channel and thread, so that each thread has a connection of its own. The client
+    forgets a stale entry. The cache is bounded: a full one starts empty again.
     """
 
     _gatekeepers: dict[bytes, Sequence[str]] = field(default_factory=dict)
@@ -44,20 +44,20 @@ class BindingCache:
     _bindings: dict[bytes, dict[int, Binding]] = field(default_factory=dict)
 
     def binding(self, subject_id: bytes, thread_id: int) -> Binding | None:
-        """The binding of a channel for a thread; None if the cache has none."""
+        """Return the binding of a channel for a thread; None if the cache has none."""
         by_thread = self._bindings.get(subject_id)
         return by_thread.get(thread_id) if by_thread else None
 
     def owner(self, subject_id: bytes) -> Owner | None:
-        """The owner of a channel or queue; None if the cache has none."""
+        """Return the owner of a channel or queue; None if the cache has none."""
         return self._owners.get(subject_id)
 
     def gatekeepers(self, host_id: bytes) -> Sequence[str]:
-        """Where a host's gatekeeper listens, best first; empty if it is not known."""
+        """Return the addresses of a host's gatekeeper, best first; none if the cache has none."""
         return self._gatekeepers.get(host_id, ())
 
     def learn_owner(self, subject_id: bytes, owner: Owner, gatekeepers: Sequence[str]) -> None:
-        """Keep what a supernode said: the owner of a channel or queue, and the gatekeepers of that host."""
+        """Keep a supernode's answer: the owner of a channel or queue, and the gatekeepers of that host."""
         if len(self._owners) >= CACHE_ENTRIES_MAX:
             self._owners.clear()
             self._gatekeepers.clear()
@@ -78,7 +78,7 @@ class BindingCache:
             self._gatekeepers.pop(owner.host_id, None)
 
     def forget_all(self) -> None:
-        """The session is over, or the cluster another one."""
+        """Drop everything."""
         self._gatekeepers.clear()
         self._owners.clear()
         self._bindings.clear()
@@ -87,9 +87,9 @@ class BindingCache:
 def order_by_round_trip(
     targets: Iterable[str], round_trip_s: dict[str, float], elsewhere: Collection[str] = ()
 ) -> list[str]:
-    """Supernodes nearest first: those of the caller's zone before those `elsewhere`, then by round trip.
+    """Sort supernodes: those of the caller's zone before those `elsewhere`, then by round trip (paper, section 4.3).
 
-    Those that did not answer come last; equal ones keep their order (paper, section 4.3).
+    Those that did not answer come last. Equal ones keep their order.
     """
 
     def order(target: str) -> tuple[bool, bool, float]:

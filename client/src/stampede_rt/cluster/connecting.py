@@ -1,4 +1,4 @@
-"""What `connect` is told, checked: addresses, the secret, certificates, the caller's name and zone."""
+"""Checks of the arguments of `connect`: addresses, the secret, certificates, the peer's name and zone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stampede_rt.values.policy import parse_name
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """Where to connect, and as whom."""
+    """Where to connect, and under which name."""
 
     frontends: tuple[str, ...]
     secret: str | None = field(repr=False)
@@ -24,7 +24,7 @@ class Target:
 
     @property
     def credentials(self) -> Credentials:
-        """What every connection brings."""
+        """The credentials of every connection."""
         return Credentials(secret=self.secret, tls=self.tls)
 
 
@@ -33,10 +33,10 @@ def parse_target(
 ) -> Target:
     """`url`: front-ends, "host:port,host:port"; default `$STAMPEDE_URL`, then localhost:7580.
 
-    Without `secret`, the one in `$STAMPEDE_SECRET_FILE` is used; the user's own secret file (see `credentials`) only
-    towards this machine, so that it is told to nobody else. Without `tls`, `$STAMPEDE_TLS_CA`,
-    `$STAMPEDE_TLS_CERTIFICATE` and `$STAMPEDE_TLS_KEY` name the certificates, if they are set.
-    Raises InvalidArgument, PermissionDenied.
+    Without `secret` the client takes the secret in `$STAMPEDE_SECRET_FILE`. It uses the user's own secret file (see
+    `credentials`) only for this machine, so that no other machine gets the secret. Without `tls` it takes the
+    certificates in `$STAMPEDE_TLS_CA`, `$STAMPEDE_TLS_CERTIFICATE` and `$STAMPEDE_TLS_KEY`, if they are set. Raises
+    InvalidArgument, PermissionDenied.
     """
     frontends = parse_addresses(url or os.environ.get("STAMPEDE_URL") or DEFAULT_URL)
     here = all(map(is_loopback, frontends))
@@ -44,7 +44,8 @@ def parse_target(
         secret = read_secret()
         if not secret and (named := os.environ.get("STAMPEDE_SECRET_FILE")):
             raise PermissionDenied(
-                f"$STAMPEDE_SECRET_FILE names {named}, where there is no secret; name the cluster's file, or unset it"
+                f"$STAMPEDE_SECRET_FILE names {named}, where there is no secret; name the file of the cluster's "
+                "secret, or unset it"
             )
     files = tls or files_from_environment(os.environ)
     return Target(

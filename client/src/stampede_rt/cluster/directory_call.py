@@ -1,4 +1,6 @@
-"""One call of the directory over several supernodes: whom to ask next, for how long, and what failures mean. Pure.
+"""One call of the directory over several supernodes: which one to ask next, how long to wait, and what failures mean.
+
+Pure.
 
 The client and the channel host share it. Their shells make the calls, wait between two rounds, and ask the front-ends.
 """
@@ -18,31 +20,31 @@ FRONTEND_TIMEOUT_S_MIN = 0.1
 
 
 class Attempt(NamedTuple):
-    """Ask the supernode at `target`, and wait for `timeout_s` at most."""
+    """Ask the supernode at `target`, and wait at most `timeout_s`."""
 
     target: str
     timeout_s: float
 
 
 class DirectoryCall:
-    """One call, from its first attempt to its end. A round asks each supernode at most once.
+    """One call from its first attempt to its end. A round asks each supernode at most once.
 
-    All times are seconds of one monotonic clock. Failures of former rounds count until a supernode answers.
+    All times are seconds of one monotonic clock. Failures of earlier rounds count until a supernode answers.
     """
 
     def __init__(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s
-        self._failures: dict[str, StampedeError] = {}  # by target, the last one last
+        self._failures: dict[str, StampedeError] = {}  # by target, the latest last
         self._waiting: deque[str] = deque()
         self._tried: set[str] = set()
         self._attempt_s_max = 0.0
 
     def begin_round(self, targets: Sequence[str], attempt_s_max: float) -> None:
-        """Ask the supernodes at `targets` in their order, each for `attempt_s_max` at most."""
+        """Ask the supernodes at `targets` in their order, each for at most `attempt_s_max`."""
         self._waiting, self._tried, self._attempt_s_max = deque(targets), set(), attempt_s_max
 
     def next_attempt(self, now_s: float) -> Attempt | None:
-        """Whom to ask now. None: the round, or the time of the call, is over."""
+        """Return the next attempt. None: the round, or the time of the call, is over."""
         left_s = self._deadline_s - now_s
         while self._waiting and left_s > 0 and len(self._tried) < SUPERNODES_MAX:
             target = self._waiting.popleft()
@@ -52,9 +54,9 @@ class DirectoryCall:
         return None
 
     def failed(self, target: str, error: StampedeError) -> None:
-        """The supernode at `target` has not served the call. A leader that it names is asked next.
+        """Note that the supernode at `target` has not served the call. Ask the leader next that it names.
 
-        Raises `error` if no other attempt could end otherwise.
+        Raises `error` if another attempt could not end otherwise.
         """
         if not may_pass(error):
             raise error
@@ -65,11 +67,14 @@ class DirectoryCall:
             self._waiting.appendleft(hint)
 
     def failure(self, targets: Sequence[str]) -> StampedeError:
-        """What the failures of the supernodes at `targets` come to, once a round is over."""
+        """Return the one error that sums up the failures of the supernodes at `targets`, once a round is over."""
         known = {target: error for target, error in self._failures.items() if target in targets}
         if known:
             return why_unserved(known, len(targets))
-        return [Unavailable("no supernode is known; is a front-end running?"), *self._failures.values()][-1]
+        return [
+            Unavailable("no supernode is known; start a front-end and supernodes, or look with `stampede doctor`"),
+            *self._failures.values(),
+        ][-1]
 
 
 def may_pass(error: StampedeError) -> bool:
@@ -78,17 +83,17 @@ def may_pass(error: StampedeError) -> bool:
 
 
 def leader_hint(error: StampedeError) -> str:
-    """The address of the leader that a supernode named when it refused a call; empty if it named none."""
+    """The address of the leader that a supernode named in its refusal; empty if it named none."""
     return error.metadata.get("leader_endpoint", "") if isinstance(error, NotLeader) else ""
 
 
 def frontend_timeout_s(left_s: float, frontends: int) -> float:
-    """How long to wait for one front-end, if `frontends` of them are still to be asked within `left_s`."""
+    """The seconds to wait for one front-end, if `frontends` of them are left to ask within `left_s`."""
     return max(left_s / frontends, FRONTEND_TIMEOUT_S_MIN)
 
 
 def check_frontend(target: str, spoken: int, version: str, *, caller: str, caller_version: str) -> None:
-    """The front-end at `target` speaks protocol `spoken`. Raises VersionMismatch if the caller speaks another one."""
+    """Raise VersionMismatch unless the front-end at `target` speaks the caller's protocol."""
     if spoken != PROTOCOL_VERSION:
         raise VersionMismatch(
             f"the front-end {target} speaks protocol {spoken} (version {version}), this {caller} {PROTOCOL_VERSION} "

@@ -1,4 +1,7 @@
-"""What to tell of a call that no supernode served: what one of them said, or that too few of them answer. Pure."""
+"""The one error of a call that no supernode served. Pure.
+
+It is the error of a supernode that answered, or says that too few of them answer.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,13 @@ from collections.abc import Mapping
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 
 UNREACHED = "unreached"
-"""The key in the metadata of an error of who could not be reached; its value says why."""
+"""A key of an error's metadata: the server could not be reached. The value says why."""
 
 
 def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> StampedeError:
-    """The one error for a call that each supernode in `failures` (by its address, the last one last) has failed.
+    """Return the one error for a call that failed at each supernode in `failures` (by address, the latest last).
 
-    `supernodes`: how many there are; `failures` has one at least.
+    `supernodes` is their number; `failures` has at least one.
     """
     last = list(failures.values())[-1]
     ambiguous = [error for error in failures.values() if error.reason == "AMBIGUOUS"]

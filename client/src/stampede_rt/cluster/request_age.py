@@ -1,7 +1,7 @@
-"""How long ago an update was first sent: told with every repetition, by the caller's own clock of durations.
+"""The age of an update: the seconds since the client first sent it, by its own clock. Each repetition tells its age.
 
-The directory remembers its answers for a while, by request id, and refuses what may be older
-(directory_service.proto). No two clocks need to agree for that.
+The directory remembers its answers for a while, by request id, and refuses older updates (directory_service.proto). No
+two clocks need to agree for that.
 """
 
 from __future__ import annotations
@@ -14,17 +14,20 @@ from stampede_rt.errors import InvalidArgument
 
 METADATA_KEY = "stampede-request-age-ms"
 _DIGITS_MAX = 12
-# Linux stops CLOCK_MONOTONIC while the machine sleeps. Other systems have one clock, which goes on.
+# Linux stops CLOCK_MONOTONIC while the machine sleeps. Other systems have one clock, which does not stop.
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 def age_clock_s() -> float:
-    """What ages are measured by: the time that the machine slept counts, since the directory forgets meanwhile."""
+    """The clock that measures ages.
+
+    It counts the time that the machine slept, because the directory forgets meanwhile.
+    """
     return time.monotonic() if _BOOTTIME is None else time.clock_gettime(_BOOTTIME)
 
 
 def age_metadata(age_s: float) -> tuple[tuple[str, str], ...]:
-    """What a repetition brings along; nothing the first time."""
+    """The metadata of a repetition; none the first time."""
     age_ms = int(age_s * 1000)
     return ((METADATA_KEY, str(age_ms)),) if age_ms > 0 else ()
 

@@ -1,1 +1,1 @@
-"""When to try again, when something periodic is due, and how far a host may send ahead. Pure."""
+"""When to try again, when periodic work is due, and how far a host may send ahead. Pure."""

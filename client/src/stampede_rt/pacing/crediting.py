@@ -1,9 +1,9 @@
-"""How far a host may send ahead of a reader (decision 0064). Pure: it is told the time."""
+"""How far a host may send ahead of a reader (decision 0064). Pure: the caller brings the time."""
 
 from __future__ import annotations
 
 ITEM_OVERHEAD_BYTES = 64
-"""What an item takes beside the length of its payload."""
+"""The bytes that an item counts besides its payload."""
 
 WINDOW_BYTES_MAX = 2**20
 WINDOW_AGE_S = 0.1
@@ -11,28 +11,28 @@ ONE_ITEM = 1
 
 
 class CreditWindow:
-    """What a reader lets a host send before it is asked for, in bytes: the next item while any of it is left.
+    """The bytes that a host may send before the reader asks for them. The host sends the next item while any are left.
 
-    It begins with one item, doubles with each step of the reader, and never exceeds what the reader took in
-    WINDOW_AGE_S at its last step, nor `bytes_max`: so what waits on the way is young, however slow the reader is. With
-    ONE_ITEM nothing is sent before the reader asks, so that it gets the newest.
+    The window begins with one item and doubles with each step of the reader. It never exceeds what the reader took in
+    WINDOW_AGE_S at its last step, nor `bytes_max`. Items on the way are therefore young, however slow the reader is.
+    With ONE_ITEM the host sends nothing before the reader asks, so that the reader gets the newest item.
 
-    Each step of the reader: `ask`, which tells what to grant, then `take` with what it is given.
+    At each step the reader calls `ask`, grants the host the result, and calls `take` with the item's size.
     """
 
     def __init__(self, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._bytes_max = bytes_max
         self._window = 1
-        self._open = 0  # granted, and not taken yet; below 0: the last item was larger than what was left
+        self._open = 0  # granted and not taken yet; below 0 after an item that was larger than the rest
         self._last_bytes = 1
         self._taken_s: float | None = None
 
     def begin(self) -> None:
-        """On a new stream nothing is granted yet."""
+        """Begin a new stream, on which nothing is granted yet."""
         self._open = 0
 
     def ask(self, now_s: float) -> int:
-        """The reader wants the next item: what to grant for it, 0 for nothing."""
+        """Return the bytes to grant, because the reader wants the next item; 0 for none."""
         self._measure(now_s)
         wanted = self._window - self._open
         if self._open > 0 and wanted * 2 < self._window:
@@ -41,17 +41,17 @@ class CreditWindow:
         return wanted
 
     def take(self, item_bytes: int, now_s: float) -> None:
-        """The reader is given an item, which takes so much."""
+        """Note that the reader took an item of that size."""
         self._open -= item_bytes
         self._last_bytes = item_bytes
         self._taken_s = now_s
 
     def drop(self, item_bytes: int) -> None:
-        """An item came that is not given to the reader, since it has it."""
+        """Note that an item came that the reader already has."""
         self._open -= item_bytes
 
     def _measure(self, now_s: float) -> None:
-        """What the reader took since its last step shows how much it takes in WINDOW_AGE_S."""
+        """Measure what the reader takes in WINDOW_AGE_S, by what it took since its last step."""
         if self._taken_s is None:
             return
         busy_s, self._taken_s = now_s - self._taken_s, None

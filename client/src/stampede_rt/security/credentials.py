@@ -1,4 +1,4 @@
-"""What a caller proves itself with: the shared secret, where it lies and how calls carry it, and certificates."""
+"""Credentials of a caller: the shared secret, its file and its metadata, and certificates."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stampede_rt.security.tls import TlsMaterial, TlsReader
 
 
 def secret_file() -> Path:
-    """`$STAMPEDE_SECRET_FILE`, else `stampede/secret` below `$XDG_CONFIG_HOME` or `~/.config`."""
+    """The path of the secret: `$STAMPEDE_SECRET_FILE`, or `stampede/secret` below `$XDG_CONFIG_HOME` or `~/.config`."""
     named = os.environ.get("STAMPEDE_SECRET_FILE")
     if named:
         return Path(named)
@@ -24,20 +24,20 @@ SECRETS_MAX = 2
 
 
 def read_secret(path: Path | None = None) -> str | None:
-    """The secret in `path` (default: `secret_file()`) that a caller brings: the first line. None if there is no
-    such file, and empty if it is.
+    """Return the secret in `path` (default: `secret_file()`) that a caller sends: the first line.
 
-    Raises PermissionDenied if the file cannot be used, or if another user may read it.
+    None if there is no such file; "" if the file is empty. Raises PermissionDenied if the file cannot be used, or if
+    other users may read it.
     """
     values = read_secrets(path)
     return None if values is None else "".join(values[:1])
 
 
 def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
-    """All secrets in `path`, one a line: services accept each. Two at most, so that one can take the place of the
-    other. None if there is no such file.
+    """Return all secrets in `path`, one a line, of which services accept each; None if there is no such file.
 
-    Raises PermissionDenied if the file cannot be used, or if another user may read it.
+    A file has at most two, so that one can take the place of the other. Raises PermissionDenied if the file cannot be
+    used, or if other users may read it.
     """
     path = path or secret_file()
     try:
@@ -46,30 +46,32 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise PermissionDenied(f"the secret file {path} cannot be read: {error.strerror}") from error
+        raise PermissionDenied(
+            f"the secret file {path} cannot be read: {error.strerror}; give this user the right to read it"
+        ) from error
     if stat.S_IMODE(mode) & 0o007:
         raise PermissionDenied(f"the secret file {path} can be read by every user; run: chmod 600 {path}")
     values = tuple(line.strip() for line in text.splitlines() if line.strip())
     if len(values) > SECRETS_MAX:
         raise PermissionDenied(
-            f"the secret file {path} has {len(values)} lines; it may hold one secret, or two while one takes the place "
+            f"the secret file {path} has {len(values)} lines; write one secret, or two while one takes the place "
             "of the other"
         )
     return values
 
 
 def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:
-    """The metadata that a call brings along; none without a secret."""
+    """The metadata of a call; none without a secret."""
     return (("authorization", f"Bearer {secret}"),) if secret else ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Credentials:
-    """What a caller brings: the secret, the certificates, both, or nothing."""
+    """The secret of a caller, its certificates, both, or none."""
 
     secret: str | None = field(default=None, repr=False)
     tls: TlsReader | None = None
 
     def material(self) -> TlsMaterial | None:
-        """The certificates as they are now, for a new connection; None: it is in plain text."""
+        """Return the present certificates for a new connection; None: plain text."""
         return self.tls.current() if self.tls else None

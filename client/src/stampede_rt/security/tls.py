@@ -1,4 +1,4 @@
-"""The certificate files of a cluster with mutual TLS: named, read, checked, and read again when they change."""
+"""The certificate files of a cluster with mutual TLS. The module reads and checks them, again when they change."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 
 logger = logging.getLogger(__name__)
 
-LOOK_EVERY_S = 1.0  # a changed file counts after this, at the latest, for every new connection
+LOOK_EVERY_S = 1.0  # at the latest after this time a new connection uses a changed file
 _PARTS = ("ca", "certificate", "key")
 CLIENT_VARIABLES = tuple(f"STAMPEDE_TLS_{part.upper()}" for part in _PARTS)
-"""They name a client's files; services have variables of their own, so that one shell can serve both."""
+"""The names of a client's variables. Services have their own, so that one shell can serve both."""
 _READ_TRIES_MAX = 3
 _PATIENT_TRIES_MAX = 5
 _PATIENCE_S = 0.05
@@ -29,10 +29,11 @@ _Stamp = tuple[tuple[int, int, int], ...]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TlsFiles:
-    """Where a caller's certificate lies. PEM files.
+    """The files of a caller's certificate, in PEM form.
 
-    `ca`: the authorities that are trusted, one or more; `certificate`: the caller's own, with what leads to an
-    authority; `key`: its private key, not encrypted, for its user's eyes only.
+    - `ca`: one or more trusted authorities.
+    - `certificate`: the caller's certificate, with the chain to an authority.
+    - `key`: its private key, not encrypted. Only its user may read it.
     """
 
     ca: str | os.PathLike[str]
@@ -46,14 +47,14 @@ class TlsFiles:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TlsMaterial:
-    """What the files held when they were read last; compared by identity, so that a new reading is another one."""
+    """The contents of the files at the last reading. Compared by identity: each reading is another object."""
 
     ca: bytes
     certificate: bytes
     key: bytes
 
     def __repr__(self) -> str:
-        return "TlsMaterial(...)"  # never the key
+        return "TlsMaterial(...)"  # does not show the key
 
 
 def files_from_environment(
@@ -61,7 +62,7 @@ def files_from_environment(
 ) -> TlsFiles | None:
     """The files that `variables` name, for ca, certificate and key in this order; None if none of them is set.
 
-    Raises InvalidArgument if only some are.
+    Raises InvalidArgument if only some are set.
     """
     named = {part: environ[variable] for part, variable in zip(_PARTS, variables, strict=True) if environ.get(variable)}
     missing = [f"${variable}" for variable in variables if not environ.get(variable)]
@@ -72,10 +73,10 @@ def files_from_environment(
 
 
 class TlsReader:
-    """Gives what the files hold now. May be used by several threads.
+    """Gives the present contents of the files. Several threads may use it.
 
-    Making one reads the files, and raises PermissionDenied if they cannot be used together. Later changes that cannot
-    be used (half written, a key of another certificate) are logged and waited out: the last good ones count.
+    The constructor reads the files, and raises PermissionDenied if they do not work together. Later changes that do not
+    work (a half-written file, the key of another certificate) are logged; the last good contents count.
     """
 
     def __init__(self, files: TlsFiles) -> None:
@@ -86,7 +87,7 @@ class TlsReader:
         self._looked_s = time.monotonic()
 
     def current(self) -> TlsMaterial:
-        """The newest usable contents. Looks at the files at most once in LOOK_EVERY_S."""
+        """Return the newest contents that work. Looks at the files at most once in LOOK_EVERY_S."""
         with self._lock:
             if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
                 self._looked_s = time.monotonic()
@@ -99,9 +100,11 @@ class TlsReader:
             if stamp in (self._stamp, self._refused):
                 return
             self._stamp, self._material = _read(self.files)
-            logger.info("certificates were renewed: %s", self.files.certificate)
+            logger.info("new certificates from now on: %s", self.files.certificate)
         except (PermissionDenied, OSError) as error:
-            logger.warning("the certificates have changed, but cannot be used; the former ones count: %s", error)
+            logger.warning(
+                "the certificate files have changed, but cannot be used; the earlier contents count: %s", error
+            )
             self._refused = _stamp_if_there(self.files)
 
 
@@ -118,7 +121,7 @@ def _stamp_if_there(files: TlsFiles) -> _Stamp | None:
 
 
 def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """The contents of all three as they were at one moment, checked. Raises PermissionDenied."""
+    """Return the checked contents of all three files at one moment. Raises PermissionDenied."""
     for _ in range(_READ_TRIES_MAX):
         before = _stamp_if_there(files)
         ca, certificate, key = (_bytes_of(path) for path in files.paths())
@@ -129,7 +132,7 @@ def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
 
 
 def _read_patiently(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """As `_read`; a pair that does not go together may be one that is just being replaced, so look again shortly."""
+    """As `_read`, but look again shortly if the files do not belong together: someone may be replacing them."""
     for _ in range(_PATIENT_TRIES_MAX - 1):
         try:
             return _read(files)
@@ -146,7 +149,10 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def check_files(files: TlsFiles) -> None:
-    """Raises PermissionDenied if the files hold no certificates, do not belong together, or others may read the key."""
+    """Raise PermissionDenied if the files hold no certificates or do not belong together.
+
+    Raises it, too, if others may read the key.
+    """
     ca, certificate, key = files.paths()
     if stat.S_IMODE(key.stat().st_mode) & 0o007:
         raise PermissionDenied(f"the private key {key} can be read by every user; run: chmod 600 {key}")

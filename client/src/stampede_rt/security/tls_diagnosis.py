@@ -1,8 +1,7 @@
-"""Why a connection with certificates did not come about, in one sentence.
+"""Says in one sentence why a connection with certificates failed.
 
-gRPC says "Socket closed" for most of it: its server ends a handshake without telling why. So the handshake is tried
-again with the standard library, which tells what the other side is, and what it is that our side lacks is looked up
-in our own files.
+gRPC mostly says "Socket closed", because its server ends a handshake without a reason. So this module repeats the
+handshake with the standard library, which tells what the other side is, and checks our own files for the fault.
 """
 
 from __future__ import annotations
@@ -16,18 +15,18 @@ from stampede_rt.security.tls import TlsReader
 
 CONNECT_SECONDS = 0.5
 HANDSHAKE_SECONDS = 1.0
-_FLIGHTS_MAX = 8  # of a handshake in memory; TLS 1.3 needs 3
+_FLIGHTS_MAX = 8  # messages of a handshake in memory; TLS 1.3 needs 3
 _NOT_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAILURE"})
 
 
 def explain_refusal(
     target: str, tls: TlsReader | None, *, seconds: float = HANDSHAKE_SECONDS
 ) -> PermissionDenied | None:
-    """Why a caller with `tls` (None: in plain text) cannot talk to `target`; None if certificates are not the reason.
+    """Return why a caller with `tls` (None: in plain text) cannot talk to `target`; None if there is another reason.
 
-    Blocks for about 2 * (CONNECT_SECONDS + `seconds`) at most, once the name is resolved.
+    Blocks for at most about 2 * (CONNECT_SECONDS + `seconds`), after the name is resolved.
     """
-    # Said only if it is so twice: a server that is just stopping hangs up, too, but then it is gone.
+    # Try twice: a server that is just stopping hangs up, too, but is gone the second time.
     if not _look(target, tls, seconds) or not (reason := _look(target, tls, seconds)):
         return None
     return PermissionDenied(reason, reason="UNAUTHENTICATED", metadata={"target": target})
@@ -41,7 +40,7 @@ def _look(target: str, tls: TlsReader | None, seconds: float) -> str:
         with socket.create_connection(place, CONNECT_SECONDS) as connection:
             connection.settimeout(seconds)
             return _try_plain(connection, target) if tls is None else _try_tls(connection, place[0], target, tls)
-    except (OSError, UnicodeError):  # not there, or it says nothing: that is another trouble
+    except (OSError, UnicodeError):  # no server, or no answer: another trouble
         return ""
 
 
@@ -55,7 +54,7 @@ def _place(target: str) -> tuple[str, int] | None:
 def _try_plain(connection: socket.socket, target: str) -> str:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
-    context.verify_mode = ssl.CERT_NONE  # nothing is sent or believed: only whether TLS is spoken counts
+    context.verify_mode = ssl.CERT_NONE  # the module sends nothing here: it only asks whether the server speaks TLS
     context.set_alpn_protocols(["h2"])
     try:
         with context.wrap_socket(connection):
@@ -77,14 +76,18 @@ def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) 
         return _about_theirs(error, target, tls)
     except ssl.SSLError as error:
         spoken = error.reason not in _NOT_TLS
-        return "" if spoken else f"{target} speaks plain text, not TLS; leave the certificates out, or secure it"
+        return (
+            ""
+            if spoken
+            else f"{target} speaks plain text, not TLS; leave the certificates out, or give that service certificates"
+        )
     except ConnectionError:
         answered = b""
     return "" if answered else _about_ours(target, tls)
 
 
 def _context(tls: TlsReader) -> ssl.SSLContext:
-    """As a gRPC client would have it."""
+    """A TLS context like that of a gRPC client."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     ca, certificate, key = tls.files.paths()
     context.load_verify_locations(cafile=ca)
@@ -94,7 +97,7 @@ def _context(tls: TlsReader) -> ssl.SSLContext:
 
 
 def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
-    """When the certificate of `target` ends; None if it shows none that is good. Blocks like `explain_refusal`."""
+    """Return when the certificate of `target` ends; None if it shows no good one. Blocks like `explain_refusal`."""
     place = _place(target)
     if place is None:
         return None
@@ -109,7 +112,7 @@ def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
 
 
 def seconds_of(shown: Mapping[str, object]) -> float | None:
-    """When a certificate ends that the standard library shows, in seconds since the epoch; None if it does not say."""
+    """Return when a certificate ends, in seconds since the epoch; None if the standard library does not say."""
     end = shown.get("notAfter")
     return ssl.cert_time_to_seconds(end) if isinstance(end, str) else None
 
@@ -141,10 +144,10 @@ def _about_ours(target: str, tls: TlsReader) -> str:
 
 
 def check_own_certificate(tls: TlsReader) -> dict[str, object]:
-    """Our certificate as the standard library shows it, once it has passed the test that a server would make of it.
+    """Check our certificate as a server would, and return it as the standard library shows it.
 
-    That test is a handshake in memory with ourselves. Raises PermissionDenied with what is wrong, InvalidArgument if
-    the handshake does not end.
+    The check is a handshake in memory with ourselves. Raises PermissionDenied with the fault, InvalidArgument if the
+    handshake does not end.
     """
     ca, certificate, key = tls.files.paths()
     server_side = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -178,7 +181,9 @@ def _shake_hands(client_side: ssl.SSLContext, server_side: ssl.SSLContext) -> di
         done = [_step(client), _step(server)]
         if all(done):
             return dict(server.getpeercert() or {})
-    raise InvalidArgument("the certificate cannot be tried: the handshake does not end")
+    raise InvalidArgument(
+        "the certificate cannot be checked: the handshake does not end; issue it anew (stampede certs issue)"
+    )
 
 
 def _step(side: ssl.SSLObject) -> bool:

@@ -18,7 +18,7 @@ from stampede_rt.errors import InvalidArgument
 Result = TypeVar("Result")
 _CALLERS = frozenset((0,))
 _inherited: list[object] = []
-_running: set[asyncio.Future[None]] = set()  # held, so that none is collected before it is done
+_running: set[asyncio.Future[None]] = set()  # keeps tasks alive until they are done
 
 monotonic_s = time.monotonic
 monotonic_nanos = time.monotonic_ns
@@ -47,11 +47,11 @@ class Signal:
         self._event.set()
 
     def clear(self) -> None:
-        """From now on waits block again."""
+        """Make later waits block again."""
         self._event.clear()
 
     async def wait(self, timeout_s: float | None) -> bool:
-        """Block until `set`, `timeout_s` at most; whether it was set."""
+        """Wait until `set`, for at most `timeout_s`. Returns whether it is set."""
         try:
             async with asyncio.timeout(timeout_s):
                 await self._event.wait()
@@ -61,7 +61,7 @@ class Signal:
 
 
 async def sleep(delay_s: float) -> None:
-    """Block for `delay_s`."""
+    """Wait for `delay_s` seconds."""
     await asyncio.sleep(delay_s)
 
 
@@ -87,14 +87,14 @@ run_concurrently = run_all
 
 
 class KeyedLock:
-    """One lock for each key. Callers that look for the same thing take turns, so that the first answer serves all."""
+    """One lock for each key. Callers with the same question take turns, and the first answer serves all."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
 
     @asynccontextmanager
     async def hold(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
-        """Hold the lock of `key`. After `timeout_s` the caller goes on without it."""
+        """Hold the lock of `key`. After `timeout_s` the caller continues without it."""
         lock, held = self._locks.setdefault(key, asyncio.Lock()), True
         try:
             async with asyncio.timeout(timeout_s):
@@ -109,12 +109,12 @@ class KeyedLock:
 
 
 def live_thread_ids() -> frozenset[int]:
-    """The values of `thread_id` whose callers can still call."""
+    """The values of `thread_id` whose callers are alive."""
     return _CALLERS
 
 
 def thread_id() -> int:
-    """The key of a caller's own connections: always 0, since all tasks share those of the loop."""
+    """The key of the caller's own connections: always 0, because all tasks share those of the loop."""
     return 0
 
 
@@ -123,7 +123,7 @@ def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
 
 
 class BackgroundTask:
-    """Work of the library beside the caller's: a task. It must handle its errors itself."""
+    """A task of the library. It must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
         self._task = asyncio.ensure_future(operation())
@@ -133,7 +133,7 @@ class BackgroundTask:
             self._task.set_name(f"stampede {name}")
 
     async def join(self, timeout_s: float) -> bool:
-        """Block until it has ended, at most `timeout_s`. Returns whether it has; False if the work itself asks."""
+        """Wait until it has ended, for at most `timeout_s`. Returns whether it has; False if it waits for itself."""
         if self._task is asyncio.current_task():
             return False
         ended, _ = await asyncio.wait((self._task,), timeout=timeout_s)
@@ -141,24 +141,24 @@ class BackgroundTask:
 
 
 def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> None:
-    """Run `operation`, which must not hold `owner`, on this loop once nobody holds `owner`.
+    """Run `operation` on this loop once nobody holds `owner`. `operation` must not hold it.
 
-    Objects are dropped on any thread, with any lock held, and after the loop's end.
+    Python drops objects on any thread, under any lock, and after the loop's end.
     """
     finalizer = weakref.finalize(owner, _run_soon, asyncio.get_running_loop(), os.getpid(), operation)
     finalizer.atexit = False
 
 
 def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[], Awaitable[None]]) -> None:
-    if pid != os.getpid():  # in a forked child the loop is the parent's; letting go of what is open there may hang
+    if pid != os.getpid():  # in a forked child the loop is the parent's, and closing its streams may hang
         _inherited.append(operation)
         return
-    with suppress(RuntimeError):  # the loop has ended, and with it all that was open
+    with suppress(RuntimeError):  # the loop has ended with all its streams
         loop.call_soon_threadsafe(BackgroundTask, operation, "closing")
 
 
 class BackgroundStart:
-    """A handle that begins in the background. `await` on it waits until it has begun."""
+    """A handle that starts in the background. `await` on it waits for the start."""
 
     async def _begun(self) -> None:
         raise NotImplementedError
@@ -172,13 +172,13 @@ class BackgroundStart:
 
 
 def check_callback(function: object) -> None:
-    """Raises InvalidArgument for what cannot be called. Plain functions and coroutine functions will do."""
+    """Raise InvalidArgument for an object that is neither a function nor a coroutine function."""
     if not callable(function):
         raise InvalidArgument(f"fn is {function!r}; give a function")
 
 
 async def call_back(function: Callable[..., Any], *arguments: Any) -> Any:
-    """The result of a function that may be a coroutine function. A plain one holds up the loop while it runs."""
+    """Call a function or coroutine function and return its result. A plain function blocks the loop while it runs."""
     result = function(*arguments)
     if not inspect.isawaitable(result):
         return result
@@ -188,4 +188,6 @@ async def call_back(function: Callable[..., Any], *arguments: Any) -> Any:
         task = asyncio.current_task()
         if task is not None and task.cancelling():
             raise
-        raise RuntimeError("what the function awaited was cancelled") from error  # a failure of its own, not our end
+        raise RuntimeError(
+            "the function awaited something that was cancelled"
+        ) from error  # the function's failure, not this task's end

@@ -33,7 +33,7 @@ class KeyedLock:
 
     @contextmanager
     def hold(self, key: Hashable, timeout_s: float) -> Iterator[None]:
-        """Go on at once."""
+        """Continue at once."""
         yield
 
 
@@ -53,11 +53,11 @@ class Signal:
         self._event.set()
 
     def clear(self) -> None:
-        """From now on waits block again."""
+        """Make later waits block again."""
         self._event.clear()
 
     def wait(self, timeout_s: float | None) -> bool:
-        """Block until `set`, `timeout_s` at most; whether it was set."""
+        """Wait until `set`, for at most `timeout_s`. Returns whether it is set."""
         return self._event.wait(timeout_s)
 
 
@@ -88,14 +88,14 @@ def begin_if_blocking(operation: Callable[[], None]) -> None:
 
 
 class BackgroundTask:
-    """Work of the library beside the caller's: a daemon thread. It must handle its errors itself."""
+    """A daemon thread of the library. It must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], None], name: str) -> None:
         self._thread = threading.Thread(target=operation, name=f"stampede {name}", daemon=True)
         self._thread.start()
 
     def join(self, timeout_s: float) -> bool:
-        """Block until it has ended, at most `timeout_s`. Returns whether it has; False if the work itself asks."""
+        """Wait until it has ended, for at most `timeout_s`. Returns whether it has; False if it waits for itself."""
         if self._thread is threading.current_thread():
             return False
         self._thread.join(timeout_s)
@@ -103,22 +103,23 @@ class BackgroundTask:
 
 
 def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> None:
-    """Run what takes locks of gRPC's to end something, and wait `limit_s` at most.
+    """Run an operation that takes gRPC's locks on a thread of its own, and wait for it at most `limit_s`.
 
-    An exception that a signal's handler raised in gRPC's code may have left such a lock locked for good.
+    An exception in a signal's handler may interrupt gRPC's code and leave such a lock locked for good.
     """
     thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
     try:
         thread.start()
-    except RuntimeError:  # the interpreter ends, and starts no more threads
+    except RuntimeError:  # the interpreter ends and starts no more threads
         return
     thread.join(limit_s)
 
 
 class _Dropped:
-    """Runs what is left to do for objects that nobody holds any more, on a daemon thread that starts with the first.
+    """Runs the last operations of dropped objects on a daemon thread, which starts with the first.
 
-    Objects are dropped on any thread, with any lock held, gRPC's own among them: there nothing may be done but this.
+    Python drops objects on any thread and under any lock, gRPC's own included. There this class only notes the
+    operation.
     """
 
     def __init__(self) -> None:
@@ -138,15 +139,15 @@ class _Dropped:
             try:
                 operation()
             except Exception:  # noqa: BLE001  # a defect of one must not keep the others open
-                _log.exception("something that nobody uses any more could not be closed")
-            del operation  # holds what it closed
+                _log.exception("an object that the program has dropped could not be closed")
+            del operation  # it holds the closed object
 
 
 _dropped = _Dropped()
 
 
 def _after_fork() -> None:
-    """The thread is the parent's; what it would have closed is, too."""
+    """Begin without the parent's thread. The objects that it would have closed are the parent's, too."""
     global _dropped
     _dropped = _Dropped()
 
@@ -155,18 +156,18 @@ os.register_at_fork(after_in_child=_after_fork)
 
 
 def when_dropped(owner: object, operation: Callable[[], object]) -> None:
-    """Run `operation`, which must not hold `owner`, on a thread of the library's own once nobody holds `owner`."""
+    """Run `operation` on a thread of the library once nobody holds `owner`. `operation` must not hold it."""
     _dropped.start()
     finalizer = weakref.finalize(owner, _dropped.operations.put, operation)
     finalizer.atexit = False
 
 
 class BackgroundStart:
-    """A handle that begins in the background. Here it has begun once the method that makes it returns."""
+    """A handle that starts in the background. Here it has started once the method that makes it returns."""
 
 
 def check_callback(function: object) -> None:
-    """Raises InvalidArgument for what cannot be called, and for coroutine functions, which nobody here would run."""
+    """Raise InvalidArgument for an object that is no function, and for a coroutine function."""
     if not callable(function):
         raise InvalidArgument(f"fn is {function!r}; give a function")
     if inspect.iscoroutinefunction(function):
@@ -174,5 +175,5 @@ def check_callback(function: object) -> None:
 
 
 def call_back(function: Callable[..., Any], *arguments: Any) -> Any:
-    """The function's result."""
+    """Call the function and return its result."""
     return function(*arguments)

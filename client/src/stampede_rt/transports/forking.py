@@ -1,7 +1,7 @@
-"""What a forked child may do with gRPC: nothing, if its parent has ever used it.
+"""Forked children: a child of a process that has used gRPC cannot use gRPC.
 
-gRPC's threads and sockets do not survive a fork: calls on inherited connections hang for ever, and new connections hang
-or abort the child now and then. Both are refused at once; decision 0067 has the measurements.
+gRPC's threads and sockets do not survive a fork. Calls on inherited connections hang for ever, and new connections
+sometimes hang or abort the child. This module makes both fail at once; decision 0067 has the measurements.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ _WAY_OUT = (
     "channels, groups and queues can be passed as they are, or connect nowhere before the fork"
 )
 
-_forks = 0  # how many lie between this process and the one that loaded this module
-_open: WeakSet[object] = WeakSet()  # what has gRPC connections, in this process
+_forks = 0  # forks between the process that loaded this module and this one
+_open: WeakSet[object] = WeakSet()  # the owners of gRPC connections in this process
 _opened_ever = False
-_inherited: list[object] = []  # held for good: letting go of a gRPC object of the parent hangs, too
+_inherited: list[object] = []  # held for ever: dropping a parent's gRPC object hangs, too
 _refused = False
 
 
 def forks() -> int:
-    """A number that is another one after each fork, in the child."""
+    """A number that is another one in each forked child."""
     return _forks
 
 
 def opened(connections: object) -> None:
-    """These gRPC connections begin. Raises ForkedProcess where gRPC cannot be used any more."""
+    """Note that gRPC connections begin. Raises ForkedProcess in a child that cannot use gRPC."""
     global _opened_ever
     if _refused:
         raise ForkedProcess(
-            f"this process was forked from one that had connected already, and gRPC cannot be used in it: {_WAY_OUT}"
+            f"this process was forked from one that was already connected, and gRPC does not work in it: {_WAY_OUT}"
         )
     _opened_ever = True
     _open.add(connections)
 
 
 def closed(connections: object) -> None:
-    """These have ended."""
+    """Note that they have ended."""
     _open.discard(connections)
 
 
 def check(made_at: int) -> None:
-    """Raises ForkedProcess for a connection that was made in another process than this one; `made_at`: see `forks`."""
+    """Raise ForkedProcess for a connection of another process. `made_at`: the value of `forks` at its making."""
     if made_at != _forks:
         raise ForkedProcess(
             f"this connection was made before its process was forked, and does not work in the child: {_WAY_OUT}"

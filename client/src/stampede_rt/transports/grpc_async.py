@@ -32,7 +32,7 @@ from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 
-CALLS_MAX = 1000  # of gets on one stream; hosts take 1024, and cancelled ones count until they have heard of it
+CALLS_MAX = 1000  # gets on one stream; hosts take 1024, and count cancelled ones until they learn of it
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
 
@@ -59,16 +59,19 @@ class ServerEndpoint(Stubs):
             ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
         )
         self._gets: list[GetExchange] = []
-        self._tasks: set[asyncio.Task[None]] = set()  # of all streams here
+        self._tasks: set[asyncio.Task[None]] = set()  # of all streams
 
     def stub(self, make: Callable[[grpc.aio.Channel], Stub]) -> Stub:
-        """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
+        """The stub of a service without an attribute here, such as `MembershipServiceStub`.
+
+        Give its methods to `call`.
+        """
         return make(self._channel)
 
     async def call(self, method: Callable[..., Any], request: Any, timeout_s: float, age_s: float = 0.0) -> Any:
-        """One request, one response, within `timeout_s`. Raises StampedeError.
+        """Make one call, within `timeout_s`. Raises StampedeError.
 
-        `age_s`: how long ago an update was first sent.
+        `age_s`: the seconds since this update was first sent.
         """
         try:
             return await method(request, timeout=timeout_s, metadata=self.metadata + age_metadata(age_s))
@@ -79,18 +82,18 @@ class ServerEndpoint(Stubs):
         except asyncio.CancelledError as error:
             if _is_cancelled():
                 raise
-            raise closed(self.target) from error  # the call was ended by closing the connection, not this task
+            raise closed(self.target) from error  # closing the connection ended the call, not this task
 
     def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
-        """One request, many responses."""
+        """Open a stream of responses to one request."""
         return ServerStream(self._begin(method, request), self.target)
 
     def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
-        """A stream in both directions."""
+        """Open a stream in both directions."""
         return BidiStream(self._begin(method), self.target, self._tasks)
 
     def gets(self) -> GetExchange:
-        """An open stream for gets that takes one more: the first one has room for all but very many."""
+        """Return an open stream for gets that has room for one more. The first one nearly always has."""
         for exchange in self._gets:
             if exchange.takes_more:
                 return exchange
@@ -100,11 +103,11 @@ class ServerEndpoint(Stubs):
         return exchange
 
     def puts(self) -> PutExchange:
-        """A new stream for puts, which its caller closes."""
+        """Open a stream for puts. Its caller closes it."""
         return PutExchange(self._begin(self._put), self.target, self._tasks)
 
     def enqueues(self) -> PutExchange:
-        """A new stream for puts into a queue, which its caller closes."""
+        """Open a stream for puts into a queue. Its caller closes it."""
         return PutExchange(self._begin(self._enqueue), self.target, self._tasks)
 
     def duplex(
@@ -112,39 +115,39 @@ class ServerEndpoint(Stubs):
         on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
-        """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
+        """Open a stream for puts that does not wait for acks. It passes each ack to `on_response`."""
         return PutDuplex(self._begin(self._put), self.target, self._tasks, on_response, on_end)
 
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
-        """The call of a stream. Raises Unavailable once this endpoint is closed."""
+        """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
         try:
             return method(*request, metadata=self.metadata)
         except grpc.aio.UsageError as error:
             raise closed(self.target) from error
 
     async def aclose(self) -> None:
-        """End everything that is under way here, at once."""
+        """End all calls and streams at once."""
         await self._channel.close(None)
 
     async def ended(self) -> None:
-        """Block until the tasks of all streams have ended, which they do soon once this is closed."""
+        """Wait for the tasks of all streams. They end soon after `aclose`."""
         tasks = self._tasks - {asyncio.current_task()}
         if tasks:
             await asyncio.wait(tasks, timeout=END_TIMEOUT_S)
 
 
 def closed(target: str) -> Unavailable:
-    """What a call meets whose connection is closed meanwhile."""
+    """The error of a call whose connection closed meanwhile."""
     return Unavailable(f"the connection to {target} is closed")
 
 
 def silent(target: str) -> Unavailable:
-    """What a stream meets that gives no sign of life."""
-    return Unavailable(f"{target} was silent for {SILENCE_S_MAX:g} s; it may be stopped")
+    """The error of a stream without a sign of life."""
+    return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
 
 
 def _is_cancelled() -> bool:
-    """Whether this task is to end; if not, it was its call that somebody cancelled."""
+    """Whether this task is to end. Otherwise only its call was cancelled."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
 
@@ -154,7 +157,7 @@ async def _give_up(call: Any) -> None:
 
 
 class ServerStream(Generic[Response]):
-    """The responses of one request. `cancel` may be called from anywhere and ends the iteration."""
+    """The responses to one request. Any thread may call `cancel`, which ends the iteration."""
 
     def __init__(self, call: Any, target: str) -> None:
         self._call = call
@@ -188,23 +191,23 @@ class ServerStream(Generic[Response]):
             raise Unavailable(f"{self._target} ended the stream")
 
     def cancel(self) -> None:
-        """Give the stream up."""
+        """End the stream."""
         self._cancelled = True
         if self._forks == forking.forks():
             self._call.cancel()
 
 
 class BidiStream(ServerStream[Response]):
-    """A stream in both directions: `send` sends, the iteration gives what comes."""
+    """A stream in both directions: `send` sends, the iteration receives."""
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         super().__init__(call, target)
         self._requests = Requests(call, tasks)
 
     async def send(self, request: Any) -> None:
-        """Send `request`, without waiting. That the stream is broken is found out by the iteration.
+        """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
-        Raises Unavailable if SAID_MAX requests wait: the other side takes none.
+        Raises Unavailable if SAID_MAX requests wait because the other side takes none.
         """
         if len(self._requests) >= SAID_MAX:
             self._call.cancel()
@@ -233,7 +236,7 @@ class _Exchange:
         except asyncio.CancelledError:
             error = closed(self._target)
         except Exception as defect:  # noqa: BLE001  # whoever waits must hear of it
-            error = StampedeError(f"{self._target} sent what makes no sense here: {defect!r}")
+            error = StampedeError(f"{self._target} sent an unexpected message: {defect!r}")
         self.cancel()
         await self._end(error)
 
@@ -244,7 +247,7 @@ class _Exchange:
         raise NotImplementedError
 
     def cancel(self) -> None:
-        """Give the stream up."""
+        """End the stream."""
         self.broken = True
         if self._forks == forking.forks():
             self._call.cancel()
@@ -258,7 +261,7 @@ async def _within(future: asyncio.Future[Response], timeout_s: float | None, tar
         raise DeadlineExceeded(f"{target} did not answer within {timeout_s:g} s; it may be overloaded") from None
     finally:
         if not future.cancel() and not future.cancelled():
-            future.exception()  # seen, also by one that is cancelled at that very moment
+            future.exception()  # mark the error as seen
 
 
 def _fail(future: asyncio.Future[Any], error: StampedeError) -> None:
@@ -267,7 +270,7 @@ def _fail(future: asyncio.Future[Any], error: StampedeError) -> None:
 
 
 class GetExchange(_Exchange):
-    """Gets on one open stream: CALLS_MAX may be under way, told apart by their call ids."""
+    """Gets on one open stream, at most CALLS_MAX at the same time, each with a call id."""
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         self._waiting: dict[int, tuple[asyncio.Future[list[channel_pb.GetResponse]], list[channel_pb.GetResponse]]] = {}
@@ -276,11 +279,14 @@ class GetExchange(_Exchange):
 
     @property
     def takes_more(self) -> bool:
-        """It is open, and the host takes another call on it."""
+        """Whether the stream is open and has room for another call."""
         return not self.broken and len(self._waiting) < CALLS_MAX
 
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
-        """All responses to `request`, which gets a call id here. Cancelling the task cancels the call at the host."""
+        """Return all responses to `request`, which gets a call id here.
+
+        Cancelling the task cancels the call at the host.
+        """
         if self.broken:
             raise closed(self._target)
         self._next_id += 1
@@ -291,7 +297,7 @@ class GetExchange(_Exchange):
         try:
             return await _within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded):
-            if not self._requests.withdraw(number):  # the host may have it
+            if not self._requests.withdraw(number):  # the host may have the request
                 self._requests.send(channel_pb.GetRequest(call_id=call_id, cancel=True))
             raise
         finally:
@@ -299,7 +305,7 @@ class GetExchange(_Exchange):
 
     async def _receive(self, response: channel_pb.GetResponse) -> None:
         entry = self._waiting.get(response.call_id)
-        if entry is None:  # given up meanwhile
+        if entry is None:  # its caller gave up
             return
         future, responses = entry
         responses.append(response)
@@ -312,10 +318,10 @@ class GetExchange(_Exchange):
 
 
 class PutExchange(_Exchange):
-    """Puts on one open stream, each awaiting its ack; acks come in the order of the puts.
+    """Puts on one open stream. The acks come in the order of the puts.
 
-    A put that is given up may still wait for room at the host. So the stream takes no more then, and ends with the
-    last put that waits on it.
+    A put whose caller gave up may still wait for room at the host. The stream then takes no new put, and ends with its
+    last waiting put.
     """
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
@@ -323,7 +329,7 @@ class PutExchange(_Exchange):
         super().__init__(call, target, tasks)
 
     async def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
-        """The ack of the one run in `request`."""
+        """Send the run in `request`, and return its ack."""
         if self.broken:
             raise closed(self._target)
         future: asyncio.Future[channel_pb.PutAck] = asyncio.get_running_loop().create_future()
@@ -353,7 +359,7 @@ class PutExchange(_Exchange):
 
 
 class PutDuplex(_Exchange):
-    """Puts on one open stream whose acks are handed on as they come."""
+    """Puts on one open stream. It passes each ack on as it comes."""
 
     def __init__(
         self,
@@ -368,7 +374,7 @@ class PutDuplex(_Exchange):
         super().__init__(call, target, tasks)
 
     def send(self, request: bytes) -> None:
-        """Send `request`, without waiting. That the stream is broken is told to `on_end`."""
+        """Send `request` without waiting. If the stream breaks, `on_end` gets the reason."""
         self._requests.send(request)
 
     async def _receive(self, response: channel_pb.PutResponse) -> None:

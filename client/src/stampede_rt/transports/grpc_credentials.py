@@ -1,4 +1,7 @@
-"""Certificates as gRPC takes them. Both sides must prove themselves; the server's address must be in its own."""
+"""Certificates in the form that gRPC takes.
+
+Both sides prove themselves; a server's certificate must name its address.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from stampede_rt.security.tls import TlsMaterial
 
 
 def channel_credentials(tls: TlsMaterial) -> grpc.ChannelCredentials:
-    """For one new connection; gRPC keeps them for as long as that lives."""
+    """The credentials for one new connection. gRPC keeps them as long as the connection lives."""
     return grpc.ssl_channel_credentials(
         root_certificates=tls.ca, private_key=tls.key, certificate_chain=tls.certificate
     )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
 ENQUEUE_METHOD = "/stampede_rt.v1.QueueService/Enqueue"
-SILENCE_S_MAX = 15.0  # servers give a sign of life on every stream of theirs each 5 s
-SAID_MAX = 1024  # requests on one stream that the other side has yet to take
-END_TIMEOUT_S = 1.0  # for what is to end with its connection
+SILENCE_S_MAX = 15.0  # servers send a sign of life on each stream every 5 s
+SAID_MAX = 1024  # requests on one stream that the other side has not taken yet
+END_TIMEOUT_S = 1.0  # for streams that end with their connection
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
-# A server takes 1024 calls on one connection; whoever needs more of them opens further connections (gRFC A105).
+# A server takes 1024 calls on one connection. gRPC opens further connections for more calls (gRFC A105).
 MORE_CONNECTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.service_config", '{"connectionScaling": {"maxConnectionsPerSubchannel": 10}}'),
 )
@@ -19,7 +19,7 @@ CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.max_send_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_receive_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_metadata_size", 16 * 1024),
-    # A host that is stopped is noticed by its silence, in less time than a call tries (10 s) and no sooner than the
+    # The client notices a stopped host by its silence: sooner than a call gives up (10 s), and not before the
     # directory may give its channels another owner (5 s). With grpcio 1.85 only the ping's own timeout ends the
     # connection (a minute if unset); keepalive_timeout alone does nothing.
     ("grpc.keepalive_time_ms", 5_000),

@@ -1,4 +1,4 @@
-"""gRPC on threads: the names of `grpc_async`, without its awaits. Streams belong to the thread that opened them."""
+"""gRPC on threads: the names of `grpc_async`, without its awaits. A stream belongs to the thread that opened it."""
 
 from __future__ import annotations
 
@@ -59,67 +59,73 @@ class ServerEndpoint(Stubs):
         self._closed = False
 
     def stub(self, make: Callable[[grpc.Channel], Stub]) -> Stub:
-        """The stub of a service that has no name here, such as `MembershipServiceStub`; its methods go to `call`."""
+        """The stub of a service without an attribute here, such as `MembershipServiceStub`.
+
+        Give its methods to `call`.
+        """
         return make(self._channel)
 
     def call(self, method: Callable[..., Any], request: Any, timeout_s: float, age_s: float = 0.0) -> Any:
-        """One request, one response, within `timeout_s`. Raises StampedeError.
+        """Make one call, within `timeout_s`. Raises StampedeError.
 
-        `age_s`: how long ago an update was first sent.
+        `age_s`: the seconds since this update was first sent.
         """
         try:
             return method(request, timeout=timeout_s, metadata=self.metadata + age_metadata(age_s))
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
-        except ValueError as error:  # how gRPC says that the channel is closed
+        except ValueError as error:  # gRPC's word for a closed channel
             raise closed(self.target) from error
 
     def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
-        """One request, many responses."""
+        """Open a stream of responses to one request."""
         return ServerStream(self.begin(method, request), self.target, self._watchdog)
 
     def begin(self, method: Callable[..., Any], requests: Any) -> Any:
-        """The call of a stream. Raises Unavailable once this endpoint is closed."""
+        """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
         try:
             return method(requests, metadata=self.metadata)
         except ValueError as error:
             raise closed(self.target) from error
 
     def open_bidi_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
-        """The call of a stream of `requests`. None behind them ends gRPC's sending thread, and so does the call's end:
-        else that thread waits for requests for good."""
+        """Begin the call of a stream of `requests`.
+
+        gRPC's sending thread waits for requests for ever. A None in `requests` ends it, and so does the end of the
+        call.
+        """
         call = self.begin(method, iter(requests.get, None))
         if not call.add_callback(partial(requests.put, None)):
-            requests.put(None)  # it has ended already
+            requests.put(None)  # the call has already ended
         return call
 
     def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
-        """A stream in both directions."""
+        """Open a stream in both directions."""
         return BidiStream(self, method, self._watchdog)
 
     def gets(self) -> GetExchange:
-        """This thread's open stream for gets."""
+        """Return this thread's open stream for gets."""
         exchange: GetExchange | None = getattr(self._of_thread, "gets", None)
         if exchange is None or exchange.broken:
             exchange = self._of_thread.gets = GetExchange(self, self.channels.Get, self._watchdog)
         return exchange
 
     def puts(self) -> PutExchange:
-        """A new stream for puts, which its caller closes."""
+        """Open a stream for puts. Its caller closes it."""
         return PutExchange(self, self._put, self._watchdog)
 
     def enqueues(self) -> PutExchange:
-        """A new stream for puts into a queue, which its caller closes."""
+        """Open a stream for puts into a queue. Its caller closes it."""
         return PutExchange(self, self._enqueue, self._watchdog)
 
     def duplex(
         self, on_response: Callable[[channel_pb.PutResponse], None], on_end: Callable[[StampedeError], None]
     ) -> PutDuplex:
-        """A new stream for puts that does not wait for acks: they are handed to `on_response` as they come."""
+        """Open a stream for puts that does not wait for acks. It passes each ack to `on_response`."""
         return PutDuplex(self, self._put, on_response, on_end)
 
     def close(self) -> None:
-        """End everything that is under way here, within END_LIMIT_S."""
+        """End all calls and streams, within END_LIMIT_S."""
         within_limit(self._close)
 
     def _close(self) -> None:
@@ -128,33 +134,33 @@ class ServerEndpoint(Stubs):
         with self._mutex:
             self._closed = True
             exchanges = tuple(self._exchanges)
-        for exchange in exchanges:  # gRPC's sending threads wait for requests, closed or not
+        for exchange in exchanges:  # gRPC's sending threads wait for requests even when closed
             exchange.end()
 
     def opened(self, exchange: _Exchange) -> None:
-        """End `exchange` with this endpoint, if it is still there then."""
+        """End `exchange` with this endpoint, if it still exists then."""
         with self._mutex:
             self._exchanges.add(exchange)
             over = self._closed
-        if over:  # since its call began
+        if over:  # the endpoint closed since the call began
             exchange.end()
 
     def ended(self) -> None:
-        """Its threads are daemons, and end by themselves: there is nothing to wait for."""
+        """Wait for nothing: the threads of streams are daemons and end by themselves."""
 
 
 def closed(target: str) -> Unavailable:
-    """What a call meets whose connection is closed meanwhile."""
+    """The error of a call whose connection closed meanwhile."""
     return Unavailable(f"the connection to {target} is closed")
 
 
 def silent(target: str) -> Unavailable:
-    """What a stream meets that gives no sign of life."""
-    return Unavailable(f"{target} was silent for {SILENCE_S_MAX:g} s; it may be stopped")
+    """The error of a stream without a sign of life."""
+    return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
 
 
 class ServerStream(Generic[Response]):
-    """The responses of one request. `cancel` may be called from any thread and ends the iteration."""
+    """The responses to one request. Any thread may call `cancel`, which ends the iteration."""
 
     def __init__(self, call: Any, target: str, watchdog: Watchdog) -> None:
         self._call = call
@@ -178,33 +184,33 @@ class ServerStream(Generic[Response]):
                 raise silent(self._target) from None
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
-        except BaseException:  # an interrupt: nobody reads on, and whoever resumes begins a call of its own
+        except BaseException:  # an interrupt: a later step begins a new call
             self._end_call()
             raise
         if not self._cancelled:
             raise Unavailable(f"{self._target} ended the stream")
 
     def cancel(self) -> None:
-        """Give the stream up."""
+        """End the stream."""
         self._cancelled = True
         self._end_call()
 
     def _end_call(self) -> None:
-        if self._forks == forking.forks():  # else it is the parent's, and locked perhaps
+        if self._forks == forking.forks():  # otherwise it is the parent's and may be locked
             within_limit(self._call.cancel)
 
 
 class BidiStream(ServerStream[Response]):
-    """A stream in both directions: `send` sends, the iteration gives what comes."""
+    """A stream in both directions: `send` sends, the iteration receives."""
 
     def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any], watchdog: Watchdog) -> None:
         self._requests: SimpleQueue[Any] = SimpleQueue()
         super().__init__(endpoint.open_bidi_by(method, self._requests), endpoint.target, watchdog)
 
     def send(self, request: Any) -> None:
-        """Send `request`, without waiting. That the stream is broken is found out by the iteration.
+        """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
-        Raises Unavailable if SAID_MAX requests wait: the other side takes none.
+        Raises Unavailable if SAID_MAX requests wait because the other side takes none.
         """
         if self._requests.qsize() >= SAID_MAX:
             self._call.cancel()
@@ -222,7 +228,7 @@ class _Exchange:
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
-        when_dropped(self, partial(_give_up, self._requests, self._call))  # the thread that owned it is gone
+        when_dropped(self, partial(_give_up, self._requests, self._call))  # its thread has ended
 
     def _error(self, error: BaseException) -> StampedeError:
         self.cancel()
@@ -231,12 +237,12 @@ class _Exchange:
         return Unavailable(f"{self._target} ended the stream")
 
     def cancel(self) -> None:
-        """Give the stream up, within END_LIMIT_S."""
+        """End the stream, within END_LIMIT_S."""
         self.broken = True
         within_limit(self.end)
 
     def end(self) -> None:
-        """Give the stream up, in a thread that may wait for gRPC's locks."""
+        """End the stream, on a thread that may wait for gRPC's locks."""
         self.broken = True
         if self._forks == forking.forks():
             _give_up(self._requests, self._call)
@@ -261,9 +267,11 @@ class _Lockstep(_Exchange):
         except (grpc.RpcError, StopIteration) as error:
             failure = self._error(error)
             if limit:
-                raise DeadlineExceeded(f"{self._target} did not answer in time; it may be overloaded") from error
+                raise DeadlineExceeded(
+                    f"{self._target} did not answer in time; it may be overloaded or stopped"
+                ) from error
             raise failure from error
-        except BaseException:  # an interrupt: the answer that is still to come would be taken for the next one's
+        except BaseException:  # an interrupt: the next request would get this one's answer
             self.cancel()
             raise
 
@@ -272,7 +280,7 @@ class GetExchange(_Lockstep):
     """Gets on one open stream, one at a time."""
 
     def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
-        """All responses to `request`, which gets a call id here."""
+        """Return all responses to `request`, which gets a call id here."""
         self._next_id += 1
         request.call_id = self._next_id
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
@@ -287,7 +295,7 @@ class PutExchange(_Lockstep):
     """Puts on one open stream, one at a time."""
 
     def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
-        """The ack of the one run in `request`."""
+        """Send the run in `request`, and return its ack."""
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
             ack: channel_pb.PutAck = self._next(limit).acks[0]
@@ -295,7 +303,7 @@ class PutExchange(_Lockstep):
 
 
 class PutDuplex(_Exchange):
-    """Puts on one open stream whose acks a thread hands on as they come."""
+    """Puts on one open stream. A thread passes each ack on as it comes."""
 
     def __init__(
         self,
@@ -310,7 +318,7 @@ class PutDuplex(_Exchange):
         threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()
 
     def send(self, request: bytes) -> None:
-        """Send `request`, without waiting. That the stream is broken is told to `on_end`."""
+        """Send `request` without waiting. If the stream breaks, `on_end` gets the reason."""
         self._requests.put(request)
 
     def _read(self) -> None:
@@ -321,6 +329,6 @@ class PutDuplex(_Exchange):
         except grpc.RpcError as failure:
             error = from_rpc_error(failure, self._target)
         except Exception as defect:  # noqa: BLE001  # whoever waits must hear of it
-            error = StampedeError(f"{self._target} sent what makes no sense here: {defect!r}")
+            error = StampedeError(f"{self._target} sent an unexpected message: {defect!r}")
         self.cancel()
         self._on_end(error or Unavailable(f"{self._target} ended the stream"))

@@ -14,9 +14,9 @@ import grpc.aio
 class Requests:
     """Writes the requests of one call in their order, in a task of its own, until the call ends.
 
-    grpc.aio gives a call up if a task is cancelled while it writes, and a write waits for ever if the call was given up
-    while it opened. So nobody else writes: `send` only leaves the request here. It neither blocks nor can be cancelled.
-    That the call has ended is told by its responses, never here.
+    grpc.aio ends a call if a task is cancelled while it writes. A write waits for ever if the call ended while it
+    opened. So only this task writes. `send` adds a request here; it does not block and cannot be cancelled. The end of
+    the call shows in its responses, not here.
     """
 
     def __init__(self, call: Any, tasks: set[asyncio.Task[None]]) -> None:
@@ -28,13 +28,13 @@ class Requests:
         call.add_done_callback(self._stop)
 
     def __len__(self) -> int:
-        """How many requests wait for being written."""
+        """The number of requests that wait."""
         return len(self._waiting)
 
     def send(self, request: Any) -> int:
-        """Write `request` behind those that were left before; a number for `withdraw`.
+        """Add `request`, and return a number for `withdraw`.
 
-        What the call does not take any more is dropped.
+        Requests that an ended call does not take are dropped.
         """
         self._sent += 1
         self._waiting[self._sent] = request
@@ -42,9 +42,9 @@ class Requests:
         return self._sent
 
     def withdraw(self, number: int) -> bool:
-        """Do not write this request, if it still waits here; whether it did.
+        """Remove a request that still waits. Returns whether it did.
 
-        Without it the requests that callers gave up would pile up while the other side is stopped and takes none.
+        Otherwise the requests of callers that gave up would pile up while the other side is stopped.
         """
         return self._waiting.pop(number, None) is not None
 
@@ -62,7 +62,7 @@ class Requests:
 
 
 def spawn(tasks: set[asyncio.Task[None]], work: Any) -> asyncio.Task[None]:
-    """A task that is held in `tasks` until it is done."""
+    """Start a task, and hold it in `tasks` until it is done."""
     task: asyncio.Task[None] = asyncio.create_task(work)
     tasks.add(task)
     task.add_done_callback(tasks.discard)

@@ -1,4 +1,4 @@
-"""The RPCs that callers use, by the kind of server that answers them."""
+"""The RPCs that callers use, by the kind of server."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OF_SUPERNODES = (DirectoryServiceStub, GroupDirectoryServiceStub, QueueDirector
 
 
 class DirectoryStubs:
-    """Every RPC that supernodes serve to callers, under its name alone, whichever of their services it belongs to."""
+    """Every RPC that supernodes serve to callers, by its name alone, over all their services."""
 
     def __init__(self, channel: Any) -> None:
         self._methods: dict[str, Any] = {}
@@ -33,7 +33,7 @@ class DirectoryStubs:
 
 
 class Stubs:
-    """One connection's stubs; which of them are served there depends on the server."""
+    """One connection's stubs. The server decides which of them it serves."""
 
     def __init__(self, channel: Any) -> None:
         self.frontend = FrontendServiceStub(channel)

@@ -1,4 +1,4 @@
-"""Time limits for blocking reads on open streams, which gRPC's threads have none for."""
+"""Time limits for blocking reads on open streams. gRPC's own threads have none."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ _log = logging.getLogger("stampede_rt")
 
 
 class Watchdog:
-    """Calls back what is overdue, from one daemon thread that starts with the first limit.
+    """Calls a function for each overdue block, from one daemon thread that starts with the first limit.
 
-    The thread ends when there was none for IDLE_S, so that a connection that is let go leaves none behind.
+    The thread ends after IDLE_S without a limit, so that a dropped connection leaves no thread behind.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._limits: list[tuple[float, int, Callable[[], object], list[bool], list[bool]]] = []
         self._count = 0
-        self._wakes_at_s = float("inf")  # when the thread looks next; an earlier limit must wake it
+        self._wakes_at_s = float("inf")  # the thread looks next then; an earlier limit wakes it
         self._thread: threading.Thread | None = None
         self._closed = False
 
     @contextmanager
     def limit(self, timeout_s: float | None, on_overdue: Callable[[], object]) -> Iterator[list[bool]]:
-        """Call `on_overdue` if the block lasts longer than `timeout_s`; what it yields is true from then on."""
+        """Call `on_overdue` if the block lasts longer than `timeout_s`.
+
+        It yields an object that is true from then on.
+        """
         overdue: list[bool] = []
         if timeout_s is None:
             yield overdue
@@ -55,13 +58,13 @@ class Watchdog:
 
     def _watch(self) -> None:
         while (on_overdue := self._next_overdue()) is not None:
-            try:  # without the lock: cancelling takes locks of gRPC, and nobody who sets a limit may wait for those
+            try:  # without the lock: cancelling takes gRPC's locks, and no caller of `limit` may wait for them
                 on_overdue()
             except Exception:  # noqa: BLE001  # a defect at one limit must not end the others
-                _log.exception("what was overdue could not be cancelled")
+                _log.exception("an overdue call could not be cancelled")
 
     def _next_overdue(self) -> Callable[[], object] | None:
-        """Block until something is overdue; None once the thread is to end."""
+        """Wait until a block is overdue, and return it; None: the thread is to end."""
         with self._changed:
             while not self._closed:
                 while self._limits and self._limits[0][4]:

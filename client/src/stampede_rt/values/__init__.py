@@ -1,1 +1,1 @@
-"""The values that callers give and get. Pure."""
+"""The values that callers give to and get from the client. Pure."""

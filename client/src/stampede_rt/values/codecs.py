@@ -1,7 +1,7 @@
-"""How values become payloads and back: the codecs of channels and queues. Pure; numpy is imported when it is used.
+"""Codecs of channels and queues: they turn values into payloads and back. Pure; numpy is imported at its first use.
 
-An item carries its content type on the wire, so that a reader who knows nothing of the writer's codec still learns what
-it holds.
+Each item carries its content type on the wire. A reader that does not know the writer's codec can therefore still tell
+what kind of payload it has.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from stampede_rt.values.payloads import check_payload
 
 @runtime_checkable
 class Codec(Protocol):
-    """What an own codec has to have: a MIME type, and functions that undo each other.
+    """The interface of a codec: a MIME type, and two functions of which each undoes the other.
 
-    `encode` and `decode` may raise anything; callers get it as the cause of a CodecError.
+    `encode` and `decode` may raise any exception. The caller gets a CodecError with that exception as its cause.
     """
 
     @property
     def content_type(self) -> str:
-        """The MIME type of what `encode` makes, ASCII, 1 to 255 characters."""
+        """The MIME type of the encoded payloads: 1 to 255 ASCII characters."""
         ...
 
     def encode(self, value: Any) -> bytes:
-        """`value` as a payload."""
+        """Return `value` as a payload."""
         ...
 
     def decode(self, payload: bytes) -> Any:
-        """The value that `payload` was made of."""
+        """Return the value of `payload`."""
         ...
 
 
@@ -44,21 +44,21 @@ CodecLike = Literal["bytes", "json", "numpy"] | Codec
 
 
 class JsonCodec:
-    """Values that JSON has: text, numbers, lists, dictionaries with text as keys, true, false, null."""
+    """JSON values: text, numbers, lists, dictionaries with text as keys, true, false, null."""
 
     content_type = "application/json"
 
     def encode(self, value: Any) -> bytes:
-        """UTF-8; NaN and infinity are refused, since JSON has none."""
+        """Return the value as UTF-8 text. Refuses NaN and infinity, which JSON does not have."""
         return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
 
     def decode(self, payload: bytes) -> Any:
-        """The parsed text."""
+        """Parse the text."""
         return json.loads(payload)
 
 
 class NumpyCodec:
-    """Arrays with their shape and dtype, in numpy's own file format (`.npy`), which other languages read, too."""
+    """Arrays with shape and dtype, in numpy's file format (`.npy`), which other languages read, too."""
 
     content_type = "application/x-npy"
 
@@ -69,7 +69,7 @@ class NumpyCodec:
             raise CodecError('codec="numpy" needs numpy, which is not installed; run: pip install numpy') from error
 
     def encode(self, value: Any) -> bytes:
-        """What numpy can make an array of; arrays of objects are refused."""
+        """Return any value that numpy can turn into an array. Refuses arrays of objects."""
         import numpy as np
 
         file = io.BytesIO()
@@ -77,7 +77,7 @@ class NumpyCodec:
         return file.getvalue()
 
     def decode(self, payload: bytes) -> Any:
-        """An array of its own, which may be written to."""
+        """Return a new, writable array."""
         import numpy as np
 
         return np.lib.format.read_array(io.BytesIO(payload), allow_pickle=False)
@@ -88,7 +88,7 @@ _NAMED: dict[str, type[JsonCodec] | type[NumpyCodec]] = {"json": JsonCodec, "num
 
 @dataclass(frozen=True, slots=True)
 class Coding:
-    """A codec in use: `thing` is the channel or queue, for errors; `content_type` what its payloads are labelled as."""
+    """The codec of a handle. `thing` names the channel or queue in errors; `content_type` labels the payloads."""
 
     codec: Codec
     thing: str
@@ -96,7 +96,7 @@ class Coding:
 
     @classmethod
     def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> Coding | None:
-        """What `codec=` names; None: payloads are values. `content_type` overrides the codec's own.
+        """Return the codec that `codec=` names, or None: values are payloads. `content_type` overrides the codec's own.
 
         Raises InvalidArgument, and CodecError if numpy is missing.
         """
@@ -115,7 +115,7 @@ class Coding:
         return cls(codec, thing, label)
 
     def encode(self, value: Any) -> bytes:
-        """`value` as a payload. Raises CodecError, ItemTooLarge."""
+        """Return `value` as a payload. Raises CodecError, ItemTooLarge."""
         try:
             payload = self.codec.encode(value)
         except Exception as error:
@@ -125,37 +125,41 @@ class Coding:
         return check_payload(payload)
 
     def decode(self, payload: bytes | None, content_type: str, which: str) -> Any:
-        """The value of a payload; None without one. `which` names the item. Raises CodecError."""
+        """Return the value of a payload, or None without a payload. `which` names the item in errors.
+
+        Raises CodecError.
+        """
         if payload is None:
             return None
         if content_type and _media_type(content_type) != _media_type(self.content_type):
             raise CodecError(
-                f"{self.thing}: {which} is {content_type}, not {self.content_type}; name the codec for it, or look at "
+                f"{self.thing}: {which} is {content_type}, not {self.content_type}; name the codec for it, or read "
                 "its payload"
             )
         try:
             return self.codec.decode(payload)
         except Exception as error:
             raise CodecError(
-                f"{self.thing}: {which} ({len(payload)} bytes) is no {self.content_type}: {error}; look at its payload"
+                f"{self.thing}: {which} ({len(payload)} bytes) cannot be decoded as {self.content_type}: {error}; "
+                "read its payload instead"
             ) from error
 
     def item(self, fields: Iterable[Any]) -> CodedItem:
-        """An item whose value this decodes."""
+        """An item that decodes its own payload."""
         item = CodedItem._make(fields)
         item.coding = self
         return item
 
 
 class CodedItem(Item):
-    """An item of a handle with a codec: `value` is decoded when it is first looked at, and kept."""
+    """An item of a handle with a codec. It decodes its payload at the first use of `value`, and keeps the value."""
 
     coding: Coding | None = None
 
     @cached_property
     def value(self) -> Any:
         """The decoded payload; None in reads without payloads. Raises CodecError."""
-        if self.coding is None:  # made of another item by `_replace`
+        if self.coding is None:  # `_replace` made this item from another one
             return self.payload
         return self.coding.decode(self.payload, self.content_type, f"item #{self.seq} at {self.time}")
 

@@ -1,6 +1,6 @@
-"""Groups of channels as their readers hold them (paper, section 3.3). Pure.
+"""Groups of channels: the values that their readers hold (paper, section 3.3). Pure.
 
-Instants and durations are int nanoseconds. A cut is exclusive: items before it are visible.
+Instants and durations are int nanoseconds. A cut is exclusive: the group shows items before it.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64
 GroupBound = Literal["start", "end"]
-"""Where a channel's newest item is cut: at its time, or where its duration ends."""
+"""The cut of a channel: the time of its newest item, or the end of that item's duration."""
 Over = Literal["start", "span"]
-"""What a cross-section is taken at: a moment, or all of an item's span."""
+"""A cross-section at the time of an item, or over the whole span of the item."""
 BOUNDS: tuple[GroupBound, ...] = get_args(GroupBound)
 OLDEST_REFERENCE = "oldest"
 MAX_LEAD_DEFAULT = "5s"
@@ -26,11 +26,11 @@ Value = TypeVar("Value")
 
 
 class NamedChannel(Protocol):
-    """A channel, or a descriptor of one."""
+    """A channel's handle, or a group's descriptor of the channel."""
 
     @property
     def info(self) -> ChannelInfo:
-        """What the directory says of it."""
+        """The directory's description of the channel."""
 
 
 Key = TypeVar("Key", bound=NamedChannel)
@@ -38,19 +38,22 @@ Key = TypeVar("Key", bound=NamedChannel)
 
 @dataclass(slots=True)
 class SeenCut:
-    """Through which group a reader looks, and the highest cut that it has seen, which no later read goes behind."""
+    """The group through which a reader looks, and the highest cut that the reader has seen.
+
+    Later reads are never below it.
+    """
 
     group_id: bytes
     cut_floor: int | None = None
 
     def saw(self, cut: int | None) -> None:
-        """An answer came with this cut."""
+        """Keep the cut of an answer, if it is the highest."""
         if cut is not None and (self.cut_floor is None or cut > self.cut_floor):
             self.cut_floor = cut
 
 
 class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
-    """A value for each channel. Looked up by the channel's handle, by a group's descriptor of it, or by its name."""
+    """A value for each channel. The key is the channel's handle, a group's descriptor of it, or its name."""
 
     def __init__(self, channels: Sequence[Key], values: Mapping[bytes, Value]) -> None:
         self._channels = [channel for channel in channels if channel.info.channel_id in values]
@@ -73,10 +76,10 @@ class ByChannel(Mapping[Key, Value], Generic[Key, Value]):
 
 
 class Matched(ByChannel[Key, Item]):
-    """One item and the nearest of every other member: `matched[channel]` is an Item.
+    """One item and the nearest item of every other member: `matched[channel]` is an Item.
 
-    `time` is that of the item which the others were matched to; `missing` are members that have none within the
-    tolerance.
+    `time` is the time of the item to which the others were matched. `missing` lists the members without an item within
+    the tolerance.
     """
 
     def __init__(
@@ -88,10 +91,10 @@ class Matched(ByChannel[Key, Item]):
 
 
 class NewestItems(ByChannel[Key, Item | None]):
-    """The newest visible item of each channel, or None; `reasons[channel]` says why there is none."""
+    """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has none."""
 
     def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items]) -> None:
-        """`answers`: of each channel what was asked for, its newest item first."""
+        """`answers`: for each channel an answer that has the newest item first."""
         super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
         told = {one: items.reason for one, items in answers.items() if not items and items.reason is not None}
         self.reasons: ByChannel[Key, Reason] = ByChannel(channels, told)
@@ -99,7 +102,7 @@ class NewestItems(ByChannel[Key, Item | None]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupInfo:
-    """A group as the directory knows it. `reference_id` None: the oldest of the members' cuts counts."""
+    """A group as the directory knows it. `reference_id` None: the group has the smallest of its members' cuts."""
 
     group_id: bytes
     name: str
@@ -114,11 +117,12 @@ class GroupInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemberStatus:
-    """One member of a group, as the answering host sees it.
+    """One member of a group, as the host that answers sees it.
 
-    `cut`: its own; None: it never had an item or an advance. `lead_nanos`: how far its newest item is ahead of the
-    group's cut. `hidden`: held items that the cut hides; None if another host knows. `idle`: left out of the reference,
-    since it has been silent for idle_after. `window_too_short`: retention takes its items before the group shows them.
+    `cut`: the member's own cut; None if it never had an item or an advance. `lead_nanos`: how far its newest item is
+    ahead of the group's cut. `hidden`: the number of held items that the group does not show yet; None if only another
+    host knows it. `idle`: the reference leaves the member out, because it has been silent for `idle_after`.
+    `window_too_short`: retention collects the member's items before the group shows them.
     """
 
     newest: int | None
@@ -133,7 +137,10 @@ class MemberStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class GroupStatus(Generic[Key]):
-    """A group at one moment: its cut (None: nothing is visible), who holds it back, and each member's place."""
+    """A group at one moment: its cut, the members that hold it back (`waiting_on`), and each member's status.
+
+    `cut` is None while the group shows nothing. `host_time` is the clock of the host that answered.
+    """
 
     cut: int | None
     waiting_on: Sequence[Key]
@@ -143,11 +150,11 @@ class GroupStatus(Generic[Key]):
 
 @dataclass(frozen=True, kw_only=True)
 class Cut(Generic[Key]):
-    """What a group made visible at once: for each channel the items since the cut before, `cut[channel]`.
+    """A cut event: for each channel the items that became visible since the last event, `cut[channel]`.
 
-    `time` is the cut, exclusive. `late[channel]`: items that were accepted below a cut that had been delivered already.
-    `incomplete`: members that had not caught up when the wait for them was over. `cut[channel].truncated`: some items
-    that were due are gone, and `.reason` says why.
+    `time` is the cut, exclusive. `late[channel]`: items that the host accepted below an earlier event's cut.
+    `incomplete`: the members that had not caught up within `max_wait`. `cut[channel].truncated`: some items of the
+    event are missing, and `.reason` says why.
     """
 
     time: int
@@ -164,9 +171,9 @@ class Cut(Generic[Key]):
 
 @dataclass(frozen=True, kw_only=True)
 class CrossSection(Generic[Key]):
-    """What each channel holds at one item of the reference: `section[channel]`, Items.
+    """The items of each channel at one item of the reference: `section[channel]` is Items.
 
-    `time` is that item's; None if the reference holds nothing there, and its Items say why.
+    `time` is that item's time. It is None if the reference has no such item; `section[reference].reason` says why.
     """
 
     time: int | None
@@ -180,31 +187,33 @@ class CrossSection(Generic[Key]):
 
 
 def parse_group_bound(bound: str) -> str:
-    """`bound` as it is. Raises InvalidArgument."""
+    """Return `bound`. Raises InvalidArgument."""
     if bound not in BOUNDS:
-        raise InvalidArgument(f'bound is {bound!r}; write "start" or "end" (where a channel\'s newest item is cut)')
+        raise InvalidArgument(f'bound is {bound!r}; write "start" or "end" (of a channel\'s newest item)')
     return bound
 
 
 def parse_members(channels: Sequence[Key]) -> list[Key]:
-    """The channels as they are. Raises InvalidArgument if there are none, too many, or one twice."""
+    """Return the channels. Raises InvalidArgument if there are none or too many, or if one is named twice."""
     if not isinstance(channels, Iterable) or isinstance(channels, str):
         raise InvalidArgument(f"channels is {channels!r}; give a list of channels, even for one")
     members = list(channels)
     for member in members:
         if not hasattr(member, "info"):
-            raise InvalidArgument(f"{member!r} is no channel; give what channel(...) gave, not its name")
+            raise InvalidArgument(
+                f"{member!r} is no channel; give the handle from connection.channel(...), not the name"
+            )
     if not 1 <= len(members) <= MEMBERS_MAX:
         raise InvalidArgument(f"a group has 1 to {MEMBERS_MAX} channels, not {len(members)}")
     names = [member.info.name for member in members]
     doubled = {name for name in names if names.count(name) > 1}
     if doubled:
-        raise InvalidArgument(f"{', '.join(sorted(doubled))} would be in the group twice; name each channel once")
+        raise InvalidArgument(f"{', '.join(sorted(doubled))} is in the list twice; name each channel once")
     return members
 
 
 def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChannel]) -> bytes | None:
-    """The id of the reference, one of the `members` by handle or name; None for "oldest". Raises InvalidArgument."""
+    """Return the id of the reference, a member named by handle or name; None for "oldest". Raises InvalidArgument."""
     if reference == OLDEST_REFERENCE:
         return None
     for member in members:
@@ -216,27 +225,29 @@ def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChanne
 
 
 def is_named_by(named: NamedChannel | str, channel: NamedChannel) -> bool:
-    """It is the channel's name, or a handle or descriptor of it."""
+    """Whether `channel` is the name, a handle or a descriptor of the other."""
     if isinstance(named, str):
         return named == channel.info.name
     return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id
 
 
 def shown_name(named: NamedChannel | str) -> object:
-    """What to call it in an error."""
+    """The name that an error shows."""
     return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 
 
 def parse_tolerance(tolerance: DurationLike) -> int:
-    """Nanoseconds, 0 or more. Raises InvalidArgument."""
+    """Return nanoseconds, 0 or more. Raises InvalidArgument."""
     nanos = parse_duration(tolerance, "tolerance")
     if nanos < 0:
-        raise InvalidArgument(f"tolerance is {tolerance!r}; it is a distance of times: give 0 or more")
+        raise InvalidArgument(
+            f'tolerance is {tolerance!r}; it is the greatest distance of two times: give "0s" or more'
+        )
     return nanos
 
 
 def parse_lateness(lateness: DurationLike) -> int:
-    """Nanoseconds. Raises InvalidArgument."""
+    """Return nanoseconds, 0 or more. Raises InvalidArgument."""
     nanos = parse_duration(lateness, "lateness")
     if nanos < 0:
         raise InvalidArgument(f'lateness is {lateness!r}; it is a time to wait: give "0s" or more')
@@ -244,7 +255,7 @@ def parse_lateness(lateness: DurationLike) -> int:
 
 
 def parse_max_wait(max_wait: DurationLike) -> int:
-    """Nanoseconds, 0 or more. Raises InvalidArgument."""
+    """Return nanoseconds, 0 or more. Raises InvalidArgument."""
     nanos = parse_duration(max_wait, "max_wait")
     if nanos < 0:
         raise InvalidArgument(f'max_wait is {max_wait!r}; it is a time to wait: give "0s" or more')

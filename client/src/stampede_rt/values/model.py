@@ -10,19 +10,20 @@ from stampede_rt.values.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32
 OVERLAP_NANOS_MAX = 3_600_000_000_000
-"""The greatest `Policy.overlap_nanos`: a read looks at each item of so long before its start."""
+"""The greatest `Policy.overlap_nanos`. A read looks at every item of that time before its start."""
 
 OnFull = Literal["drop_oldest", "block", "reject"]
-"""What becomes of a put on a full channel or queue."""
+"""What the host does with a put on a full channel or queue."""
 ChangeKind = Literal["added", "updated", "removed"]
 
 
 class Item(NamedTuple):
-    """One item of a channel (paper, section 3.2). Times in nanoseconds since the epoch, durations in nanoseconds.
+    """One item of a channel (paper, section 3.2). Times are nanoseconds since the epoch, durations are nanoseconds.
 
-    `end` is the end of its span as known when it was read: the earliest of time + duration and the next later item's
-    time; None while it is the newest and has no duration. `seq` grows by one for each item that the channel accepts.
-    `payload` is None in reads without payloads. `incarnation` says which life of the channel the seq belongs to.
+    - `end` is the end of its span at the time of the read: the earlier of time + duration and the next later item's
+      time. It is None for the newest item without a duration.
+    - `seq` grows by one for each item that the channel accepts, within one `incarnation` of the channel.
+    - `payload` is None in reads without payloads; `payload_length_bytes` is its length all the same.
     """
 
     time: int
@@ -37,7 +38,7 @@ class Item(NamedTuple):
 
     @property
     def value(self) -> Any:
-        """The payload as the handle's codec decodes it; without a codec the payload itself."""
+        """The payload as the handle's codec decodes it, or the payload itself without a codec."""
         return self.payload
 
     def __eq__(self, other: object) -> bool:
@@ -58,7 +59,7 @@ class Item(NamedTuple):
 
 
 class Reason(str):
-    """Why an answer is empty or partial; compares as a string, and `detail` explains it in a sentence."""
+    """The reason why an answer is empty or partial. It compares as a string; `detail` explains it in a sentence."""
 
     COLLECTED: Reason
     NEVER: Reason
@@ -84,12 +85,15 @@ for _name in ("COLLECTED", "NEVER", "NOT_YET", "HIDDEN", "LOST"):
 
 
 class Items(Sequence[Item]):
-    """The answer to a get: items in time order (or the reverse), and what the reader must know beside them.
+    """The answer to a get: items in time order, or in reverse with `newest_first`, and facts about the answer.
 
-    `interval` is the interval as the host resolved it (None if it hung on items and there were none); `complete`:
-    nothing more can come into it; `truncated`: earlier items in it may have been collected; `more`: the limit cut it;
-    `reason`: why it is empty or partial, None if nothing is missing; `cut`: what the group showed when it was read
-    through one, items before this instant; None: through none, or nothing was visible yet.
+    - `interval`: the interval as the host resolved it. None if a bound is NEWEST or OLDEST and the channel has no
+      items.
+    - `complete`: no more items can come into the interval.
+    - `truncated`: earlier items of the interval may have been collected.
+    - `more`: the limit left out items.
+    - `reason`: why the answer is empty or partial; None if nothing is missing.
+    - `cut`: for reads through a group, its cut, exclusive. None for other reads, and while the group shows nothing.
     """
 
     __slots__ = ("_items", "complete", "cut", "incarnation", "interval", "more", "reason", "truncated")
@@ -135,10 +139,11 @@ class Items(Sequence[Item]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Policy:
-    """How a channel is set up; None: never stated. Times in nanoseconds, sizes in bytes (paper, section 3.4).
+    """The policy of a channel (paper, section 3.4). None: not stated. Times are nanoseconds, sizes are bytes.
 
-    `max_age_unconsumed_nanos`: what a live consumer has yet to consume goes at that age instead of `max_age_nanos`.
-    `overlap_nanos`: how long an item with a duration is not cut by the next item; None: not at all.
+    `max_age_unconsumed_nanos`: the age, instead of `max_age_nanos`, at which an item leaves that a live consumer has
+    still to consume. `overlap_nanos`: the time for which a later item does not end the span of an item with a duration;
+    None: a later item ends it at once.
     """
 
     max_age_nanos: int | None = None
@@ -182,7 +187,7 @@ class HostInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SupernodeInfo:
-    """A supernode as the answering one sees it."""
+    """A supernode as the supernode that answers sees it."""
 
     supernode_id: str
     endpoint: str
@@ -192,9 +197,10 @@ class SupernodeInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConsumerStats:
-    """A consumer's place at a channel that counts consumption: how many held items it has yet to consume (`waiting`).
+    """A consumer's place at a channel that counts consumption.
 
-    `lease_nanos` 0: its lease has ended, and it holds no item back until the place is taken again.
+    `waiting`: the number of held items that the consumer has still to consume. `lease_nanos` 0: the lease has ended,
+    and the place holds back no item until a consumer takes it again.
     """
 
     consumer_id: int
@@ -204,12 +210,11 @@ class ConsumerStats:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelStats:
-    """A channel's counters, taken at one moment: `accepted == held + sum(collected.values())`, always.
+    """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
 
-    `collected` is by cause (age, count, bytes, consumption), `rejected` by reason. Times are in nanoseconds since the
-    epoch, None where there are none. `consumers` are the places that were taken, of `policy.consumers`.
-    `clock_offset_nanos` is how far the host's clock was ahead of this machine's, measured by the call that asked for
-    these, give or take half its round trip; None in a listing.
+    `collected` is by cause (age, count, bytes, consumption), `rejected` by reason. Times are nanoseconds since the
+    epoch, or None. `consumers` are the taken places, of `policy.consumers`. `clock_offset_nanos`: how far the host's
+    clock is ahead of this machine's, give or take half the round trip of the call; None in a listing.
     """
 
     accepted: int
@@ -235,7 +240,7 @@ class ChannelStats:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """One change of the directory: `kind` is "added", "updated" or "removed"; `subject` is as it is after it."""
+    """One change of the directory: `kind` is "added", "updated" or "removed"; `subject` is the description after it."""
 
     index: int
     kind: ChangeKind

@@ -1,4 +1,4 @@
-"""What callers put into items, checked. Pure."""
+"""Checks of the payloads and attributes that callers give. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ITEM_BYTES_MAX = 16 * 1024 * 1024
 
 
 def check_payload(payload: object) -> bytes:
-    """`payload` as bytes; bytes, bytearray and memoryview are taken. A codec takes other values.
+    """Return `payload` as bytes. Takes bytes, bytearray and memoryview; other values need a codec.
 
     Raises InvalidArgument, ItemTooLarge.
     """
@@ -18,7 +18,7 @@ def check_payload(payload: object) -> bytes:
         raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_instead(payload)}")
     data = payload if type(payload) is bytes else bytes(payload)
     if len(data) > ITEM_BYTES_MAX:
-        raise ItemTooLarge(f"the item has {len(data)} bytes; one item has {ITEM_BYTES_MAX} at most: split it")
+        raise ItemTooLarge(f"the item has {len(data)} bytes; one item has at most {ITEM_BYTES_MAX}: split it")
     return data
 
 
@@ -32,7 +32,7 @@ def _instead(payload: object) -> str:
 
 
 def check_attributes(attributes: Mapping[str, str] | None) -> None:
-    """Raises InvalidArgument unless all keys and values are text."""
+    """Raise InvalidArgument unless all keys and values are text."""
     if attributes is None:
         return
     if isinstance(attributes, Mapping) and all(

@@ -1,4 +1,4 @@
-"""Participants as others see them (paper, section 4.2). Pure."""
+"""Peers as others see them (paper, section 4.2). Pure."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ PROOF_CHARACTERS_MIN = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ClockOffset:
-    """How far a participant's clock is ahead of that of a supernode (negative: behind), as it measured it itself.
+    """How far a peer's clock is ahead of a supernode's (negative: behind), as the peer measured it.
 
-    The true offset is at most `uncertainty_nanos` more or less.
+    The true offset differs by at most `uncertainty_nanos`.
     """
 
     offset_nanos: int
@@ -27,10 +27,12 @@ class ClockOffset:
     def measured(
         cls, *, sent_unix_nano: int, took_nanos: int, told_unix_nano: int, supernode: str, held_nanos: int = 0
     ) -> ClockOffset:
-        """Of a call that was sent at `sent_unix_nano` by the own clock, in which a supernode told its time.
+        """The offset by a call in which a supernode told its time.
 
-        It told it at the end of the `held_nanos` for which it had the request. The rest was the way there and back:
-        counted as halves, it is wrong by half of it at the most.
+        The peer sent it at `sent_unix_nano` of its own clock.
+
+        The supernode read its clock at the end of the `held_nanos` for which it had the request. The peer counts the
+        rest of the round trip as two equal halves, which is wrong by at most one half.
         """
         uncertainty = (max(0, took_nanos - held_nanos) + 1) // 2
         return cls(
@@ -42,10 +44,10 @@ class ClockOffset:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerInfo:
-    """A participant as the directory knows it. `registered` is an instant in nanoseconds since the epoch.
+    """A peer as the directory knows it. `registered` is an instant in nanoseconds since the epoch.
 
-    `clock` is what it told last of its clock; None: unknown. It told nothing (its software is older), or not yet, or
-    the leader of the supernodes could not be asked, who alone hears it. Changes that are watched never tell it.
+    `clock` is the peer's last measurement; None: unknown. It is unknown if the peer has not sent one yet or is too old
+    to send one, if the leader of the supernodes did not answer, and always in watched changes.
     """
 
     peer_id: bytes
@@ -63,7 +65,7 @@ class PeerInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerChange:
-    """One change among the peers: `kind` is "added", "updated" or "removed"; `peer` is as it is after it."""
+    """One change among the peers: `kind` is "added", "updated" or "removed"; `peer` is the description after it."""
 
     index: int
     kind: ChangeKind
@@ -72,14 +74,17 @@ class PeerChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerIdentity:
-    """What a participant keeps to itself: its id, and the proof that it is the same one when it comes back."""
+    """The id of a peer, and the proof by which the directory recognises the peer after a restart."""
 
     peer_id: bytes
     proof: bytes = field(repr=False)
 
     @classmethod
     def parse(cls, name: str, proof: str | None, randomness: bytes) -> PeerIdentity:
-        """From a caller's secret text, the same identity every time; without one from 48 random bytes."""
+        """Derive the identity from the caller's secret text, always the same one; without a text from 48 random bytes.
+
+        Raises InvalidArgument, InvalidName.
+        """
         if proof is None:
             return cls(peer_id=randomness[:16], proof=randomness[16:48])
         if not isinstance(proof, str) or len(proof) < PROOF_CHARACTERS_MIN:

@@ -1,4 +1,4 @@
-"""What callers say of a channel's set-up, checked (paper, section 3.4). Pure."""
+"""Checks of the policies that callers state (paper, section 3.4). Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
 
 
 def parse_name(name: str, what: str = "channel") -> str:
-    """`name` as it is. Raises InvalidName."""
+    """Return `name`. Raises InvalidName."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InvalidName(
             f"the {what} name {name!r} is not allowed; use 1 to 128 of A-Z, a-z, 0-9, '.', '_', '/', '-', beginning "
@@ -38,7 +38,7 @@ def parse_policy(
     max_age_unconsumed: DurationLike | None = None,
     overlap: DurationLike | None = None,
 ) -> Policy:
-    """The stated set-up; None stands for not stated. Raises InvalidArgument, naming the argument."""
+    """Return the stated policy; None stands for not stated. Raises InvalidArgument, which names the argument."""
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
     return Policy(
@@ -55,14 +55,14 @@ def parse_policy(
 
 
 def content_type_of(value: str | None) -> str | None:
-    """A MIME type; None as it is. Raises InvalidArgument."""
+    """Return a MIME type, or None. Raises InvalidArgument."""
     if value is not None and not (isinstance(value, str) and value.isascii() and 0 < len(value) <= 255):
-        raise InvalidArgument(f"content_type is {value!r}; write a MIME type of 255 characters at most")
+        raise InvalidArgument(f"content_type is {value!r}; write a MIME type of at most 255 characters")
     return value
 
 
 def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | None:
-    """Nanoseconds, `least` or more; None as it is. Raises InvalidArgument, naming `what`."""
+    """Return nanoseconds, `least` or more, or None. Raises InvalidArgument, which names `what`."""
     if value is None:
         return None
     nanos = parse_duration(value, what)
@@ -72,7 +72,7 @@ def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | N
 
 
 def count_of(what: str, value: int | None) -> int | None:
-    """A whole number, 1 or more; None as it is. Raises InvalidArgument, naming `what`."""
+    """Return a whole number, 1 or more, or None. Raises InvalidArgument, which names `what`."""
     if value is None:
         return None
     count = whole_number_of(what, value)
@@ -82,14 +82,14 @@ def count_of(what: str, value: int | None) -> int | None:
 
 
 def whole_number_of(what: str, value: int) -> int:
-    """`value` as an int. Raises InvalidArgument, naming `what`; True is no number."""
+    """Return `value` as an int. True is no number. Raises InvalidArgument, which names `what`."""
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise InvalidArgument(f"{what} is {value!r}; it must be a whole number")
     return operator.index(value)
 
 
 def flag_of(what: str, value: bool) -> bool:
-    """Raises InvalidArgument, naming `what`: "no" would count as yes."""
+    """Return True or False. Raises InvalidArgument for other values: "no" would count as true."""
     if not isinstance(value, bool):
         raise InvalidArgument(f"{what} is {value!r}; write True or False")
     return value

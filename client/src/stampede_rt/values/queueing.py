@@ -1,4 +1,4 @@
-"""Queues and mailboxes as their users hold them (paper, section 3.5). Pure.
+"""Queues and mailboxes: the values that their users hold (paper, section 3.5). Pure.
 
 Instants are int nanoseconds since the epoch, durations int nanoseconds.
 """
@@ -16,7 +16,7 @@ from stampede_rt.values.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
 LEASE_NANOS_MAX = 3_600_000_000_000
-LEASE_NANOS_DEFAULT = 30_000_000_000  # of a queue that states none
+LEASE_NANOS_DEFAULT = 30_000_000_000  # of a queue without a stated lease
 DELAY_NANOS_MAX = 2**63 - 1
 PREFETCH_MAX = 1024
 MESSAGE_ID_BYTES_MAX = 128
@@ -25,7 +25,7 @@ REASON_BYTES_MAX = 1024
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueuePolicy:
-    """How a queue is set up; None: never stated."""
+    """The policy of a queue. None: not stated."""
 
     max_items: int | None = None
     max_bytes: int | None = None
@@ -40,7 +40,7 @@ class QueuePolicy:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueInfo:
-    """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is its peer's id."""
+    """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is the id of its peer."""
 
     queue_id: bytes
     name: str
@@ -56,12 +56,13 @@ class QueueInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueStats:
-    """A queue's counters, taken at one moment.
+    """A queue's counters at one moment: `accepted == held + consumed + dropped + dead_lettered + expelled`, always.
 
-    `accepted == held + consumed + dropped + dead_lettered + expelled`, always. `leased` of the held ones are in the
-    hands of takers. `delivered` counts repeated deliveries, too; `given_back`, `leases_expired` and `terminated` those
-    that ended without an acknowledgement. `duplicates` are puts of a message id that was known. `rejected` is by
-    reason. `oldest`: when the oldest held item was accepted.
+    - `leased`: those held messages that takers have now.
+    - `delivered`: all deliveries, also repeated ones. `given_back`, `leases_expired` and `terminated` count the
+      deliveries that ended without an acknowledgement.
+    - `duplicates`: puts of a message id that the queue knew. `rejected`: refused puts, by reason.
+    - `oldest`: the time at which the queue accepted the oldest held message.
     """
 
     accepted: int
@@ -88,9 +89,10 @@ class QueueStats:
 
 
 class Enqueued(NamedTuple):
-    """Where a queue has an item: its `seq`, which compares within one `incarnation` of the queue.
+    """The place of an accepted message: its `seq` within one `incarnation` of the queue.
 
-    `duplicate`: an item was put under the same message id before; `seq` is that one's, and nothing was put now.
+    `duplicate`: the queue has accepted a message of the same id before, and stored nothing now. `seq` is then that
+    message's.
     """
 
     seq: int
@@ -100,8 +102,11 @@ class Enqueued(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PendingMessage:
-    """A message in the hands of a taker. `taker` is what people know that one by: its peer's name, or its machine and
-    process; `taker_id` is the handle's, and unique. `deliveries` says which delivery of the message it is, from 1."""
+    """A message that a taker has and has not settled.
+
+    `taker` is the taker's peer name, or its machine and process. `taker_id` is the unique id of its handle.
+    `deliveries` counts the deliveries of this message, from 1.
+    """
 
     seq: int
     taker: str
@@ -113,11 +118,11 @@ class PendingMessage:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeadLetterOrigin:
-    """Where a dead letter comes from: the queue that it left, and how its last delivery there ended.
+    """The queue that a dead letter left, and how its last delivery there ended.
 
-    `queue` is that queue's name, empty for a mailbox; `enqueued` when it was accepted there; `deliveries` how often it
-    was delivered. `ended` is "lease_expired", "given_back", "terminated", or empty if that is not known; `reason` what
-    its last taker said; `taker` and `taker_id` as in PendingMessage.
+    `queue` is that queue's name, empty for a mailbox. `enqueued` is the time at which it accepted the message.
+    `deliveries` counts the deliveries there. `ended` is "lease_expired", "given_back", "terminated", or empty if
+    unknown. `reason` is the last taker's text. `taker` and `taker_id` are as in PendingMessage.
     """
 
     queue: str
@@ -133,7 +138,7 @@ class DeadLetterOrigin:
 
 
 def parse_message_id(value: str | None) -> str:
-    """What a message is recognised by; None: nothing. Raises InvalidArgument."""
+    """Return the message id; None: the message has none. Raises InvalidArgument."""
     if value is None:
         return ""
     if not isinstance(value, str) or not 0 < len(value.encode()) <= MESSAGE_ID_BYTES_MAX:
@@ -142,9 +147,9 @@ def parse_message_id(value: str | None) -> str:
 
 
 def parse_reason(value: str | None) -> str:
-    """Why a message is given up; None: nothing is said. Raises InvalidArgument."""
+    """Return the reason for giving a message up; None: no reason. Raises InvalidArgument."""
     if value is not None and not (isinstance(value, str) and len(value.encode()) <= REASON_BYTES_MAX):
-        raise InvalidArgument(f"reason is {value!r}; give text of {REASON_BYTES_MAX} bytes at most")
+        raise InvalidArgument(f"reason is {value!r}; give text of at most {REASON_BYTES_MAX} bytes")
     return value or ""
 
 
@@ -159,7 +164,7 @@ def parse_queue_policy(
     dead_letter_queue_id: bytes | None = None,
     content_type: str | None = None,
 ) -> QueuePolicy:
-    """The stated set-up; None stands for not stated. Raises InvalidArgument, naming the argument."""
+    """Return the stated policy; None stands for not stated. Raises InvalidArgument, which names the argument."""
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
     return QueuePolicy(
@@ -175,16 +180,16 @@ def parse_queue_policy(
 
 
 def parse_lease(value: DurationLike | None) -> int | None:
-    """A lease in nanoseconds: more than 0, at most one hour; None as it is."""
+    """Return a lease in nanoseconds, more than 0 and at most one hour, or None. Raises InvalidArgument."""
     nanos = duration_of("lease", value, least=1)
     if nanos is not None and nanos > LEASE_NANOS_MAX:
-        raise InvalidArgument(f"lease is {value!r}; it is 1 h at most: extend it while you work")
+        raise InvalidArgument(f"lease is {value!r}; it is at most 1 h: extend it while you work")
     return nanos
 
 
 def parse_prefetch(value: int) -> int:
-    """How many messages may be under way to one handle."""
+    """Return how many messages the host may send ahead of the callers. Raises InvalidArgument."""
     count = count_of("prefetch", value)
     if count is None or count > PREFETCH_MAX:
-        raise InvalidArgument(f"prefetch is {value!r}; it is 1 to {PREFETCH_MAX}")
+        raise InvalidArgument(f"prefetch is {value!r}; it must be 1 to {PREFETCH_MAX}")
     return count

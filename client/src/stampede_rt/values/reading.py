@@ -1,4 +1,4 @@
-"""A read as its caller stated it, before it becomes a request. Pure."""
+"""A read as its caller stated it. The client turns it into a request. Pure."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from stampede_rt.values.timeline import InstantLike, Interval, Match, parse_inst
 
 TIMEOUT_S_MAX = 10**9
 SubscribeMode = Literal["all", "newest"]
-"""What a subscription delivers: every item, or the latest one, never going back."""
-RENEW_S = 30.0  # a wait without limit asks again so often
+"""A subscription delivers all items, or always the newest one."""
+RENEW_S = 30.0  # a client with a longer wait asks again after this time
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """How long a call may wait: `seconds`, None for ever."""
+    """How long a call may wait: `seconds`, None for no limit."""
 
     seconds: float | None
 
     @classmethod
     def parse(cls, timeout: float | None) -> Wait:
-        """A timeout in seconds, 0 or more; None: for ever."""
+        """Return a timeout in seconds, 0 or more; None: no limit. Raises InvalidArgument."""
         if timeout is None:
             return cls(None)
         if isinstance(timeout, bool | str) or not isinstance(timeout, int | float) or not 0 <= timeout < math.inf:
-            raise InvalidArgument(f"timeout is {timeout!r}; give seconds, 0 or more, or None to wait for ever")
+            raise InvalidArgument(f"timeout is {timeout!r}; give seconds, 0 or more, or None to wait without a limit")
         return cls(min(timeout, TIMEOUT_S_MAX))
 
     def after(self, passed_s: float) -> Wait:
-        """What is left of it; a read that is tried again does not wait anew."""
+        """The rest of the wait after so many seconds. A repeated read does not wait longer."""
         return self if not self.seconds else Wait(max(self.seconds - passed_s, 0))
 
     @property
     def nanos(self) -> int:
-        """As the wire has it: -1 stands for ever."""
+        """Nanoseconds on the wire; -1 stands for no limit."""
         return -1 if self.seconds is None else round(self.seconds * 1e9)
 
 
@@ -47,9 +47,11 @@ NO_WAIT = Wait(0)
 
 @dataclass(frozen=True, slots=True)
 class ReadQuery:
-    """One read of a channel (see `Channel.get`). Positions are an item or the instant behind whose items to go on.
+    """One read of a channel (see `Channel.get`).
 
-    `cut`: through a group at exactly this cut, which one of its hosts gave; None: the cut of the moment.
+    `after` is an item or an instant; the answer has only what lies behind it.
+
+    `cut`: read through a group at exactly this cut, which one of its hosts gave. None: at the cut of the moment.
     """
 
     interval: Interval
@@ -71,12 +73,12 @@ class ReadQuery:
 
 
 def after_position(after: Item | InstantLike) -> Item | int:
-    """An item as it is, or an instant."""
+    """Return an item, or an instant."""
     return after if isinstance(after, Item) else parse_instant(after, "after")
 
 
 def parse_limit(limit: int | None) -> int | None:
-    """How many items at most; None: all."""
+    """Return the greatest number of items; None: all. Raises InvalidArgument."""
     if limit is None:
         return None
     count = whole_number_of("limit", limit)

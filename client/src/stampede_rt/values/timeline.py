@@ -35,16 +35,16 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 DurationLike = str | timedelta
 """A length of time: "30ms", "1.5 s" or a timedelta."""
 InstantLike = int | datetime
-"""A moment: int nanoseconds since the epoch, or a datetime with a timezone."""
+"""An instant: int nanoseconds since the epoch, or a datetime with a timezone."""
 Bounds = Literal["[]", "[)", "(]", "()"]
-"""Which ends of an interval belong to it."""
+"""The bounds of an interval that belong to it."""
 
 
 def parse_duration(value: DurationLike, what: str = "a duration") -> int:
-    """Nanoseconds of `"30ms"`, `"1.5 s"` or a timedelta. Units: ns, us, ms, s, m, h, d.
+    """Return the nanoseconds of `"30ms"`, `"1.5 s"` or a timedelta. Units: ns, us, ms, s, m, h, d.
 
-    Bare numbers are refused: `max_age=10` would be ten nanoseconds beside `timeout=1.0` seconds. 292 years or more are
-    refused, too: they do not fit into 64 bits. Raises InvalidArgument.
+    Refuses bare numbers, because nobody could tell nanoseconds from seconds in `max_age=10`. Refuses 292 years and
+    more, which do not fit into 64 bits. Raises InvalidArgument.
     """
     nanos = _nanos_of(value) if isinstance(value, timedelta) else _read_duration(value, what)
     if not MIN_INSTANT <= nanos <= MAX_INSTANT:
@@ -69,7 +69,10 @@ def _read_duration(value: str, what: str) -> int:
 
 
 def parse_item_duration(value: DurationLike | int | None) -> int | None:
-    """Nanoseconds of an item's duration; unlike policies it may be an int, so that `duration=item.duration` works."""
+    """Return the nanoseconds of an item's duration. An int is nanoseconds here, so that `duration=item.duration` works.
+
+    Raises InvalidArgument.
+    """
     if value is None:
         return None
     nanos = value if type(value) is int else parse_duration(_no_bool(value), "an item's duration")
@@ -79,18 +82,25 @@ def parse_item_duration(value: DurationLike | int | None) -> int | None:
 
 
 def parse_instant(value: InstantLike, what: str = "a time") -> int:
-    """Nanoseconds since the epoch of an int or a timezone-aware datetime; floats and naive datetimes are refused."""
+    """Return the nanoseconds since the epoch of an int or a datetime with a timezone.
+
+    Refuses floats, and datetimes without a timezone. Raises InvalidArgument.
+    """
     if isinstance(value, datetime):
         if value.utcoffset() is None:
             shown = value.isoformat()
-            raise InvalidArgument(f"{what} is {shown} without a timezone; give it one, such as datetime.now(UTC)")
+            raise InvalidArgument(f"{what} is {shown} without a timezone; give it one, as in datetime.now(UTC)")
         return _in_range(_nanos_of(value - _EPOCH), value, what)
     if isinstance(value, bool | float | str):
-        raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with timezone")
+        raise InvalidArgument(
+            f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with a timezone"
+        )
     try:
         instant = operator.index(value)
     except TypeError:
-        raise InvalidArgument(f"{what} is {value!r}; give int nanoseconds since the epoch, or a datetime") from None
+        raise InvalidArgument(
+            f"{what} is {value!r}; give int nanoseconds since the epoch or a datetime with a timezone"
+        ) from None
     return _in_range(instant, value, what)
 
 
@@ -105,7 +115,7 @@ def _no_bool(value: DurationLike | int) -> DurationLike:
 
 
 def format_duration(nanos: int) -> str:
-    """`nanos` as people write it, rounded to thousandths: "1.5 s", "30 ms", and not "60 m"."""
+    """Return `nanos` for people, rounded to thousandths: "1.5 s", "30 ms", and not "60 m"."""
     for unit, smaller in pairwise(("d", "h", "m", "s", "ms", "us", "ns")):
         if abs(nanos) + _UNITS_NANOS[smaller] // 2000 >= _UNITS_NANOS[unit]:
             return f"{round(nanos / _UNITS_NANOS[unit], 3):g} {unit}"
@@ -113,7 +123,7 @@ def format_duration(nanos: int) -> str:
 
 
 def format_instant(instant: int) -> str:
-    """`instant` as ISO 8601 in UTC with nanoseconds, or as plain nanoseconds outside the calendar's years."""
+    """Return `instant` as ISO 8601 in UTC with nanoseconds, or as a plain number outside the calendar's years."""
     seconds, nanos = divmod(instant, 1_000_000_000)
     try:
         return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanos:09d}Z"
@@ -122,12 +132,12 @@ def format_instant(instant: int) -> str:
 
 
 def clamp(instant: int) -> int:
-    """`instant` held within int64."""
+    """Return `instant`, or the nearest one that fits into int64."""
     return max(MIN_INSTANT, min(MAX_INSTANT, instant))
 
 
 class MetaTime(Enum):
-    """A time that the channel's host resolves when it performs the read (paper, section 3.2)."""
+    """A time that the host resolves when it performs the read: NOW, NEWEST or OLDEST (paper, section 3.2)."""
 
     NOW = "now"
     NEWEST = "newest"
@@ -136,7 +146,7 @@ class MetaTime(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """An anchor plus an offset: a meta-time, or (with `meta` None) the instant `offset` itself."""
+    """An end of an interval: a meta-time plus an offset, or with `meta` None the instant `offset` itself."""
 
     meta: MetaTime | None
     offset: int = 0
@@ -160,18 +170,18 @@ NEWEST = Bound(MetaTime.NEWEST)
 OLDEST = Bound(MetaTime.OLDEST)
 
 BoundLike = Bound | InstantLike
-"""An end of an interval: a moment, or NOW, NEWEST or OLDEST, with an offset if wanted."""
+"""A bound of an interval: an instant, or NOW, NEWEST or OLDEST, with or without an offset."""
 
 
 def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
-    """A bound as it is, or a concrete one from an instant."""
+    """Return a bound, or the bound of an instant. Raises InvalidArgument."""
     return value if isinstance(value, Bound) else Bound(None, parse_instant(value, what))
 
 
 def last(duration: DurationLike) -> tuple[Bound, Bound]:
-    """The two bounds of "the last `duration`", up to now: `channel.get(*last("30s"))`."""
+    """Return the two bounds of the last `duration`, up to now: `channel.get(*last("30s"))`. Raises InvalidArgument."""
     if parse_duration(duration, "the duration") < 0:
-        raise InvalidArgument(f"the duration is {duration!r}; the last ones lie before now: leave the minus out")
+        raise InvalidArgument(f"the duration is {duration!r}; it reaches back from now: leave the minus out")
     return NOW - duration, NOW
 
 
@@ -186,7 +196,7 @@ class ResolvedInterval:
 
     @property
     def is_empty(self) -> bool:
-        """No instant lies inside."""
+        """Whether no instant lies inside."""
         return self.start > self.end or (self.start == self.end and (self.start_exclusive or self.end_exclusive))
 
     def __contains__(self, instant: int) -> bool:
@@ -196,7 +206,7 @@ class ResolvedInterval:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Two bounds, each inclusive or exclusive, that a host resolves together."""
+    """Two bounds, each inclusive or exclusive. The host resolves both at the same moment."""
 
     start: Bound
     end: Bound
@@ -212,11 +222,11 @@ class Interval:
 
     @property
     def needs_items(self) -> bool:
-        """An end hangs on the newest or the oldest item: it cannot be resolved while the channel is empty."""
+        """Whether a bound is NEWEST or OLDEST, which an empty channel does not have."""
         return not {self.start.meta, self.end.meta}.isdisjoint({MetaTime.NEWEST, MetaTime.OLDEST})
 
     def resolve(self, *, now: int, newest: int | None, oldest: int | None) -> ResolvedInterval | None:
-        """Both ends at once, or None if they hang on items and there are none."""
+        """Resolve both bounds at once. None if a bound needs items and there are none."""
         if self.needs_items and (newest is None or oldest is None):
             return None
         anchors = {None: 0, MetaTime.NOW: now, MetaTime.NEWEST: newest or 0, MetaTime.OLDEST: oldest or 0}
@@ -229,7 +239,7 @@ class Interval:
 
 
 def fixed(interval: Interval, resolved: ResolvedInterval | None) -> Interval:
-    """`interval` with the ends that a host has resolved, so that asking again does not resolve them anew."""
+    """Return `interval` with the bounds that a host has resolved, so that a repeated request has the same bounds."""
     if resolved is None or resolved.start > resolved.end:
         return interval
     ends = Bound(None, resolved.start), Bound(None, resolved.end)
@@ -240,9 +250,9 @@ _BOUNDS = {"[]": (False, False), "[)": (False, True), "(]": (True, False), "()":
 
 
 def parse_interval(start: BoundLike, end: BoundLike, bounds: str = "[]") -> Interval:
-    """The interval between `start` and `end`; `bounds` is one of "[]", "[)", "(]", "()".
+    """Return the interval between `start` and `end`; `bounds` is one of "[]", "[)", "(]", "()".
 
-    Raises InvalidInterval if both ends are concrete and the wrong way round.
+    Raises InvalidInterval if both bounds are instants and `start` is later than `end`.
     """
     if bounds not in _BOUNDS:
         raise InvalidArgument(f'bounds is {bounds!r}; write one of "[]", "[)", "(]", "()"')
@@ -252,7 +262,7 @@ def parse_interval(start: BoundLike, end: BoundLike, bounds: str = "[]") -> Inte
 
 
 class Match(Enum):
-    """Which items an interval selects (paper, section 3.2)."""
+    """The rule by which an interval selects items (paper, section 3.2)."""
 
     SPAN = "span"
     WHOLE = "whole"
@@ -260,11 +270,11 @@ class Match(Enum):
 
 
 MatchLike = Literal["span", "whole", "start"] | Match
-"""Which items an interval selects, by name."""
+"""The rule by which an interval selects items, by name."""
 
 
 def parse_match(value: str | Match) -> Match:
-    """A Match by its name."""
+    """Return the rule of that name. Raises InvalidArgument."""
     try:
         return Match(value)
     except ValueError:

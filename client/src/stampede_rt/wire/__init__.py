@@ -1,1 +1,1 @@
-"""Between values and their protobuf form. The only modules of the client beside its shells that touch stubs."""
+"""Values to and from protobuf. Of the client, only these modules and its shells use stubs."""

@@ -1,4 +1,4 @@
-"""Fills item runs on the producer's side. Pure but for the encoding of a finished run."""
+"""Fills item runs on the producer's side. Pure except for the encoding of a finished run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, RUN_ITEMS_MAX, encode_r
 
 @dataclass(frozen=True, slots=True)
 class NumberedRun:
-    """A finished run with the producer's number of its first item and its payloads' length."""
+    """A finished run, with the producer's number of its first item and the length of its payloads."""
 
     first_number: int
     items: int
@@ -20,10 +20,10 @@ class NumberedRun:
 
 @dataclass(slots=True)
 class RunBuilder:
-    """Gathers items into one run as long as they fit together; the caller takes it when it can be sent.
+    """Gathers items into one run while they fit together. The caller takes the run when it can send it.
 
-    Items fit together if they all have a time or none has, share attributes and content type, and stay within the
-    run's limits. Numbers grow by one for each item, over all runs.
+    Items fit together if all or none have a time, if they share attributes and content type, and if the run stays
+    within its limits. Numbers grow by one for each item, over all runs.
     """
 
     next_number: int = 1
@@ -38,7 +38,7 @@ class RunBuilder:
         return len(self._payloads)
 
     def fits(self, payload: bytes, time: int | None, attributes: Mapping[str, str] | None, content_type: str) -> bool:
-        """Whether the next item can join the run that is being filled."""
+        """Whether the next item can join the present run."""
         if not self._payloads:
             return True
         return (
@@ -57,7 +57,7 @@ class RunBuilder:
         attributes: Mapping[str, str] | None,
         content_type: str,
     ) -> None:
-        """Put an item that fits behind the others."""
+        """Append an item that fits."""
         if not self._payloads:
             self._attributes, self._content_type = attributes or None, content_type
         self._payloads.append(payload)
@@ -67,7 +67,7 @@ class RunBuilder:
         self.length_bytes += len(payload)
 
     def take(self) -> NumberedRun:
-        """The run as it is, encoded; the builder starts the next one. Not to be called while it is empty."""
+        """Return the present run, encoded, and begin the next one. Do not call it on an empty builder."""
         has_durations = any(duration != ABSENT for duration in self._durations)
         encoded = encode_run(
             self._payloads,

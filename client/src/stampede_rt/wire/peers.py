@@ -1,4 +1,4 @@
-"""Participants, from their protobuf form (`peer.proto`)."""
+"""Peers, from their protobuf form (`peer.proto`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt.wire.records import CHANGE_KINDS
 
 
 def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
-    """A participant as callers see it."""
+    """A peer, as callers see it."""
     return PeerInfo(
         peer_id=record.peer_id,
         name=record.name,
@@ -25,7 +25,7 @@ def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
 
 
 def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
-    """How far a participant's clock is off."""
+    """How far a peer's clock is off."""
     return ClockOffset(
         offset_nanos=message.offset_nanos,
         uncertainty_nanos=message.uncertainty_nanos,
@@ -34,7 +34,7 @@ def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
 
 
 def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
-    """The same for the wire; None, which is unknown, leaves a field absent."""
+    """A clock offset for the wire. None, which is unknown, leaves the field absent."""
     if clock is None:
         return None
     return peer_pb2.ClockOffset(

@@ -1,4 +1,4 @@
-"""Put requests framed by hand around encoded runs, so that payloads are copied once (`channel_service.proto`)."""
+"""Put requests around encoded runs, framed by hand so that payloads are copied once (`channel_service.proto`)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _RUN_TAG = bytes((3 << 3 | 2,))  # PutRun.run
 
 
 def put_head(subject_id: bytes, epoch: int, producer_id: int) -> bytes:
-    """What a stream's first request says of the channel or queue, alike; requests behind it leave it away."""
+    """The fields of a stream's first request that name the channel or queue. Later requests leave them out."""
     return channel_pb.PutRequest(channel_id=subject_id, epoch=epoch, producer_id=producer_id).SerializeToString()
 
 
 def put_request(
     head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
 ) -> bytes:
-    """A PutRequest or EnqueueRequest of one run, given in pieces; they differ in the `message_id`, which queues know.
+    """A PutRequest or EnqueueRequest of one run, whose bytes come in pieces. Only queues know the `message_id`.
 
-    `wait_nanos` as in PutRun, None: left out.
+    `wait_nanos` as in PutRun; None leaves it out.
     """
     put = queue_pb.EnqueueRun(
         first_number=first_number, wait_nanos=wait_nanos, message_id=message_id

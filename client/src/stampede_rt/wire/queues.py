@@ -33,20 +33,20 @@ REJECTED_REASONS = ("full", "too_large", "malformed", "overloaded")
 
 
 def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:
-    """A set-up; what was never stated stays unset."""
+    """A queue's policy. A field that was never stated stays unset."""
     stated = {name: getattr(policy, name) for name in _OPTIONAL}
     on_full = _ON_FULL[policy.on_full] if policy.on_full else queue_pb2.QUEUE_ON_FULL_UNSPECIFIED
     return queue_pb2.QueueSpec(on_full=on_full, **stated)
 
 
 def queue_policy_from_spec(spec: queue_pb2.QueueSpec) -> QueuePolicy:
-    """A set-up; what was never stated is None."""
+    """A queue's policy. A field that was never stated is None."""
     stated = {name: getattr(spec, name) for name in _OPTIONAL if spec.HasField(name)}
     return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), **stated)
 
 
 def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | None) -> QueueInfo:
-    """A queue as callers see it; `host` is its owner, None if the directory does not know it any more."""
+    """A queue, as callers see it; `host` is its owner, None if the directory does not know it any more."""
     return QueueInfo(
         queue_id=record.queue_id,
         name=record.name,
@@ -62,7 +62,7 @@ def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | N
 
 
 def queue_stats(status: queue_pb2.QueueStatus) -> QueueStats:
-    """A queue's counters as callers see them."""
+    """A queue's counters, as callers see them."""
     counters = status.counters
     return QueueStats(
         **{name: getattr(counters, name) for name in _COUNTED},
@@ -78,7 +78,7 @@ def queue_stats(status: queue_pb2.QueueStatus) -> QueueStats:
 
 @dataclass(frozen=True, slots=True)
 class DeliveredMessage:
-    """One item in the hands of this taker, as it came."""
+    """One message as the host delivered it to this taker."""
 
     delivery_id: int
     seq: int
@@ -92,7 +92,7 @@ class DeliveredMessage:
 
 
 def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[DeliveredMessage]:
-    """The items of a leased run, one delivery for each; `content_type` is the queue's."""
+    """The deliveries of a leased run, one for each message; `content_type` is the queue's."""
     run = leased.run
     counts = leased.deliveries or (1,) * len(run.payload_length_bytes)
     origin = _origin(run.origin) if run.HasField("origin") else None
@@ -128,7 +128,7 @@ def _origin(origin: item_pb2.DeadLetterOrigin) -> DeadLetterOrigin:
 
 
 def pending_message(pending: queue_pb2.PendingDelivery) -> PendingMessage:
-    """A leased delivery as callers see it."""
+    """A leased delivery, as callers see it."""
     return PendingMessage(
         seq=pending.seq,
         taker=pending.taker_name,

@@ -19,14 +19,14 @@ _REASON_PREFIX = "ABSENCE_REASON_"
 
 
 def bound_to_message(bound: Bound, *, exclusive: bool = False) -> time_pb2.Bound:
-    """One end of an interval."""
+    """One bound of an interval."""
     if bound.meta is None:
         return time_pb2.Bound(instant_unix_nano=bound.offset, exclusive=exclusive)
     return time_pb2.Bound(meta_time=_TO_META[bound.meta], offset_nanos=bound.offset, exclusive=exclusive)
 
 
 def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
-    """One end of an interval. Raises InvalidArgument, naming `what`, if it has no anchor."""
+    """One bound of an interval. Raises InvalidArgument, which names `what`, for a bound without an anchor."""
     anchor = message.WhichOneof("anchor")
     if anchor == "instant_unix_nano":
         return Bound(None, message.instant_unix_nano + message.offset_nanos)
@@ -36,7 +36,7 @@ def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
 
 
 def interval_to_message(interval: Interval) -> time_pb2.Interval:
-    """Both ends."""
+    """An interval with both bounds."""
     return time_pb2.Interval(
         start=bound_to_message(interval.start, exclusive=interval.start_exclusive),
         end=bound_to_message(interval.end, exclusive=interval.end_exclusive),
@@ -44,7 +44,7 @@ def interval_to_message(interval: Interval) -> time_pb2.Interval:
 
 
 def interval_from_message(message: time_pb2.Interval) -> Interval:
-    """Both ends. Raises InvalidArgument, InvalidInterval."""
+    """An interval with both bounds. Raises InvalidArgument, InvalidInterval."""
     return Interval(
         bound_from_message(message.start, "the interval's start"),
         bound_from_message(message.end, "the interval's end"),
@@ -54,12 +54,12 @@ def interval_from_message(message: time_pb2.Interval) -> Interval:
 
 
 def match_to_message(match: Match) -> time_pb2.Match:
-    """Which items an interval selects."""
+    """The rule by which an interval selects items."""
     return _TO_MATCH[match]
 
 
 def match_from_message(match: int) -> Match:
-    """Which items an interval selects. Raises InvalidArgument for a number that is none."""
+    """The rule by which an interval selects items. Raises InvalidArgument for an unknown number."""
     try:
         return _FROM_MATCH[match]  # type: ignore[index]
     except KeyError:
@@ -67,7 +67,7 @@ def match_from_message(match: int) -> Match:
 
 
 def position_of(after: Item | int) -> item_pb2.ItemPosition:
-    """The place of an item, or the one behind every item of an instant."""
+    """The position of an item, or the one behind all items of an instant."""
     if isinstance(after, Item):
         return item_pb2.ItemPosition(time_unix_nano=after.time, seq=after.seq, incarnation=after.incarnation)
     return item_pb2.ItemPosition(time_unix_nano=after)
@@ -91,7 +91,7 @@ def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterva
 
 
 def reason_to_message(reason: Reason | None) -> str:
-    """Why an answer is empty or partial, by its enum's name; its detail travels beside it."""
+    """Why an answer is empty or partial, as the enum's value. The detail travels beside it."""
     return _REASON_PREFIX + (reason.value if reason else "UNSPECIFIED")
 
 

@@ -33,7 +33,7 @@ REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "o
 
 
 def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
-    """A set-up; what was never stated stays unset."""
+    """A channel's policy. A field that was never stated stays unset."""
     retention = channel_pb2.RetentionPolicy(
         max_age_nanos=policy.max_age_nanos,
         max_items=policy.max_items,
@@ -52,7 +52,7 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
 
 
 def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
-    """A set-up; what was never stated is None."""
+    """A channel's policy. A field that was never stated is None."""
     retention, unconsumed = spec.retention, "max_age_unconsumed_nanos"
     return Policy(
         max_age_nanos=retention.max_age_nanos if retention.HasField("max_age_nanos") else None,
@@ -106,7 +106,7 @@ def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
 
 
 def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None) -> ChannelStats:
-    """A channel's counters as callers see them, with the host's clock offset if the caller has measured it."""
+    """A channel's counters, as callers see them, with the host's clock offset if the caller has measured it."""
     counters = status.counters
     return ChannelStats(
         accepted=counters.accepted,
@@ -135,7 +135,7 @@ def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | N
 
 
 def change(message: directory_pb2.DirectoryChange, hosts: Mapping[bytes, directory_pb2.HostRecord]) -> Change:
-    """One change of the directory; `hosts` are those known so far, to name a channel's owner."""
+    """One change of the directory. `hosts` are the known hosts by id; they give a channel's owner its name."""
     if message.WhichOneof("subject") == "host":
         return Change(index=message.index, kind=CHANGE_KINDS[message.kind], subject=host_info(message.host))
     info = channel_info(message.channel, hosts.get(message.channel.host_id))

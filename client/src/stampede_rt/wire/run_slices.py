@@ -1,4 +1,4 @@
-"""Parts of sealed runs (`item.proto`), cut out of their bytes. A run is looked into once for all its parts."""
+"""Cuts parts out of the bytes of sealed runs (`item.proto`). It reads a run once for all its parts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PAYLOADS_TAG = bytes((_PAYLOADS << 3 | _BYTES,))
 
 
 class _Field(NamedTuple):
-    """One field of a message: its number, and where it and its value begin, and both end."""
+    """One field of a message: its number, where the field begins, where its value begins, and where both end."""
 
     number: int
     wire_type: int
@@ -30,14 +30,14 @@ class _Field(NamedTuple):
 
 
 class RunSlicer:
-    """One sealed run, and where in its bytes everything stands. It keeps the bytes, and 4 bytes for each item."""
+    """One sealed run and the positions of its fields. It keeps the run's bytes, and 4 bytes for each item."""
 
     __slots__ = ("_body", "_columns", "_first_seq", "_labels", "_offsets", "_payloads")
 
     def __init__(self, sealed: bytes) -> None:
         """`sealed` is a run as a host stores it."""
         fields = list(_fields(sealed))
-        if not _is_plain(fields):  # such as columns in several pieces: write it anew, as we would
+        if not _is_plain(fields):  # such as columns in several pieces: encode the run again
             sealed = item_pb2.ItemRun.FromString(sealed).SerializeToString()
             fields = list(_fields(sealed))
         self._body = sealed
@@ -51,7 +51,7 @@ class RunSlicer:
         self._offsets = memoryview(struct.pack(f"<{len(counts) + 1}I", *accumulate(counts, initial=0))).cast("I")
 
     def cut(self, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
-        """The items from place `lo` up to, not including, `hi`, as a run of its own."""
+        """Return the items from index `lo` up to, not including, `hi` as a run of their own."""
         body, parts = self._body, []
         for number, begin, width in self._columns:
             parts.append(bytes((number << 3 | _BYTES,)) + encode_varint((hi - lo) * width))
@@ -65,12 +65,12 @@ class RunSlicer:
 
 
 def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
-    """One part of a sealed run; for several make a `RunSlicer`."""
+    """Return one part of a sealed run. For several parts make a `RunSlicer`."""
     return RunSlicer(sealed).cut(lo, hi, without_payloads=without_payloads)
 
 
 def _is_plain(fields: list[_Field]) -> bool:
-    """Everything but attributes stands there once, and columns are packed."""
+    """Whether each field but attributes comes once, and columns are packed."""
     numbers = [field.number for field in fields if field.number not in _LABELS]
     packed = all(field.wire_type == _BYTES for field in fields if field.number in _COLUMN_WIDTHS)
     return packed and len(numbers) == len(set(numbers)) and {_LENGTHS, _FIRST_SEQ} <= set(numbers)
@@ -94,7 +94,7 @@ def _fields(message: bytes) -> Iterator[_Field]:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """A number, and where it ends."""
+    """Return a number and the position behind it."""
     value = shift = 0
     while True:  # ends with the number
         byte = message[at]

@@ -1,7 +1,7 @@
-"""Item runs: columns that a producer encodes once and a host stores and sends as they are (`item.proto`).
+"""Item runs: columns that a producer encodes once, and that a host stores and sends as they are (`item.proto`).
 
-A host appends the fields it owns to the producer's bytes: in protobuf the last scalar wins and repeated fields
-concatenate, so the result is a valid run again.
+A host appends its own fields to the producer's bytes. In protobuf the last scalar wins and repeated fields concatenate,
+so the result is a valid run again.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
 _TIMES_TAG = 1 << 3 | 2  # field 1, packed
 _ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = bytes((6 << 3 | 2,))
-_COLUMN_BYTES_MAX = 23  # of one item in the three columns: a tag for each entry, where an encoder does not pack them
+_COLUMN_BYTES_MAX = 23  # of one item in three columns that the encoder did not pack, with a tag for each entry
 _ATTRIBUTE_FRAMING_BYTES_MAX = 16
 _FRAMING_BYTES_MAX = 64
 
 
 @dataclass(frozen=True, slots=True)
 class RunColumns:
-    """What a host needs to know of a producer's run. All columns have the same length; -1 marks no duration."""
+    """What a host needs to know of a producer's run. All columns have the same length; -1 means no duration."""
 
     times: Sequence[int] | None
     durations: Sequence[int] | None
@@ -54,7 +54,7 @@ def encode_run(
     content_type: str = "",
     attributes: Mapping[str, str] | None = None,
 ) -> bytes:
-    """The bytes of a run, as its producer sends it. `times` None: the host stamps the run on acceptance."""
+    """Return the bytes of a run as its producer sends it. `times` None: the host gives the items their time."""
     return b"".join(
         run_parts(payloads, times=times, durations=durations, content_type=content_type, attributes=attributes)
     )
@@ -68,8 +68,11 @@ def run_parts(
     content_type: str = "",
     attributes: Mapping[str, str] | None = None,
 ) -> list[bytes]:
-    """The bytes of a run in pieces, the payloads among them as they are: joined with what goes around them, each is
-    copied once. A copy of 300 KB costs as much as a third of a round trip."""
+    """Return the bytes of a run in pieces, of which the payloads are some.
+
+    The caller joins the pieces with other bytes, so that each payload is copied once. A copy of 300 KB costs a third of
+    a round trip.
+    """
     lengths = [len(payload) for payload in payloads]
     columns = item_pb2.ItemRun(
         time_unix_nano=times,
@@ -82,11 +85,11 @@ def run_parts(
 
 
 def parse_run(raw: bytes) -> RunColumns:
-    """Check a producer's run and give its columns. Raises MalformedRun, ItemTooLarge."""
+    """Check a producer's run and return its columns. Raises MalformedRun, ItemTooLarge."""
     try:
         run = item_pb2.ItemRun.FromString(raw)
     except DecodeError as error:
-        raise MalformedRun("the run is no valid ItemRun message; encode it from item.proto") from error
+        raise MalformedRun("the run is no valid ItemRun message; encode it as item.proto says") from error
     times, durations, lengths = list(run.time_unix_nano), list(run.duration_nanos), list(run.payload_length_bytes)
     _check_columns(run, times, durations, lengths)
     _check_length(raw, run, items=len(lengths), payload_bytes=sum(lengths))
@@ -97,14 +100,17 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
     items = len(lengths)
     total = sum(lengths)
     if not items:
-        raise MalformedRun("the run holds no items; payload_length_bytes has one entry for each")
+        raise MalformedRun("the run holds no items; write one entry of payload_length_bytes for each item")
     if len(times) not in (0, items) or len(durations) not in (0, items):
         raise MalformedRun(
             f"the run's columns disagree: {items} lengths, {len(times)} times, {len(durations)} durations; "
             "a column has one entry for each item or is left out"
         )
     if total != len(run.payloads):
-        raise MalformedRun(f"the run's lengths add up to {total} bytes, but its payloads are {len(run.payloads)}")
+        raise MalformedRun(
+            f"the run's lengths add up to {total} bytes, but its payloads have {len(run.payloads)}; write the length "
+            "of each payload"
+        )
     if items > RUN_ITEMS_MAX or (items > 1 and total > RUN_BYTES_MAX):
         raise MalformedRun(
             f"the run holds {items} items and {total} bytes; a run of several items ends at {RUN_ITEMS_MAX} items "
@@ -113,12 +119,12 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
     if durations and min(durations) < ABSENT:
         raise MalformedRun(f"the run holds a duration of {min(durations)} ns; it is 0 or more, or -1 for none")
     if total > ITEM_BYTES_MAX:
-        raise ItemTooLarge(f"the item has {total} bytes; one item has {ITEM_BYTES_MAX} at most: split it")
+        raise ItemTooLarge(f"the item has {total} bytes; one item has at most {ITEM_BYTES_MAX}: split it")
     _check_labels(run)
 
 
 def _check_length(raw: bytes, run: item_pb2.ItemRun, *, items: int, payload_bytes: int) -> None:
-    """Of a field that comes twice the parser keeps the last one, and a host would keep the bytes of both."""
+    """Refuse a run with a field that comes twice: the parser keeps the last one, but the host would keep both."""
     attributes_bytes = attributes_length_bytes(run.attributes) + len(run.attributes) * _ATTRIBUTE_FRAMING_BYTES_MAX
     labels_bytes = len(run.content_type.encode()) + attributes_bytes
     if len(raw) > payload_bytes + items * _COLUMN_BYTES_MAX + labels_bytes + _FRAMING_BYTES_MAX:
@@ -131,10 +137,10 @@ def _check_labels(run: item_pb2.ItemRun) -> None:
     if run.first_seq or run.HasField("origin") or len(UnknownFieldSet(run)):
         raise MalformedRun("the run sets first_seq, origin or fields that item.proto does not have; leave them out")
     if len(run.content_type.encode()) > CONTENT_TYPE_BYTES_MAX:
-        raise MalformedRun(f"the run's content type is longer than {CONTENT_TYPE_BYTES_MAX} bytes")
+        raise MalformedRun(f"the run's content type is longer than {CONTENT_TYPE_BYTES_MAX} bytes; shorten it")
     if run.attributes and attributes_length_bytes(run.attributes) > ATTRIBUTES_BYTES_MAX:
         raise MalformedRun(
-            f"the run's attributes are longer than {ATTRIBUTES_BYTES_MAX} bytes in all; the payload takes more"
+            f"the run's attributes are longer than {ATTRIBUTES_BYTES_MAX} bytes in all; put large data into the payload"
         )
 
 
@@ -144,7 +150,7 @@ def attributes_length_bytes(attributes: Mapping[str, str]) -> int:
 
 
 def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = None) -> bytes:
-    """A producer's run with the fields that the host owns appended: `first_seq`, and the times if it had none."""
+    """Return a producer's run with the host's fields appended: `first_seq`, and the times if it had none."""
     seq = _FIRST_SEQ.pack(_FIRST_SEQ_TAG, first_seq)
     if stamped_times is None:
         return raw + seq
@@ -153,12 +159,12 @@ def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = N
 
 
 def origin_field(origin: bytes) -> bytes:
-    """What a host appends to a sealed run of one dead letter; `origin` is an encoded DeadLetterOrigin."""
+    """The field that a host appends to the sealed run of one dead letter; `origin` is an encoded DeadLetterOrigin."""
     return b"".join((_ORIGIN_TAG, encode_varint(len(origin)), origin))
 
 
 def encode_varint(value: int) -> bytes:
-    """`value`, 0 or more, as protobuf writes numbers and lengths."""
+    """Return `value`, 0 or more, in protobuf's form of numbers and lengths."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -168,7 +174,7 @@ def encode_varint(value: int) -> bytes:
 
 
 def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
-    """A producer's run with only the items at `indexes`: what remains when a host refuses the others."""
+    """Return a producer's run with only the items at `indexes`. A host calls it when it refuses the others."""
     run = item_pb2.ItemRun.FromString(raw)
     offsets = [0, *accumulate(run.payload_length_bytes)]
     return encode_run(
@@ -181,9 +187,9 @@ def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
 
 
 class ItemDecoder:
-    """Turns delivered runs into Items, for one channel and incarnation; `coding` gives them their values.
+    """Turns delivered runs of one channel and incarnation into Items; `coding` decodes their values.
 
-    `overlap_nanos`: how long an item of the channel with a duration is not cut by a later one.
+    `overlap_nanos`: the time for which a later item does not end the span of an item with a duration.
     """
 
     def __init__(
@@ -202,7 +208,7 @@ class ItemDecoder:
         self._make: Callable[[Iterable[Any]], Item] = coding.item if coding else Item._make
 
     def decode(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """The items of runs that follow each other in time, such as a get's whole answer."""
+        """Return the items of runs that follow each other in time, such as the answer of a get."""
         if not delivered:
             return []
         last = delivered[-1]
@@ -215,7 +221,7 @@ class ItemDecoder:
         return [item for one in delivered for item in self._items(one.run, ends)]
 
     def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """The items of runs that each stand alone, such as a subscription's."""
+        """Return the items of runs that each stand alone, such as those of a subscription."""
         return [item for one in delivered for item in self.decode((one,))]
 
     def _items(self, run: item_pb2.ItemRun, ends: Iterator[int | None]) -> Iterator[Item]:
@@ -263,7 +269,7 @@ def _end(time: int, duration: int, next_time: int | None, overlap: int) -> int |
 
 
 def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None, overlap: int) -> list[int | None]:
-    """Each item's end. In a run that is not ascending (a subscription's late items) only later neighbours bound."""
+    """Return each item's end. In a run out of order (late items of a subscription) only later neighbours count."""
     ends: list[int | None] = []
     following, bucket = next_time, None
     for time, duration in zip(reversed(times), reversed(durations), strict=True):

@@ -83,7 +83,7 @@ def test_the_failures_of_all_rounds_tell_whether_a_majority_is_missing() -> None
 
 
 def test_without_a_supernode_the_failure_says_what_to_look_at() -> None:
-    assert "is a front-end running?" in DirectoryCall(deadline_s=1.0).failure([]).message
+    assert "start a front-end and supernodes" in DirectoryCall(deadline_s=1.0).failure([]).message
 
 
 def test_a_supernode_that_is_known_no_more_tells_why_if_no_other_does() -> None:

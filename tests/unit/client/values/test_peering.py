@@ -43,7 +43,7 @@ def test_an_error_names_its_queue_once() -> None:
 
 
 def test_a_wrong_lease_is_named() -> None:
-    with pytest.raises(InvalidArgument, match="lease is '2h'; it is 1 h at most"):
+    with pytest.raises(InvalidArgument, match="lease is '2h'; it is at most 1 h"):
         parse_queue_policy(lease="2h")
     assert isinstance(error_for("PEER_NOT_FOUND", "x"), StampedeError)
 
