@@ -1,0 +1,1 @@
+"""Every parser of bytes and texts from outside, called in this process."""

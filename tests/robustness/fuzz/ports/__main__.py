@@ -1,0 +1,35 @@
+"""`python -m tests.robustness.fuzz.ports [PORT...] [--inputs N] [--seed N]`: exit code 1 if it found something."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+
+from tests.robustness.fuzz.ports.methods import PORTS
+from tests.robustness.fuzz.ports.run import run
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="call all RPCs of a port with what no client of ours would send")
+    parser.add_argument("ports", nargs="*", help=f"of {', '.join(PORTS)}; left out: all")
+    parser.add_argument("--inputs", type=int, default=1_000_000, help="requests for each port")
+    parser.add_argument("--seconds", type=float, default=36_000.0, help="for each port, at most")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    found = 0
+    for port in arguments.ports or PORTS:
+        outcome = asyncio.run(
+            run(port, seed=arguments.seed, inputs=arguments.inputs, seconds=arguments.seconds, told=_tell)
+        )
+        print(outcome, flush=True)
+        found += len(outcome.findings)
+    return 1 if found else 0
+
+
+def _tell(line: str) -> None:
+    print(line, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,63 @@
+"""What a run against one port has seen, and what of it must not be."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import grpc
+
+FINDINGS_MAX = 40
+BROKEN = (grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A call with which something went wrong: `seed` and `number` draw it again if nothing was learnt before."""
+
+    what: str
+    method: str
+    requests: tuple[str, ...] = ()
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Findings of one kind are reported once."""
+        return self.method, self.what[:60]
+
+
+@dataclass
+class Outcome:
+    """Memory is the resident set of the process behind the port, in MiB."""
+
+    port: str
+    seed: int
+    inputs: int = 0
+    calls: int = 0
+    seconds: float = 0.0
+    codes: Counter[str] = field(default_factory=Counter)
+    by_method: Counter[str] = field(default_factory=Counter)
+    findings: list[Finding] = field(default_factory=list)
+    before_mib: float = 0.0
+    most_mib: float = 0.0
+    after_mib: float = 0.0
+    good_calls: int = 0
+    good_failures: list[str] = field(default_factory=list)
+
+    def add(self, finding: Finding) -> None:
+        """Unless one of its kind is there."""
+        if len(self.findings) < FINDINGS_MAX and all(one.kind != finding.kind for one in self.findings):
+            self.findings.append(finding)
+
+    def __str__(self) -> str:
+        codes = ", ".join(f"{name} {count}" for name, count in self.codes.most_common())
+        lines = [
+            f"{self.port}, seed {self.seed}: {self.inputs:,} inputs in {self.calls:,} calls, {self.seconds:.0f} s, "
+            f"{self.inputs / max(1e-9, self.seconds):,.0f}/s",
+            f"  memory {self.before_mib:.0f}, {self.most_mib:.0f}, {self.after_mib:.0f} MiB (first, most, after)",
+            f"  answers: {codes}",
+            f"  good calls: {self.good_calls}, failed: {len(self.good_failures)} {self.good_failures[:3]}",
+        ]
+        for one in self.findings:
+            lines.append(f"  FOUND {one.method}: {one.what}")
+            lines += [f"    request {request[:2000]}" for request in one.requests]
+        return "\n".join(lines)
