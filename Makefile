@@ -10,7 +10,7 @@ PYTHON_DIRS := client services deploy demos benchmarks tests tools
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/test_,directory_properties.py peer_properties.py lease_safety.py)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test explore fuzz mutants check format stubs robustness images bench clean
+.PHONY: help setup demo test explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -34,9 +34,18 @@ test: setup  ## the whole test suite
 explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
 	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)
 
-fuzz: setup  ## calls that are cancelled over a network that is cut, for 10 minutes; STAMPEDE_FUZZ_SEED names the first seed
+fuzz: fuzz-cancels fuzz-parsers fuzz-ports  ## all of the next three, for about 75 minutes; exit code 2 if anything is found
+
+fuzz-cancels: setup  ## calls that are cancelled over a network that is cut, for 10 minutes; STAMPEDE_FUZZ_SEED names the first seed
 	STAMPEDE_FUZZ_STORIES=$${STAMPEDE_FUZZ_STORIES:-15} STAMPEDE_FUZZ_SECONDS=$${STAMPEDE_FUZZ_SECONDS:-20} \
-		$(RUN)/pytest -s --timeout=0 tests/robustness/fuzz
+		$(RUN)/pytest -s --timeout=0 tests/robustness/fuzz/test_cancels_and_cuts.py
+
+fuzz-parsers: setup  ## all parsers of bytes from outside, guided by coverage (atheris), a minute each
+	$(UV) sync --quiet --frozen --python $(PYTHON) --group fuzz
+	$(RUN)/python -m tests.robustness.fuzz.parsers --guided --inputs 10000000 --seconds $${STAMPEDE_FUZZ_SECONDS:-60}
+
+fuzz-ports: setup  ## all RPCs of a host, a supernode and a front-end, a million requests each
+	$(RUN)/python -m tests.robustness.fuzz.ports --inputs $${STAMPEDE_FUZZ_INPUTS:-1000000} --seed $${STAMPEDE_FUZZ_SEED:-1}
 
 mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
 	$(RUN)/python -m tests.robustness.mutants

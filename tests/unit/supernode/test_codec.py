@@ -3,8 +3,8 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.errors import VersionMismatch
-from stampede_rt.v1 import directory_command_pb2
+from stampede_rt.errors import StampedeError, VersionMismatch
+from stampede_rt.v1 import channel_pb2, directory_command_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt_supernode.codecs.command_codec import (
     CODECS,
@@ -316,3 +316,17 @@ def test_a_group_that_this_version_cannot_read_is_refused(field: str, value: Any
 def test_a_snapshot_of_another_form_is_not_taken_for_ours() -> None:
     with pytest.raises(VersionMismatch, match="format 4"):
         decode_snapshot(directory_command_pb2.DirectorySnapshot(format_version=4).SerializeToString())
+
+
+@pytest.mark.parametrize(
+    "encoded",
+    [
+        b"\xff\xff",
+        directory_command_pb2.DirectorySnapshot(
+            format_version=1, channels=[channel_pb2.ChannelRecord(channel_id=b"c" * 16, host_id=b"nobody" * 2)]
+        ).SerializeToString(),
+    ],
+)
+def test_a_snapshot_whose_parts_contradict_each_other_is_refused_and_ends_nobody(encoded: bytes) -> None:
+    with pytest.raises(StampedeError, match="the snapshot holds no directory"):
+        decode_snapshot(encoded)

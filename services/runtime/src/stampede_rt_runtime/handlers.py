@@ -26,10 +26,16 @@ def is_stream(handler: Any) -> bool:
 
 def guarded(handler: Any, guard: Guard) -> Any:
     """A handler of the same kind, each call of which runs inside `guard`."""
-    make, behavior = _kind(handler)
+    behavior = behavior_of(handler)
     around = _around_iterator if inspect.isasyncgenfunction(behavior) else _around_call
+    return with_behavior(handler, around(behavior, guard))
+
+
+def with_behavior(handler: Any, behavior: Callable[..., Any]) -> Any:
+    """A handler of the same kind that runs `behavior`."""
+    make, _ = _kind(handler)
     return make(
-        around(behavior, guard),
+        behavior,
         request_deserializer=handler.request_deserializer,
         response_serializer=handler.response_serializer,
     )

@@ -11,6 +11,7 @@ from typing import Any
 
 import grpc
 
+from stampede_rt_runtime.aborts import AbortInterceptor
 from stampede_rt_runtime.access.proofs import Accepted
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret
@@ -52,7 +53,7 @@ class ServiceServer:
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
             # The first is the outermost: who may not call takes no slot.
-            interceptors=[AdmissionInterceptor(accepted), CapacityInterceptor(limits)],
+            interceptors=[AbortInterceptor(), AdmissionInterceptor(accepted), CapacityInterceptor(limits)],
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),
         )

@@ -166,8 +166,16 @@ def encode_snapshot(directory: Directory) -> bytes:
 
 
 def decode_snapshot(encoded: bytes) -> Directory:
-    """The directory that was written. Raises DecodeError or VersionMismatch: do not go on without it."""
-    message = pb.DirectorySnapshot.FromString(encoded)
+    """The directory that was written. Raises StampedeError, VersionMismatch among them: do not go on without it."""
+    try:
+        return _directory(pb.DirectorySnapshot.FromString(encoded))
+    except StampedeError:
+        raise
+    except Exception as error:  # what is read is no state of ours, and its parts may contradict each other anyhow
+        raise StampedeError(f"the snapshot holds no directory ({error!r}); use another one") from error
+
+
+def _directory(message: pb.DirectorySnapshot) -> Directory:
     if not FORMAT_VERSION <= message.format_version <= FORMAT_VERSION_WITH_QUEUES:
         raise VersionMismatch(
             f"the snapshot has format {message.format_version}, this supernode reads {FORMAT_VERSION} to "

@@ -1,0 +1,67 @@
+"""Lets go of what a refused call held.
+
+gRPC keeps the error of an aborted call in the call's state. The error's traceback refers to the frames of all functions
+that were left, these to the call's context, and this one to the state. So the requests and all else in those frames
+would wait for Python's garbage collector, which looks at older objects seldom (decision 0119).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Any
+
+import grpc
+from grpc.aio import AbortError
+
+from stampede_rt_runtime.handlers import behavior_of, with_behavior
+from stampede_rt_runtime.rpc import Context
+
+
+class AbortInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
+    """Must be the outermost interceptor: the error of a call that was aborted leaves with no frame but its own."""
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Any:
+        """The method's handler, around which this is put."""
+        handler = await continuation(handler_call_details)
+        if handler is None:
+            return None
+        behavior = behavior_of(handler)
+        around = _stream_of if inspect.isasyncgenfunction(behavior) else _call_of
+        return with_behavior(handler, around(behavior))
+
+
+def _call_of(behavior: Callable[..., Any]) -> Callable[..., Any]:
+    async def call(request: Any, context: Context) -> Any:
+        try:
+            return await behavior(request, context)
+        except AbortError as error:
+            request = context = None  # type: ignore[assignment]
+            raise _without_frames(error)  # noqa: B904 - it is the same error
+
+    return call
+
+
+def _stream_of(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., AsyncIterator[Any]]:
+    async def stream(request: Any, context: Context) -> AsyncIterator[Any]:
+        responses: Any = behavior(request, context)
+        try:
+            async for response in responses:
+                yield response
+        except AbortError as error:
+            request = context = responses = None  # type: ignore[assignment]
+            raise _without_frames(error)  # noqa: B904 - it is the same error
+        finally:
+            if responses is not None:
+                await responses.aclose()
+
+    return stream
+
+
+def _without_frames(error: AbortError) -> AbortError:
+    error.__cause__ = error.__context__ = None
+    return error.with_traceback(None)

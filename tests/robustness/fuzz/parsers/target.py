@@ -1,0 +1,26 @@
+"""What a parser is asked: any bytes, and it answers, or refuses in one of the ways that it promises."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tests.robustness.fuzz.drawing import ByteSource
+
+
+@dataclass(frozen=True)
+class Target:
+    """`parse` draws its input, calls the parser, and checks what comes back; `refusals` are the errors that it may
+    raise. Whatever else it raises is a finding."""
+
+    name: str
+    parse: Callable[[ByteSource], None]
+    refusals: tuple[type[BaseException], ...]
+
+    def __call__(self, data: bytes) -> bool:
+        """Whether the input was taken; raises what must not be raised."""
+        try:
+            self.parse(ByteSource(data))
+        except self.refusals:
+            return False
+        return True

@@ -1,0 +1,26 @@
+"""A short run of what `make fuzz` does at length."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from tests.robustness.fuzz.parsers.catalogue import BY_NAME
+from tests.robustness.fuzz.parsers.guided import run_guided
+from tests.robustness.fuzz.parsers.unguided import run_unguided
+
+INPUTS, SECONDS = 1000, 20.0
+
+
+@pytest.mark.parametrize("name", sorted(BY_NAME))
+def test_a_parser_takes_or_refuses_whatever_comes(name: str) -> None:
+    assert run_unguided(name, inputs=INPUTS, seconds=SECONDS, seed=11)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not there: uv sync --group fuzz")
+def test_coverage_guides_a_target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.robustness.fuzz.parsers.guided.CORPUS", tmp_path)
+    assert run_guided("item_run", inputs=500, seconds=20, seed=1)
+    assert any((tmp_path / "item_run").iterdir()), "inputs that reach new code are kept"

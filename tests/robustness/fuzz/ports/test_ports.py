@@ -1,0 +1,20 @@
+"""A short run of what `make fuzz` does at length: all RPCs of a real host, supernode and front-end."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.robustness.fuzz.ports.methods import PORTS
+from tests.robustness.fuzz.ports.run import run
+
+pytestmark = pytest.mark.timeout(180)
+INPUTS = {"host": 4000, "supernode": 3000, "frontend": 1000}
+
+
+@pytest.mark.parametrize("port", PORTS)
+async def test_no_call_of_whatever_kind_breaks_a_port(port: str) -> None:
+    outcome = await run(port, seed=11, inputs=INPUTS[port])
+    print(outcome)
+    assert outcome.findings == []
+    assert outcome.good_failures == []
+    assert outcome.inputs >= INPUTS[port]
